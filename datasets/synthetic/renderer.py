@@ -1,0 +1,167 @@
+"""Paints the view from the driver's seat, in integers only: a pure function of seed, season and place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import Image
+
+from .camera import HEIGHT, PIXEL, WIDTH, Camera, Canvas, Outlines, Paint
+from .chance import FULL, Chance, Ints
+from .land import belts, ground_colours, land_outlines, paint_ridges, water_colours
+from .route import BELTS, DEPTHS, METRE, PLACE_SPACING, Route, View
+from .scenery import Scenery, Things, blend
+from .seasons import SEASONS, Season
+from .shapes import OUTLINES, UNIT
+from .track import ribbons
+
+#: Raise it whenever a change in this folder changes a pixel: it is part of every dataset's protocol.
+VERSION = 1
+
+# How many places it takes until the mood of a traverse is another: overcast, haze, camera to the right,
+# camera down, offset along the track, exposure.
+_MOOD_PLACES = np.array([25, 60, 7, 9, 12, 18])
+_HORIZON = 38 * PIXEL
+_SKY_ROWS = 58
+_ATLAS = 512  # width of a texture, which then repeats
+
+
+class Renderer:
+    """Renders any place of the journey of one seed; keeps nothing between frames, so threads may share it."""
+
+    def __init__(self, seed: int) -> None:
+        """Prepare the textures, the only thing that frames share."""
+        self._chance = Chance(seed)
+        self._route = Route(self._chance)
+        self._scenery = Scenery(self._chance)
+        self._grain = self._texture(500, ((2, 90), (4, 90), (9, 76))).astype(np.int16) - 128
+        self._clouds = self._texture(510, ((4, 30), (8, 46), (16, 70), (32, 110)))
+
+    def render(self, season_name: str, place: int) -> Image:
+        """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
+        season = SEASONS[season_name]
+        luck = self._chance.dice(600 + season.number, np.array([place]))[:, 0].tolist()
+        mood = self._chance.smooth(
+            600 + 10 * season.number + np.arange(len(_MOOD_PLACES)), np.array([place]), _MOOD_PLACES
+        ).tolist()
+        position = place * PLACE_SPACING + (mood[4] - FULL // 2) * 6 * METRE // FULL + (luck[0] - 128) // 16
+        view = self._route.view(position)
+        overcast = min(max(season.overcast + (mood[0] - FULL // 2) // 4, 0), 256)
+        camera = self._camera(season, view, luck, mood, overcast)
+        snow = np.clip(season.snow + (view.altitude - 380) * season.snow_uphill // 500, 0, 256)  # (n,)
+
+        canvas = self._sky(season, place, mood, overcast, camera)
+        paint_ridges(canvas, season, view, camera, snow)
+        things = _project(self._scenery.things(view, season_name, position, snow), camera)
+        _paint_land(canvas, season, view, camera, snow, things, luck)
+        return self._expose(canvas, season, luck, mood)
+
+    def _texture(self, channel: int, octaves: tuple[tuple[int, int], ...]) -> npt.NDArray[np.uint8]:
+        """Return smooth noise (2 * HEIGHT, _ATLAS + WIDTH) that repeats; octaves are (pixels, amplitude)."""
+        total = np.zeros((2 * HEIGHT, _ATLAS), np.uint16)
+        for number, (spacing, amplitude) in enumerate(octaves):
+            shape = (2 * HEIGHT // spacing + 1, _ATLAS // spacing)
+            knots = self._chance.dice(channel + number, np.arange(shape[0] * shape[1]))[0] * amplitude >> 8
+            layer = knots.reshape(shape).astype(np.uint8)
+            total += cv2.resize(layer, (_ATLAS, 2 * HEIGHT), interpolation=cv2.INTER_LINEAR_EXACT)
+        return np.concatenate([total, total[:, :WIDTH]], axis=1).clip(0, 255).astype(np.uint8)
+
+    def _camera(self, season: Season, view: View, luck: list[int], mood: list[int], overcast: int) -> Camera:
+        sun = season.sunshine * season.sun_side * (256 - overcast) >> 8
+        return Camera(
+            centre=WIDTH * PIXEL // 2 + season.shift_x + (mood[2] - 512) // 32 + (luck[1] - 128) // 24,
+            horizon=_HORIZON + view.grade + season.shift_y + (mood[3] - 512) // 40 + (luck[2] - 128) // 32,
+            bend=view.bend,
+            light=np.array(season.light) * (280 - overcast // 4) >> 8,
+            sun=sun,
+            haze=np.array(season.sky_low) * 15 >> 4,
+            thickness=min(season.haze * (300 + mood[1]) // FULL + overcast // 8, 230),
+        )
+
+    def _sky(self, season: Season, place: int, mood: list[int], overcast: int, camera: Camera) -> Canvas:
+        """Return a canvas with the sky on it."""
+        top = mood[1] * HEIGHT // FULL
+        left = (place * 5 + season.number * 171) % _ATLAS
+        cloud = self._clouds[top : top + _SKY_ROWS, left : left + WIDTH]
+        density = np.arange(256)
+        cover = np.minimum(np.maximum((density - (215 - overcast * 3 // 4)) * 2, 0), 127).astype(np.uint8)
+        cover_here = cv2.LUT(cloud, cover).astype(np.int16)
+        shade = np.maximum(density - 128, 0) * (overcast // 4 + 20) // 64
+        fall = np.minimum(np.arange(_SKY_ROWS) * 256 // (camera.horizon // PIXEL), 256)
+        clear = blend(season.sky_top, season.sky_low, fall).astype(np.int16)
+        canvas = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+        for band in range(3):  # band by band: a last axis of three is slow
+            tint = np.maximum(season.cloud[band] - shade, 0).astype(np.uint8)
+            shaded = cv2.LUT(cloud, tint).astype(np.int16)
+            blue = clear[:, band : band + 1]
+            canvas[:_SKY_ROWS, :, band] = blue + ((shaded - blue) * cover_here >> 7)
+        return canvas
+
+    def _expose(self, canvas: Canvas, season: Season, luck: list[int], mood: list[int]) -> Image:
+        """Return the picture the camera takes of the canvas: texture, exposure and sharpness."""
+        top, left = luck[3] * HEIGHT >> 8, (luck[4] * 256 + luck[5]) % _ATLAS
+        grain: npt.NDArray[np.int16] = self._grain[top : top + HEIGHT, left : left + WIDTH]
+        *bands, rough = cv2.split(canvas)
+        relief = (grain * rough.astype(np.int16) >> 8) + (grain >> 5)  # of the land and of the sensor
+        lighter, darker = np.maximum(relief, 0).astype(np.uint8), np.maximum(-relief, 0).astype(np.uint8)
+        picture = cv2.merge([cv2.subtract(cv2.add(band, lighter), darker) for band in bands])
+        # exact on uint8: OpenCV blurs it in fixed point
+        picture = cv2.GaussianBlur(picture, (5, 5) if luck[6] < season.softness else (3, 3), 0)
+        gain = season.exposure + (mood[5] - FULL // 2) // 16 + (luck[7] - 128) // 16
+        developed = np.minimum(np.arange(256) * gain >> 8, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(picture, developed), np.uint8)
+
+
+@dataclass(frozen=True)
+class _Painted:
+    """Things in the picture, far to near; those before cross-section s are starts[s] to starts[s + 1] - 1."""
+
+    outlines: Outlines  # (things, corners, 2), in 1/16 pixel
+    colours: list[Paint]
+    starts: list[int]
+
+
+def _project(things: Things, camera: Camera) -> _Painted:
+    """Bring things into the picture, drop those beside it, and sort them far to near."""
+    outline = OUTLINES[things.shape]  # (things, corners, 2)
+    depth = things.depth[:, None]
+    points = np.empty(outline.shape, np.int32)
+    x = things.x[:, None] + outline[..., 0] * things.half_width[:, None] // UNIT
+    z = things.foot[:, None] + outline[..., 1] * things.height[:, None] // UNIT
+    points[..., 0], points[..., 1] = camera.across(x, depth), camera.down(z, depth)
+    inside = np.flatnonzero((points[..., 0].max(1) > 0) & (points[..., 0].min(1) < WIDTH * PIXEL))
+    order = inside[np.argsort(-things.depth[inside], kind="stable")]
+    nearness = -things.depth[order]
+    colours = np.empty((len(order), 4), np.int64)
+    colours[:, :3] = camera.lit(things.colour[order], -nearness, np.sign(things.x[order]))
+    colours[:, 3] = things.rough[order]
+    starts = np.append(np.searchsorted(nearness, -DEPTHS), len(order))
+    return _Painted(points[order], colours.tolist(), starts.tolist())
+
+
+def _paint_land(
+    canvas: Canvas, season: Season, view: View, camera: Camera, snow: Ints, things: _Painted, luck: list[int]
+) -> None:
+    """Paint cross-section after cross-section, far to near, each with what stands before it."""
+    ground = ground_colours(season, view, camera, snow)
+    water = water_colours(season, camera)
+    land, shore = land_outlines(view, camera)
+    woods, wood_colours = belts(season, view, camera, snow)
+    strips = ribbons(view, camera, snow, luck)
+    wet = (view.wet > 0).tolist()
+    wooded = (view.forest > 380).tolist()
+    for section in range(len(DEPTHS)):
+        for side in (0, 1):
+            if wet[section][side]:
+                cv2.fillConvexPoly(canvas, shore[section, side], water[section], shift=4)
+            cv2.fillPoly(canvas, [land[section, side]], ground[section][side], shift=4)
+            if section < BELTS and wooded[section][side]:
+                cv2.fillPoly(canvas, [woods[section, side]], wood_colours[section][side], shift=4)
+        for outline, colour in strips[section]:
+            cv2.fillConvexPoly(canvas, outline, colour, shift=4)
+        for thing in range(things.starts[section], things.starts[section + 1]):
+            cv2.fillConvexPoly(canvas, things.outlines[thing], things.colours[thing], shift=4)

@@ -1,0 +1,63 @@
+"""What the four seasons do to the same route: colours, foliage, snow, light, weather and the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Colour = tuple[int, int, int]  # RGB, 0 to 255
+
+
+@dataclass(frozen=True)
+class Season:
+    """One traverse's look; amounts are 0 to 256 unless a unit is named."""
+
+    number: int  # tells the chance of one traverse from that of another
+    grass: Colour
+    field: Colour
+    heath: Colour
+    conifer: Colour
+    leaf: Colour
+    water: Colour
+    sky_top: Colour
+    sky_low: Colour
+    cloud: Colour
+    light: Colour  # multiplies every colour, in 1/256
+    foliage: int  # how full the broadleaved crowns are
+    snow: int  # cover in the lowlands
+    snow_uphill: int  # cover added in the highest parts
+    overcast: int  # mean cloud cover
+    sunshine: int  # how much brighter the sunlit side is
+    sun_side: int  # -1: from the left, 1: from the right
+    haze: int  # how much of a colour is lost at the far end of the view
+    exposure: int  # gain of the camera
+    softness: int  # how often the picture is blurred
+    shift_x: int  # mounting of the camera, in 1/16 pixel
+    shift_y: int
+
+
+SEASONS = {
+    "spring": Season(
+        number=1, grass=(122, 122, 74), field=(128, 104, 76), heath=(116, 98, 70), conifer=(46, 64, 44),
+        leaf=(126, 138, 80), water=(96, 118, 138), sky_top=(112, 154, 204), sky_low=(196, 212, 224),
+        cloud=(236, 238, 240), light=(248, 250, 252), foliage=130, snow=0, snow_uphill=330, overcast=110,
+        sunshine=40, sun_side=-1, haze=90, exposure=256, softness=60, shift_x=-14, shift_y=6,
+    ),
+    "summer": Season(
+        number=2, grass=(86, 124, 52), field=(132, 144, 68), heath=(98, 110, 62), conifer=(38, 62, 36),
+        leaf=(66, 108, 44), water=(74, 106, 134), sky_top=(84, 138, 206), sky_low=(178, 204, 228),
+        cloud=(244, 244, 244), light=(256, 252, 240), foliage=256, snow=0, snow_uphill=0, overcast=80,
+        sunshine=56, sun_side=1, haze=110, exposure=262, softness=20, shift_x=4, shift_y=-4,
+    ),
+    "fall": Season(
+        number=3, grass=(138, 124, 66), field=(170, 144, 84), heath=(140, 84, 50), conifer=(44, 60, 40),
+        leaf=(196, 134, 44), water=(84, 100, 116), sky_top=(136, 152, 172), sky_low=(204, 204, 200),
+        cloud=(214, 212, 210), light=(256, 240, 216), foliage=190, snow=0, snow_uphill=60, overcast=170,
+        sunshine=40, sun_side=1, haze=130, exposure=236, softness=110, shift_x=2, shift_y=2,
+    ),
+    "winter": Season(
+        number=4, grass=(130, 122, 96), field=(126, 112, 90), heath=(112, 100, 84), conifer=(48, 58, 52),
+        leaf=(104, 94, 88), water=(196, 206, 216), sky_top=(158, 172, 194), sky_low=(206, 212, 222),
+        cloud=(222, 224, 228), light=(226, 238, 256), foliage=0, snow=225, snow_uphill=60, overcast=180,
+        sunshine=25, sun_side=-1, haze=170, exposure=246, softness=90, shift_x=-6, shift_y=-12,
+    ),
+}  # fmt: skip

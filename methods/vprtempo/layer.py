@@ -1,0 +1,198 @@
+"""One layer of VPRTempo, all modules at once: its initial weights, its activation and one learning step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .rules import Rules
+
+SMALLEST, LARGEST = 1e-6, 10.0  # limits of a weight's magnitude
+CLIP = 0.9  # limit of an activation
+
+
+@dataclass
+class Layer:
+    """Excitatory and inhibitory weights as magnitudes, with thresholds; every first axis is the module.
+
+    A synapse that does not exist has the upper limit 0. Limits of None mean that all synapses exist.
+    """
+
+    excitation: Tensor  # (modules, n_post, n_pre)
+    inhibition: Tensor  # (modules, n_post, n_pre)
+    excitation_limits: tuple[Tensor, Tensor] | None  # smallest and largest, each (modules, n_post, n_pre)
+    inhibition_limits: tuple[Tensor, Tensor] | None
+    thresholds: Tensor  # (modules, n_post)
+    constant: Tensor  # (modules, n_post)
+
+    def __getitem__(self, modules: slice) -> Layer:
+        """Return some modules as a view: learning in it is learning here."""
+        return Layer(
+            self.excitation[modules],
+            self.inhibition[modules],
+            self.excitation_limits and (self.excitation_limits[0][modules], self.excitation_limits[1][modules]),
+            self.inhibition_limits and (self.inhibition_limits[0][modules], self.inhibition_limits[1][modules]),
+            self.thresholds[modules],
+            self.constant[modules],
+        )
+
+    def to(self, device: str) -> Layer:
+        """Return the layer on another device."""
+        return Layer(
+            self.excitation.to(device),
+            self.inhibition.to(device),
+            self.excitation_limits and (self.excitation_limits[0].to(device), self.excitation_limits[1].to(device)),
+            self.inhibition_limits and (self.inhibition_limits[0].to(device), self.inhibition_limits[1].to(device)),
+            self.thresholds.to(device),
+            self.constant.to(device),
+        )
+
+    @property
+    def weights(self) -> Tensor:
+        """The signed weights, (modules, n_post, n_pre)."""
+        return self.excitation - self.inhibition
+
+    def net_input(self, x: Tensor) -> Tensor:
+        """Return the net input (modules, n_post) of one input per module (modules, n_pre), C included."""
+        column = x[:, :, None]
+        return (torch.bmm(self.excitation, column) - torch.bmm(self.inhibition, column))[:, :, 0] + self.constant
+
+    def spikes(self, net_input: Tensor) -> Tensor:
+        """Return the activation of Eq. 1, the net input above threshold, clipped."""
+        return (net_input - self.thresholds).clamp_(0, CLIP)
+
+
+def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Tensor, rules: Rules) -> None:
+    """Do one step of spike-timing dependent plasticity (Eqs. 2, 4 and 5) in place.
+
+    `x` (modules, n_pre) holds one image per module, `rates` (n_post,) the target firing rates, `stdp` and `itp`
+    (modules, 1) the learning rates now.
+    """
+    net = layer.net_input(x)
+    y = layer.spikes(net)
+    fired = y > 0
+    post = stdp * (0.5 - y) * fired
+    if rules.stdp_divided_by_rate:
+        post /= rates
+    pre = (x > 0).to(x.dtype)
+    layer.excitation.addcmul_(post[:, :, None], pre[:, None, :])
+    layer.inhibition.addcmul_(post[:, :, None], pre[:, None, :])
+    _limit(layer)
+    if rules.threshold_rule == "spike":
+        layer.thresholds += itp * (fired.to(x.dtype) - rates)
+    elif rules.threshold_rule == "amplitude":
+        layer.thresholds += itp * (y - rates)
+    else:
+        layer.thresholds -= itp * rates
+    layer.thresholds.clamp_(min=0)
+    _balance(layer, net, stdp, rules)
+
+
+def learn_places(layer: Layer, x: Tensor, target: Tensor, pre_rates: Tensor, stdp: Tensor, rules: Rules) -> None:
+    """Do one step of spike forcing (Eq. 6) and homeostasis (Eq. 4) in place.
+
+    `x` (modules, n_pre) holds the feature spikes of one image per module, `target` (modules,) the output neuron
+    that is forced to 0.5, `pre_rates` (n_pre,) the target rates of the feature neurons, `stdp` (modules, 1).
+    """
+    net = layer.net_input(x)
+    error = -layer.spikes(net)
+    error[torch.arange(len(target), device=target.device), target] += 0.5
+    if rules.output_thresholds_learn:
+        layer.thresholds.sub_(error.sign() * stdp / 5).clamp_(min=0)
+    share = 1.0 if rules.error_to_each_sign else 0.5
+    post = (share * stdp * error)[:, :, None]
+    pre = (x / pre_rates)[:, None, :]
+    layer.excitation.addcmul_(post, pre)
+    layer.inhibition.addcmul_(post, pre, value=-1)
+    _limit(layer)
+    _balance(layer, net, stdp, rules)
+
+
+def _limit(layer: Layer) -> None:
+    """Keep every weight's sign and size."""
+    for weights, limits in (
+        (layer.excitation, layer.excitation_limits),
+        (layer.inhibition, layer.inhibition_limits),
+    ):
+        if limits is None:
+            weights.clamp_(SMALLEST, LARGEST)
+        else:
+            torch.clamp(weights, *limits, out=weights)
+
+
+def _balance(layer: Layer, net_input: Tensor, stdp: Tensor, rules: Rules) -> None:
+    """Scale the inhibition with the neuron's own net input (homeostasis)."""
+    # A factor below 0 (a net input under -4) would flip signs; 0 is lifted to the smallest weight in the next step.
+    layer.inhibition.mul_((1 + rules.homeostasis_gain * stdp * net_input).clamp_(min=0)[:, :, None])
+
+
+def feature_rates(n: int, lowest: float, highest: float) -> Tensor:
+    """Return the fixed ramp of target firing rates, (n,), from just above `lowest` to `highest`."""
+    return (lowest + (highest - lowest) * torch.arange(1, n + 1, dtype=torch.float64) / n).float()
+
+
+def draw_layer(
+    generators: Sequence[torch.Generator],
+    n_post: Sequence[int],
+    n_pre: int,
+    probabilities: tuple[float, float],
+    threshold_max: float,
+    constant_max: float,
+    rules: Rules,
+) -> Layer:
+    """Draw a layer's initial state, one generator and one size per module; smaller modules are padded with nothing.
+
+    `probabilities` are those of an excitatory and an inhibitory connection. A module's draws do not depend on
+    the other modules.
+    """
+    modules = [
+        _draw_module(generator, size, n_pre, probabilities, threshold_max, constant_max, rules)
+        for generator, size in zip(generators, n_post, strict=True)
+    ]
+    widest = max(n_post)
+    padding = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)  # masks are padded as existing, so that a full layer needs none
+    excitation, inhibition, excitatory, inhibitory, thresholds, constant = (
+        torch.stack([_pad(module[part], widest, padding[part]) for module in modules]) for part in range(6)
+    )
+    return Layer(excitation, inhibition, _limits(excitatory.bool()), _limits(inhibitory.bool()), thresholds, constant)
+
+
+def _draw_module(
+    generator: torch.Generator,
+    n_post: int,
+    n_pre: int,
+    probabilities: tuple[float, float],
+    threshold_max: float,
+    constant_max: float,
+    rules: Rules,
+) -> tuple[Tensor, ...]:
+    """Return excitation, inhibition, their masks (n_post, n_pre), thresholds and constant input (n_post,)."""
+    thresholds = threshold_max * torch.rand(n_post, generator=generator)
+    constant = constant_max * torch.rand(n_post, generator=generator)
+    drawn = []
+    for probability in probabilities:
+        magnitude = (0.5 + torch.randn(n_post, n_pre, generator=generator) / 6).clamp_(min=0)
+        exists = torch.rand(n_post, n_pre, generator=generator) < probability
+        magnitude *= exists
+        norm = magnitude.sum(1, keepdim=True)
+        divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
+        drawn.append((magnitude / torch.where(divisor == 0, 1.0, divisor), exists))
+    (excitation, excitatory), (inhibition, inhibitory) = drawn
+    if rules.one_sign_per_synapse:
+        signed = excitation - inhibition
+        excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
+        excitatory, inhibitory = signed > 0, signed < 0
+    return excitation, inhibition, excitatory.float(), inhibitory.float(), thresholds, constant
+
+
+def _pad(part: Tensor, n_post: int, value: float) -> Tensor:
+    """Return `part` with `value` appended along its first axis up to n_post."""
+    return torch.cat([part, part.new_full((n_post - len(part), *part.shape[1:]), value)])
+
+
+def _limits(exists: Tensor) -> tuple[Tensor, Tensor] | None:
+    """Return the smallest and largest magnitude of each synapse, None where all exist."""
+    return None if bool(exists.all()) else (SMALLEST * exists.float(), LARGEST * exists.float())

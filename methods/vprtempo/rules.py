@@ -1,0 +1,113 @@
+"""What distinguishes the three published versions of VPRTempo, as one set of choices each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+RuleSet = Literal["paper", "reference", "v1"]
+ThresholdRule = Literal["spike", "amplitude", "decay"]
+QueryRule = Literal["spiking", "linear"]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The choices in which the paper, its public code and the code of the submission differ."""
+
+    one_sign_per_synapse: bool
+    """The sum of both draws is one signed weight (public code), or W+ and W- live side by side (paper)."""
+    normalise_by_last_neuron: bool
+    """Initial weights are divided by the last neuron's L1 norm (public code), or each neuron's by its own."""
+    constant_input: float
+    """Upper end of the uniform constant input C of a feature neuron (paper, Table I)."""
+    threshold_rule: ThresholdRule
+    """Eq. 5 with Theta(x_j); with the amplitude x_j (v1.0.0); or with a spike that is never set (public code)."""
+    stdp_divided_by_rate: bool
+    """Eq. 2 with its factor 1/f_j, which no public version has."""
+    homeostasis_gain: float
+    """W- is scaled by 1 + gain * learning rate * net input."""
+    output_thresholds_learn: bool
+    """Output thresholds follow the sign of the error (v1.0.0)."""
+    error_to_each_sign: bool
+    """Eq. 6 moves W+ and W- by the full amount each (v1.0.0), or the signed weight W+ - W- by it, half in each."""
+    shuffle: bool
+    """Images come in a new random order each epoch, or traverse after traverse."""
+    annealing_restarts: bool
+    """Eq. 3 runs over one epoch and starts again, or once over the training."""
+    annealing_interval: int
+    """Steps between two changes of the learning rates."""
+    silent_winner: bool
+    """Where a query leaves all outputs silent, the first module's least inhibited neuron answers (v1.0.0)."""
+    query_rule: QueryRule
+    """A query passes thresholds, clip and C as in Eq. 1, or the two weight matrices alone (public code)."""
+
+
+# VPRTempo paper, Eqs. 1 to 6; v1.0.0 where it is silent; but shuffled and annealed once, for v1.0.0's fixed order
+# with restarts collapses on a single traverse. Eq. 2 is without 1/f_j, as in every public version; Eq. 6 is about
+# the signed weight, which v1.0.0 moves twice as far by adding the step to W+ and to W-.
+PAPER = Rules(
+    one_sign_per_synapse=False,
+    normalise_by_last_neuron=False,
+    constant_input=0.1,
+    threshold_rule="spike",
+    stdp_divided_by_rate=False,
+    homeostasis_gain=50.0,
+    output_thresholds_learn=False,
+    error_to_each_sign=False,
+    shuffle=True,
+    annealing_restarts=False,
+    annealing_interval=100,
+    silent_winner=False,
+    query_rule="spiking",
+)
+# QVPR/VPRTempo 64154e5
+REFERENCE = Rules(
+    one_sign_per_synapse=True,
+    normalise_by_last_neuron=True,
+    constant_input=0.0,
+    threshold_rule="decay",
+    stdp_divided_by_rate=False,
+    homeostasis_gain=50.0,
+    output_thresholds_learn=False,
+    error_to_each_sign=True,
+    shuffle=True,
+    annealing_restarts=False,
+    annealing_interval=100,
+    silent_winner=False,
+    query_rule="linear",
+)
+# QVPR/VPRTempo a3b07b2, without its two slips in the output layer (spikes thresholded twice, the second
+# traverse never shown)
+V1 = Rules(
+    one_sign_per_synapse=False,
+    normalise_by_last_neuron=False,
+    constant_input=0.1,
+    threshold_rule="amplitude",
+    stdp_divided_by_rate=False,
+    homeostasis_gain=50.0,
+    output_thresholds_learn=True,
+    error_to_each_sign=True,
+    shuffle=False,
+    annealing_restarts=True,
+    annealing_interval=10,
+    silent_winner=True,
+    query_rule="spiking",
+)
+RULES: dict[RuleSet, Rules] = {"paper": PAPER, "reference": REFERENCE, "v1": V1}
+
+
+def annealing(epochs: int, steps_per_epoch: int, rules: Rules) -> npt.NDArray[np.float64]:
+    """Return the factor on the learning rates for each step, (epochs * steps_per_epoch,), Eq. 3.
+
+    A step uses what was set after the last earlier step whose number is a multiple of the interval.
+    """
+    total = epochs * steps_per_epoch
+    span = steps_per_epoch if rules.annealing_restarts else total
+    before = np.arange(total) - 1
+    last_change = before % span // rules.annealing_interval * rules.annealing_interval
+    factor = np.square(1 - last_change / span)
+    factor[:1] = 1.0
+    return factor

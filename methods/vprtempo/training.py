@@ -1,0 +1,160 @@
+"""The training of VPRTempo: what each module sees at which step, and whether the result can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from vprbench.interface import Scores, TrainingDivergedError
+
+from .layer import CLIP, LARGEST, Layer, learn_features, learn_places
+from .rules import Rules, annealing
+
+_REPORT_EVERY = 100  # steps
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The training in full: per step and module an image, its output neuron and the factor on the learning rates.
+
+    A module that has fewer steps than others ends with a factor of 0, under which nothing is learnt.
+    """
+
+    image: Tensor  # (n_steps, modules), index of a reference image
+    neuron: Tensor  # (n_steps, modules), output neuron within the module
+    factor: Tensor  # (n_steps, modules)
+
+    def __getitem__(self, modules: slice) -> Schedule:
+        """Return the schedule of some modules."""
+        return Schedule(self.image[:, modules], self.neuron[:, modules], self.factor[:, modules])
+
+    def to(self, device: str) -> Schedule:
+        """Return the schedule on another device."""
+        return Schedule(self.image.to(device), self.neuron.to(device), self.factor.to(device))
+
+
+def module_sizes(n_places: int, max_module: int) -> list[int]:
+    """Split consecutive places into modules; only the last may be smaller."""
+    whole, rest = divmod(n_places, max_module)
+    return [max_module] * whole + [rest] * (rest > 0)
+
+
+def draw_schedule(
+    generators: Sequence[torch.Generator],
+    sizes: Sequence[int],
+    places: npt.NDArray[np.int64],
+    epochs: int,
+    rules: Rules,
+) -> Schedule:
+    """Draw the order in which each module sees the reference images of its places, `places` (n_references,).
+
+    Images are shuffled anew in every epoch, all traverses mixed, or come in the order given.
+    """
+    first = np.cumsum([0, *sizes])
+    images, neurons, factors = [], [], []
+    for module, generator in enumerate(generators):
+        own = torch.from_numpy(np.flatnonzero((places >= first[module]) & (places < first[module + 1])))
+        orders = [torch.randperm(len(own), generator=generator) for _ in range(epochs if rules.shuffle else 0)]
+        image = torch.cat([own[order] for order in orders]) if rules.shuffle else own.repeat(epochs)
+        images.append(image)
+        neurons.append(torch.from_numpy(places)[image] - int(first[module]))
+        factors.append(torch.from_numpy(annealing(epochs, len(own), rules)).float())
+    return Schedule(pad_sequence(images), pad_sequence(neurons), pad_sequence(factors))
+
+
+def train_features(
+    layer: Layer,
+    spikes: Tensor,
+    schedule: Schedule,
+    rates: Tensor,
+    stdp: float,
+    itp: float,
+    rules: Rules,
+    report: Callable[[float], None],
+) -> None:
+    """Train a feature layer in place on `spikes` (n_references, n_pixels), with initial learning rates."""
+    total = len(schedule.image)
+    for step in range(total):
+        factor = schedule.factor[step, :, None]
+        learn_features(layer, spikes[schedule.image[step]], rates, stdp * factor, itp * factor, rules)
+        if step % _REPORT_EVERY == 0:
+            report(step / total)
+
+
+def train_places(
+    layer: Layer,
+    features: Layer,
+    spikes: Tensor,
+    schedule: Schedule,
+    rates: Tensor,
+    stdp: float,
+    rules: Rules,
+    report: Callable[[float], None],
+) -> None:
+    """Train an output layer in place on the spikes of a trained feature layer; `rates` are the features' rates."""
+    weights = features.weights
+    total = len(schedule.image)
+    for start in range(0, total, _REPORT_EVERY):
+        steps = slice(start, min(start + _REPORT_EVERY, total))
+        shown = spikes[schedule.image[steps].T]  # (modules, n_steps, n_pixels)
+        net = torch.baddbmm(features.constant[:, None], shown, weights.transpose(1, 2))
+        x = (net - features.thresholds[:, None]).clamp_(0, CLIP).transpose(0, 1).contiguous()
+        for step in range(steps.start, steps.stop):
+            factor = schedule.factor[step, :, None]
+            learn_places(layer, x[step - start], schedule.neuron[step], rates, stdp * factor, rules)
+        report(steps.stop / total)
+
+
+def check_weights(layer: Layer, name: str) -> None:
+    """Raise TrainingDivergedError where weights are no numbers, or more than 1 % of them stand at the limit."""
+    weights = torch.stack([layer.excitation.abs().amax((1, 2)), layer.inhibition.abs().amax((1, 2))])
+    if not bool(torch.isfinite(weights).all()):
+        raise TrainingDivergedError(
+            f"training diverged: the {name} layer holds weights that are not finite; "
+            "lower method.stdp_rate or method.homeostasis_gain"
+        )
+    existing = (layer.excitation > 0).sum() + (layer.inhibition > 0).sum()
+    limit = (layer.excitation >= LARGEST).sum() + (layer.inhibition >= LARGEST).sum()
+    if limit > 0.01 * existing:
+        raise TrainingDivergedError(
+            f"training diverged: {100 * float(limit / existing):.0f} % of the {name} layer's weights stand at "
+            f"their limit of {LARGEST:g}; lower method.stdp_rate or method.homeostasis_gain"
+        )
+
+
+def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
+    """Raise TrainingDivergedError where a network answers alike to different references.
+
+    `scores` (n_probes, n_places) are its answers to reference images of as many different places, spread evenly
+    over the route; `module` (n_places,) is the module of each place. A healthy network answers most of them with
+    their own place; here it is enough that no neuron and no module takes nearly all.
+    """
+    if len(scores) < 10:
+        return
+    if float((scores == scores[:, :1]).all(1).mean()) > 0.5:
+        raise TrainingDivergedError(
+            "training diverged: more than half of the reference images leave all output neurons alike; "
+            "other rules, a lower method.stdp_rate or a smaller method.max_module may help"
+        )
+    winner = scores.argmax(1)
+    _, count = np.unique(winner, return_counts=True)
+    share = count.max() / len(winner)
+    if share > 0.5:
+        raise TrainingDivergedError(
+            f"training diverged: one output neuron wins for {100 * share:.0f} % of {len(winner)} different "
+            "reference images; a lower method.stdp_rate or a smaller method.max_module may help"
+        )
+    own = np.bincount(module, minlength=int(module.max()) + 1) / len(module)
+    won = np.bincount(module[winner], minlength=len(own)) / len(winner)
+    greedy = int((won - own).argmax())
+    if len(own) > 1 and won[greedy] > 0.9 and own[greedy] < 0.75:
+        raise TrainingDivergedError(
+            f"training diverged: module {greedy} wins for {100 * won[greedy]:.0f} % of the reference images but "
+            f"holds {100 * own[greedy]:.0f} % of the places; a lower method.stdp_rate or other modules may help"
+        )

@@ -1,0 +1,141 @@
+"""The intervals and the paired test against scipy, against enumeration and against values worked by hand."""
+
+from __future__ import annotations
+
+from itertools import product
+from math import comb
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from vprbench.intervals import Interval, McNemar, block_bootstrap, mcnemar_exact, wilson
+
+
+def interval_of(found: Interval | None) -> Interval:
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("successes", "n"), [(0, 1), (1, 1), (7, 20), (20, 20), (75, 111), (1350, 2700)])
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99])
+def test_wilson_of_whole_counts_is_that_of_scipy(successes: int, n: int, confidence: float) -> None:
+    expected = binomtest(successes, n).proportion_ci(confidence, method="wilson")
+    found = interval_of(wilson(successes, n, confidence))
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_wilson_of_expected_hits_solves_its_defining_equation() -> None:
+    successes, n = 37.25, 100
+    found = interval_of(wilson(successes, n))
+    z = NormalDist().inv_cdf(0.975)
+    for end in (found.low, found.high):
+        assert abs(successes / n - end) == pytest.approx(z * (end * (1 - end) / n) ** 0.5, abs=1e-12)
+
+
+@pytest.mark.parametrize(("n", "half_width"), [(360, 0.050), (2700, 0.019)])
+def test_wilson_is_as_wide_as_stated_for_oxford_and_nordland(n: int, half_width: float) -> None:
+    found = interval_of(wilson(n / 2, n))
+    assert (found.high - found.low) / 2 == pytest.approx(half_width, abs=1.5e-3)
+
+
+def test_wilson_without_trials_is_undefined() -> None:
+    assert wilson(0, 0) is None
+
+
+@pytest.mark.parametrize(("successes", "n"), [(-1, 5), (6, 5), (float("nan"), 5), (0, -1)])
+def test_wilson_refuses_impossible_counts(successes: float, n: int) -> None:
+    with pytest.raises(ValueError, match="impossible"):
+        wilson(successes, n)
+
+
+@pytest.mark.parametrize("confidence", [0, 1, 95])
+def test_a_confidence_that_is_no_share_is_refused(confidence: float) -> None:
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        wilson(1, 2, confidence)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        block_bootstrap([0, 1], 1, confidence)
+
+
+@pytest.mark.parametrize(("n", "block"), [(4, 2), (5, 2), (7, 3), (5, 1)])
+def test_the_bootstrap_has_the_quantiles_of_all_choices_of_circular_blocks(n: int, block: int) -> None:
+    values = np.random.default_rng(n).random(n)
+    n_blocks = -(-n // block)
+    draws = [
+        [(start + step) % n for start in starts for step in range(block)]
+        for starts in product(range(n), repeat=n_blocks)
+    ]
+    means = values[draws][:, :n].mean(axis=1)
+    found = interval_of(block_bootstrap(values, block, confidence=0.8, resamples=100_000))
+    for end, share in ((found.low, 0.1), (found.high, 0.9)):
+        assert np.abs(means - end).min() < 1e-12
+        assert np.mean(means < end - 1e-12) - 0.005 < share < np.mean(means < end + 1e-12) + 0.005
+
+
+def test_blocks_widen_the_interval_of_hits_that_come_in_runs() -> None:
+    runs = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
+    single, blocks = interval_of(block_bootstrap(runs, 1)), interval_of(block_bootstrap(runs, 20))
+    assert blocks.high - blocks.low > 2 * (single.high - single.low)
+
+
+def test_single_blocks_give_the_normal_interval_of_many_independent_values() -> None:
+    hits = np.random.default_rng(5).random(4000) < 0.3
+    half = 1.96 * (hits.mean() * (1 - hits.mean()) / 4000) ** 0.5
+    found = interval_of(block_bootstrap(hits, 1))
+    assert (found.low, found.high) == pytest.approx((hits.mean() - half, hits.mean() + half), abs=0.002)
+
+
+def test_equal_values_leave_no_width() -> None:
+    assert block_bootstrap(np.ones(45), 10) == Interval(1, 1)
+
+
+def test_the_bootstrap_repeats_with_its_seed_and_moves_with_another() -> None:
+    values = np.random.default_rng(1).random(95)
+    assert block_bootstrap(values, seed=3) == block_bootstrap(values, seed=3)
+    assert block_bootstrap(values, seed=3) != block_bootstrap(values, seed=4)
+
+
+@pytest.mark.parametrize("n", [0, 1, 19])
+def test_fewer_values_than_two_blocks_leave_the_bootstrap_undefined(n: int) -> None:
+    assert block_bootstrap(np.ones(n), 10) is None
+
+
+def test_the_bootstrap_refuses_what_it_cannot_resample() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        block_bootstrap([0, 1], 0)
+    with pytest.raises(ValueError, match="finite"):
+        block_bootstrap([0, np.nan], 1)
+    with pytest.raises(ValueError, match="finite"):
+        block_bootstrap(np.ones((4, 4)), 1)
+
+
+def hits(both: int, first: int, second: int, none: int) -> tuple[list[int], list[int]]:
+    return [1] * (both + first) + [0] * (second + none), [1] * both + [0] * first + [1] * second + [0] * none
+
+
+@pytest.mark.parametrize(("b", "c"), [(0, 1), (5, 5), (0, 9), (16, 32), (3, 9), (700, 640)])
+def test_mcnemar_follows_its_formula_and_the_exact_binomial_test(b: int, c: int) -> None:
+    found = mcnemar_exact(*hits(4, b, c, 6))
+    assert (found.b, found.c) == (b, c)
+    formula = min(1, 2 * sum(comb(b + c, i) for i in range(min(b, c) + 1)) / 2 ** (b + c))
+    assert found.p_value == pytest.approx(formula, rel=1e-9)
+    assert found.p_value == pytest.approx(binomtest(b, b + c).pvalue, rel=1e-9)
+
+
+def test_methods_that_never_disagree_are_not_told_apart() -> None:
+    assert mcnemar_exact(*hits(3, 0, 0, 2)) == McNemar(0, 0, 1.0)
+    assert mcnemar_exact([], []) == McNemar(0, 0, 1.0)
+
+
+def test_swapping_the_methods_swaps_the_counts_and_keeps_the_p_value() -> None:
+    first, second = hits(1, 7, 2, 1)
+    found, swapped = mcnemar_exact(first, second), mcnemar_exact(second, first)
+    assert (found.b, found.c, found.p_value) == (swapped.c, swapped.b, swapped.p_value)
+
+
+def test_a_paired_test_refuses_chances_and_different_queries() -> None:
+    with pytest.raises(ValueError, match="hits of 0 or 1"):
+        mcnemar_exact([0.5, 1], [0, 1])
+    with pytest.raises(ValueError, match="the same queries"):
+        mcnemar_exact([1, 0], [1, 0, 1])

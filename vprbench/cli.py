@@ -1,0 +1,356 @@
+"""The command line: one run, a sweep, the table, the list of plug-ins and the conformance check."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast, get_type_hints
+
+import hydra
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+import vprbench
+from vprbench import registry
+from vprbench.interface import BadInput, TrainingDivergedError
+from vprbench.stopwatch import Protocol
+
+if TYPE_CHECKING:
+    from vprbench.records import Failure, Run, Store
+
+_IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
+
+_USAGE = """\
+vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
+
+python -m vprbench method=NAME dataset=NAME [option=value ...]   run one method on one dataset
+python -m vprbench -m method=NAME,NAME dataset=NAME,NAME ...     run all combinations, each in its own process
+python -m vprbench table [option=value ...]                      run the rows of the table, write table.md and .csv
+python -m vprbench list                                          show the methods and datasets
+python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
+
+Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, ...
+and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show all: python -m vprbench --cfg job
+"""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The options of a run that belong neither to the method nor to the dataset."""
+
+    seed: int = 0
+    device: str = "cpu"
+    threads: int | None = None
+    results: str = "results"
+    force: bool = False
+    output: Literal["row", "json"] = "row"
+    depth: int = 100
+    timing: Protocol = field(default_factory=Protocol)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
+    logging.basicConfig(format="%(message)s", level=logging.INFO)
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    commands: dict[str, Callable[[list[str]], int]] = {"list": _list, "check": _check, "table": _table}
+    try:
+        if arguments and arguments[0] in ("--help", "-h", "help"):
+            print(_USAGE, end="")
+            return 0
+        registry.register_search_path()
+        if arguments and arguments[0] in commands:
+            return commands[arguments[0]](arguments[1:])
+        return _run_or_sweep(arguments)
+    except BadInput as error:
+        return _complain(str(error))
+    except (HydraException, OmegaConfBaseException) as error:
+        return _complain(_explained(error, arguments))
+    except KeyboardInterrupt:
+        return _complain("interrupted; nothing was stored", 128 + signal.SIGINT)
+
+
+def _run_or_sweep(arguments: list[str]) -> int:
+    """Let Hydra compose the configuration, then run it, or each of its combinations in a process of its own."""
+    _check_names(arguments)
+    codes: list[int] = []
+
+    @hydra.main(version_base="1.3", config_path="pkg://vprbench.conf", config_name="run")
+    def task(config: DictConfig) -> None:
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            codes.append(_run_in_process(list(HydraConfig.get().overrides.task)))
+        else:
+            codes.append(_run(config))
+
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
+    kept = sys.argv
+    sys.argv = [kept[0], *arguments]
+    try:
+        task()
+    finally:
+        sys.argv = kept
+    return max(codes, default=0)
+
+
+def _run(config: DictConfig) -> int:
+    """Run one configuration, or answer it from the store."""
+    plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    choices = HydraConfig.get().runtime.choices
+    asked = {
+        "method": plain.pop("method"),
+        "dataset": plain.pop("dataset"),
+        "seed": plain["seed"],
+        "device": plain["device"],
+        "depth": plain["depth"],
+        "overrides": list(HydraConfig.get().overrides.task),
+    }
+    settings = _settings(plain)
+    from vprbench.records import Failure, Store
+
+    store = Store(Path(settings.results))
+    try:
+        return _answer(choices["method"], asked, settings, store)
+    except Exception as error:
+        text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
+        if not isinstance(error, BadInput) or os.environ.get(_IN_SWEEP):
+            if not isinstance(error, BadInput | TrainingDivergedError):
+                traceback.print_exc()
+            name = asked["dataset"].get("name", choices["dataset"])
+            store.root.mkdir(parents=True, exist_ok=True)
+            store.save_failure(Failure(choices["method"], name, asked, text.splitlines()[0]))
+        if isinstance(error, BadInput):
+            raise
+        return _complain(f"{choices['method']} failed: {text.splitlines()[0]}", 1)
+
+
+def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
+    """Find the run in the store or make it, and print it."""
+    from vprbench import environment, runner
+    from vprbench.console import progress_shown
+
+    _check_device(settings.device)
+    threads = _threads(settings.threads)
+    store.prepare()
+    environment.pin_threads(threads)
+    method = registry.make_method(asked["method"])
+    dataset = registry.make_dataset(asked["dataset"])
+    fingerprint = runner.fingerprint(dataset)
+    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads)
+    run = None if settings.force else store.find(dataset.name, name, key)
+    from_store = run is not None
+    if run is None:
+        with progress_shown(f"{name} on {dataset.name}"):
+            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads)
+    try:
+        folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
+    except BadInput:
+        _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
+        raise
+    _print(run, folder, from_store, settings.output)
+    return 0
+
+
+def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
+    from vprbench import tables
+
+    if output == "json":
+        print(
+            json.dumps(
+                {
+                    "method": run.method,
+                    "dataset": run.dataset,
+                    **tables.numbers(run),
+                    "notes": list(run.notes),
+                    "from_store": from_store,
+                    "run_folder": None if folder is None else str(folder),
+                },
+                allow_nan=False,
+            )
+        )
+        return
+    print(tables.protocol_line(run))
+    print(tables.plain_row(tables.readable_row(run)))
+    for note in run.notes:
+        print(f"note: {note}")
+    if from_store:
+        print(f"from the store: {folder} (force=true runs again)")
+    elif folder is not None:
+        print(f"stored in {folder}")
+
+
+def _run_in_process(overrides: Sequence[str]) -> int:
+    """Run one configuration of a sweep in a process of its own, so that nothing of it can reach the next."""
+    return _child(overrides).returncode
+
+
+def _child(overrides: Sequence[str], stdout: int | None = None) -> subprocess.CompletedProcess[str]:
+    home = str(Path(vprbench.__file__).resolve().parents[1])
+    path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
+    return subprocess.run(
+        [sys.executable, "-m", "vprbench", *overrides],
+        env={**os.environ, _IN_SWEEP: "1", "PYTHONPATH": path},
+        stdout=stdout,
+        text=True,
+        check=False,
+    )
+
+
+def _table(options: list[str]) -> int:
+    """Run the rows of conf/table.yaml, each in a process of its own, and write the table."""
+    from vprbench import tables
+    from vprbench.records import Failure, load, replace_text
+
+    _check_names(options)
+    if any(option.split("=")[0] in ("output", "method") for option in options):
+        raise BadInput("the table chooses method and output itself: change conf/table.yaml for other rows")
+    results = Path(next((o.split("=", 1)[1] for o in options if o.startswith("results=")), "results"))
+    rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]
+    outcomes: list[Run | Failure] = []
+    for row in rows:
+        overrides = [*row, *options, "output=json"]
+        child = _child(overrides, stdout=subprocess.PIPE)
+        if child.returncode == 2 and not outcomes and len(rows) > 1 and not child.stdout:
+            return 2  # input that every row shares, and that was named already
+        if child.returncode == 0:
+            outcomes.append(load(Path(json.loads(child.stdout)["run_folder"])))
+        else:
+            outcomes.append(_ended(row, child.returncode))
+    text = tables.table_text(outcomes)
+    results.mkdir(parents=True, exist_ok=True)
+    for name, content in (("table.md", text), ("table.csv", tables.csv(outcomes))):
+        replace_text(results / name, content)
+    print(text, end="")
+    print(f"\nwritten to {results / 'table.md'} and {results / 'table.csv'}")
+    return 1 if any(isinstance(outcome, Failure) for outcome in outcomes) else 0
+
+
+def _list(options: list[str]) -> int:
+    """Show the methods and datasets with a line each, broken ones with their reason."""
+    if options:
+        raise BadInput(f"list takes no options, but {' '.join(options)} came")
+    groups: tuple[registry.Group, ...] = ("method", "dataset")
+    for group in groups:
+        print(f"{group}s")
+        for name, entry in registry.entries(group).items():
+            try:
+                entry.target()
+                line = entry.description
+            except BadInput as error:
+                line = f"BROKEN: {error}"
+            origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
+            print(f"  {name:<16} {line}{origin}")
+    for provider, reason in registry.broken_plugins().items():
+        print(f"plug-in {provider} BROKEN: {reason}")
+    return 0
+
+
+def _check(options: list[str]) -> int:
+    """Test a method against the rules of the contract and count them."""
+    from vprbench import conformance, environment
+
+    if not any(option.startswith("method=") for option in options):
+        raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
+    _check_names(options)
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=options), resolve=True))
+    environment.pin_threads(_threads(config["threads"]))
+    asked = {option.split("=")[0].removeprefix("method.") for option in options}
+    results = list(conformance.check(config["method"], asked))
+    for result in results:
+        print(result)
+    kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
+    print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
+    return 1 if broken else 0
+
+
+def _check_names(arguments: Sequence[str]) -> None:
+    """Raise BadInput for a method or dataset that does not exist, with the near names."""
+    groups: tuple[registry.Group, ...] = ("method", "dataset")
+    for group in groups:
+        known = registry.entries(group)
+        for argument in arguments:
+            if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
+                for name in argument.split("=", 1)[1].split(","):
+                    if name not in known:
+                        raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
+
+
+def _settings(plain: Mapping[str, Any]) -> Settings:
+    """Return the checked options of a run; raises BadInput that names the one that does not fit."""
+    hints = get_type_hints(Settings)
+    timing = {
+        name: registry.checked(f"timing.{name}", value, get_type_hints(Protocol)[name])
+        for name, value in plain["timing"].items()
+    }
+    options = {n: registry.checked(n, plain[n], hints[n]) for n in hints if n != "timing"}
+    if options["depth"] < 1:
+        raise BadInput(f"depth={options['depth']}: keep at least the best place of each query")
+    return Settings(**options, timing=Protocol(**timing))
+
+
+def _check_device(device: str) -> None:
+    if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
+        raise BadInput(f"device={device} is unknown: give cpu, cuda or cuda:1")
+    if device != "cpu":
+        import torch
+
+        if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):
+            raise BadInput(f"device={device}: torch sees {torch.cuda.device_count()} GPUs here; use device=cpu")
+
+
+def _threads(asked: int | None) -> int:
+    from vprbench import environment
+
+    available = len(environment.cores())
+    if asked is not None and not 1 <= asked <= available:
+        raise BadInput(f"threads={asked}: this process may use 1 to {available} cores")
+    return asked or available
+
+
+def _explained(error: Exception, arguments: Sequence[str]) -> str:
+    """Turn an error of Hydra into one line that names the option and what to do."""
+    text = " ".join(str(error).split())
+    option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
+    if option is None:
+        return text
+    path = option.group(1)
+    group = path.split(".")[0]
+    if group in ("method", "dataset", "timing") and "." in path:
+        return f"option {path} is unknown: {registry.near(path.split('.', 1)[1], _known_options(group, arguments))}"
+    known = [*Settings.__dataclass_fields__, "method", "dataset"]
+    return f"option {path} is unknown: {registry.near(path, known)}"
+
+
+def _known_options(group: str, arguments: Sequence[str]) -> list[str]:
+    """Return the options of the chosen method or dataset, or of the timing."""
+    if group == "timing":
+        return list(Protocol.__dataclass_fields__)
+    default = {"method": "sad", "dataset": "synthetic"}[group]
+    chosen = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), default).split(",")[0]
+    entry = registry.entries("method" if group == "method" else "dataset")[chosen]
+    return [name for name in yaml.safe_load(entry.path.read_text(encoding="utf-8")) if name != "_target_"]
+
+
+def _ended(row: Sequence[str], code: int) -> Failure:
+    from vprbench.records import Failure
+
+    how = f"ended by signal {-code}" if code < 0 else "see the message above"
+    name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
+    return Failure(name, "", {"overrides": list(row)}, how)
+
+
+def _complain(message: str, code: int = 2) -> int:
+    print(f"vprbench: {message}", file=sys.stderr)
+    return code

@@ -1,0 +1,235 @@
+"""The contract's rules as checks that any method can be put to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Set
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.images import Images
+from vprbench.interface import Image, Method, NotFittedError, Places
+from vprbench.registry import make_method
+
+N_PLACES = 20
+_RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
+
+
+class RuleBrokenError(AssertionError):
+    """A method broke a rule; the message says what was seen."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one rule."""
+
+    rule: str
+    state: Literal["kept", "excepted", "broken"]
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """Return one line for a person."""
+        return f"{self.state:<8}  {self.rule}{': ' + self.reason if self.reason else ''}"
+
+
+@dataclass(frozen=True)
+class Journey:
+    """A small made-up world: 20 places, two reference traverses, and queries of six of the places."""
+
+    references: list[Image]
+    places: Places
+    queries: list[Image]
+    right: npt.NDArray[np.int64]
+
+    @classmethod
+    def draw(cls, seed: int) -> Journey:
+        """Draw another world for another seed."""
+        generator = np.random.default_rng(seed)
+        coarse = generator.integers(0, 256, (N_PLACES, 6, 8, 3), dtype=np.uint8)
+        scenes = [np.asarray(cv2.resize(scene, (64, 48), interpolation=cv2.INTER_CUBIC), np.uint8) for scene in coarse]
+
+        def seen(place: int) -> Image:
+            noise = generator.integers(-12, 13, scenes[place].shape)
+            return np.asarray(np.clip(scenes[place].astype(np.int64) + noise, 0, 255), np.uint8)
+
+        right = np.array([0, 3, 7, 12, 18, 19])
+        return cls(
+            [seen(place) for _ in range(2) for place in range(N_PLACES)],
+            np.tile(np.arange(N_PLACES), 2),
+            [seen(place) for place in right.tolist()],
+            right,
+        )
+
+
+Make = Callable[[], Method]
+
+
+def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[Result]:
+    """Put the method of a configuration to every rule.
+
+    What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
+    A rule that it names in `conformance_exceptions` is not put to it, and its reason is given.
+    """
+    method = make_method(config)
+    arguments = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
+    config = {**config, **arguments}
+    exceptions = dict(method.conformance_exceptions)
+    for rule, test in RULES.items():
+        if rule in exceptions:
+            yield Result(rule, "excepted", exceptions.pop(rule))
+            continue
+        try:
+            test(lambda: make_method(config), config)
+        except RuleBrokenError as error:
+            yield Result(rule, "broken", str(error))
+        except Exception as error:  # whatever a method raises here breaks the rule, and the other rules still count
+            yield Result(rule, "broken", f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
+        else:
+            yield Result(rule, "kept")
+    for rule in exceptions:
+        yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
+
+
+def _constructor(make: Make, config: Mapping[str, Any]) -> None:
+    method = make()
+    for name, value in config.items():
+        if name != "_target_" and getattr(method, name, None) != value:
+            _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
+
+
+def _returns_itself(make: Make, _: Mapping[str, Any]) -> None:
+    method, world = make(), Journey.draw(0)
+    if method.fit(Images.from_arrays(world.references), world.places) is not method:
+        _broken("fit returned something else")
+
+
+def _forgets(make: Make, _: Mapping[str, Any]) -> None:
+    first, second = Journey.draw(1), Journey.draw(2)
+    method = _fitted(make, first)
+    method.fit(Images.from_arrays(second.references), second.places)
+    _same(
+        _scores(method, second),
+        _scores(_fitted(make, second), second),
+        "after an earlier fit the scores differ",
+    )
+
+
+def _needs_fit(make: Make, _: Mapping[str, Any]) -> None:
+    try:
+        _scores(make(), Journey.draw(0))
+    except NotFittedError:
+        return
+    _broken("no NotFittedError was raised")
+
+
+def _inputs(make: Make, _: Mapping[str, Any]) -> None:
+    world, untouched = Journey.draw(0), Journey.draw(0)
+    method = _fitted(make, world)
+    codes = method.encode(Images.from_arrays(world.queries))
+    before = np.array(codes, copy=True)
+    method.match(codes)
+    if not np.array_equal(np.asarray(codes), before):
+        _broken("match changed the codes")
+    if not np.array_equal(world.places, untouched.places):
+        _broken("fit changed the place ids")
+    for seen, as_drawn in zip(world.references + world.queries, untouched.references + untouched.queries, strict=True):
+        if not np.array_equal(seen, as_drawn):
+            _broken("an image was changed")
+
+
+def _repeatable(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    if not np.array_equal(_scores(_fitted(make, world), world), _scores(_fitted(make, world), world)):
+        _broken("two fits with the same arguments give different scores")
+
+
+def _batches(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
+    _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
+
+
+def _order(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    turned = method.query(Images.from_arrays(world.queries[::-1]))
+    _same(_scores(method, world), turned[::-1], "the order of the queries changes the scores")
+
+
+def _shape(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    scores = _scores(_fitted(make, world), world)
+    wanted = (len(world.queries), N_PLACES)
+    if not isinstance(scores, np.ndarray) or scores.shape != wanted or scores.dtype != np.float32:
+        _broken(f"{getattr(scores, 'shape', type(scores))} {getattr(scores, 'dtype', '')}; wanted {wanted} float32")
+    if not np.isfinite(scores).all():
+        _broken(f"{np.count_nonzero(~np.isfinite(scores))} scores are not finite")
+
+
+def _higher_is_alike(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    known = method.query(Images.from_arrays(world.references[:N_PLACES]))
+    right = np.count_nonzero(known.argmax(1) == np.arange(N_PLACES))
+    if right <= N_PLACES // 2:
+        _broken(f"only {right} of {N_PLACES} reference images score highest at their own place")
+
+
+def _names(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    scores = []
+    for word in ("place", "x"):
+        references = Images.from_arrays(world.references, [f"{word}-{p}" for p in world.places.tolist()])
+        queries = Images.from_arrays(
+            world.queries, [f"{word}-{p}" for p in world.right.tolist()][:: 1 if word == "x" else -1]
+        )
+        scores.append(make().fit(references, world.places).query(queries))
+    _same(scores[0], scores[1], "the names of the images change the scores")
+
+
+def _any_image(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    black = [np.zeros_like(world.references[0]), *world.references[1:]]
+    larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
+    scores = make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
+    if not np.isfinite(scores).all():
+        _broken("a black image or one of another size gives scores that are not finite")
+
+
+RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
+    "the constructor only stores its arguments": _constructor,
+    "fit returns the method": _returns_itself,
+    "fit forgets an earlier fit": _forgets,
+    "query before fit raises NotFittedError": _needs_fit,
+    "inputs are never modified": _inputs,
+    "the same seed gives the same scores": _repeatable,
+    "a batch gives what its single images give": _batches,
+    "the order of queries does not matter": _order,
+    "scores are finite float32 of shape (n_queries, n_places)": _shape,
+    "higher scores mean more alike": _higher_is_alike,
+    "the names of images do not matter": _names,
+    "black images and images of other sizes are accepted": _any_image,
+}
+
+
+def _fitted(make: Make, world: Journey) -> Method:
+    return make().fit(Images.from_arrays(world.references), world.places)
+
+
+def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:
+    return method.query(Images.from_arrays(world.queries))
+
+
+def _same(scores: npt.NDArray[np.float32], others: npt.NDArray[np.float32], complaint: str) -> None:
+    difference = float(np.abs(scores - others).max())
+    scale = float(np.abs(scores).max())
+    if difference > _RELATIVE * scale:
+        _broken(f"{complaint} (by {difference:.2g} where the largest score is {scale:.2g})")
+
+
+def _broken(message: str) -> None:
+    raise RuleBrokenError(message)

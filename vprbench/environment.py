@@ -1,0 +1,159 @@
+"""The machine and software under a run: captured for the record, threads pinned, load observed."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+_LIBRARIES = ("torch", "numpy", "opencv-python-headless", "scikit-learn", "faiss-cpu", "pillow", "hydra-core")
+
+
+def capture(device: str, threads: int) -> dict[str, Any]:
+    """Return processor, memory, accelerator, libraries, git state and load, as plain values."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": processor(),
+        "cores": len(cores()),
+        "governor": _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
+        "memory_bytes": psutil.virtual_memory().total,
+        "threads": threads,
+        "device": device,
+        **_accelerator(device),
+        "libraries": {name: _version(name) for name in ("vprbench", *_LIBRARIES)},
+        "git": _git_state(),
+        "load_average": list(psutil.getloadavg()),
+        "cpu_pressure_avg10": cpu_pressure(),
+        "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "command": sys.argv,
+    }
+
+
+def cores() -> list[int]:
+    """Return the processor cores that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def pin_threads(threads: int) -> None:
+    """Limit torch, OpenCV, OpenMP and BLAS to `threads` each, in this process and those it starts."""
+    import cv2
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[variable] = str(threads)
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    threadpool_limits(threads)
+
+
+def processor() -> str:
+    """Return the processor's model name."""
+    for line in _read("/proc/cpuinfo").splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def device_class(device: str) -> str:
+    """Return the kind of device and its model, in which stored times are comparable."""
+    return (
+        f"cpu {processor()}" if device == "cpu" else f"{device} {_accelerator(device).get('accelerator', '')}".strip()
+    )
+
+
+def cpu_pressure() -> float | None:
+    """Return the share of the last 10 s, in percent, in which some process waited for a core; None where unknown."""
+    for line in _read("/proc/pressure/cpu").splitlines():
+        if line.startswith("some"):
+            return float(line.split("avg10=")[1].split()[0])
+    return None
+
+
+def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
+    """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
+    values = np.linspace(0, 1, 200_000)
+    laps = []
+    for _ in range(15):
+        start = clock()
+        np.sort(np.sqrt(values[::-1])).sum()
+        laps.append(clock() - start)
+    return float(np.median(laps)) / 1e9
+
+
+def reset_peak_memory() -> None:
+    """Start a new window for `peak_memory_bytes`; where the system forbids it the process's start remains."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak_memory_bytes() -> int:
+    """Return the largest resident memory of this process in the window."""
+    for line in _read("/proc/self/status").splitlines():
+        if line.startswith("VmHWM"):
+            return int(line.split()[1]) * 1024
+    return int(psutil.Process().memory_info().rss)
+
+
+def peak_device_memory_bytes(device: str) -> int | None:
+    """Return the most memory that was in use on an accelerator, None on a CPU."""
+    if not device.startswith("cuda"):
+        return None
+    import torch
+
+    return int(torch.cuda.max_memory_allocated(device))
+
+
+def _accelerator(device: str) -> dict[str, Any]:
+    if not device.startswith("cuda"):
+        return {}
+    import torch
+
+    return {
+        "accelerator": torch.cuda.get_device_name(device),
+        "accelerator_memory_bytes": torch.cuda.get_device_properties(device).total_memory,
+        "cuda": torch.version.cuda,
+        "driver": _output("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Return the commit of the checkout this package runs from, and whether it was changed."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    commit = _output("git", "-C", str(root), "rev-parse", "HEAD")
+    changed = _output("git", "-C", str(root), "status", "--porcelain", "--untracked-files=no")
+    return {"commit": commit or None, "changed": bool(changed)}
+
+
+def _output(*command: str) -> str:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout.strip()
+    except OSError:
+        return ""
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""

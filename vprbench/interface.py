@@ -1,0 +1,139 @@
+"""The contract between the harness and its plug-ins: what a method and a dataset have to be."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Self, final
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from vprbench.images import Images
+
+Image = npt.NDArray[np.uint8]  # (height, width, 3), RGB
+Places = npt.NDArray[np.int64]  # (n_references,), the place that each reference image shows
+Scores = npt.NDArray[np.float32]  # (n_queries, n_places), higher means more alike
+
+
+class BadInput(ValueError):
+    """What a user can mend; the message is one line that names the culprit, what came and what to do."""
+
+
+class NotFittedError(RuntimeError):
+    """A method was asked to match before it had learnt a map."""
+
+
+class TrainingDivergedError(RuntimeError):
+    """A training ended in a network that cannot be trusted; the message says how that was seen."""
+
+
+class Method(ABC):
+    """A place recognition method: learns a map from reference images, then scores each place for a query.
+
+    A subclass is best a dataclass: its constructor only stores its arguments, and their type hints are what
+    the command line checks. `references` and `images` are `Images`; codes are arrays whose first axis is the
+    image. Scores are finite float32, higher means more alike.
+    """
+
+    #: Rules of the conformance suite that a method cannot meet, each with the reason.
+    conformance_exceptions: ClassVar[Mapping[str, str]] = {}
+    #: Arguments under which the conformance suite builds the method, where its defaults do not fit 20 places.
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {}
+
+    @abstractmethod
+    def fit(self, references: Images, places: Places) -> Self:
+        """Learn the map and forget any earlier one.
+
+        `places` (n_references,) holds for each reference image its place, 0 to n_places - 1, each at least once.
+        """
+
+    @abstractmethod
+    def encode(self, images: Images) -> npt.NDArray[Any]:
+        """Turn images into codes (n_images, ...), as far as that does not need the map."""
+
+    @abstractmethod
+    def match(self, codes: npt.NDArray[Any]) -> Scores:
+        """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
+
+    @final
+    def query(self, images: Images) -> Scores:
+        """Score every place for every image, (n_images, n_places)."""
+        return self.match(self.encode(images))
+
+
+class DescriptorMethod(Method):
+    """A method whose codes are unit vectors: only `encode` -> float32 (n_images, n_dimensions) is left to write.
+
+    Matching is exact: the inner product with every reference, and of several images of a place the best.
+    """
+
+    _references: npt.NDArray[np.float32] | None = None  # (n_references, n_dimensions)
+    _places: Places
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Encode the references, block by block."""
+        self._references = np.concatenate([self.encode(block) for block in references.blocks(64)])
+        self._places = places.copy()
+        return self
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        """Return the inner product with the best reference image of each place."""
+        if self._references is None:
+            raise NotFittedError(f"{type(self).__name__} has no map yet: call fit(references, places) first")
+        return best_image_of_place(codes @ self._references.T, self._places)
+
+
+def best_image_of_place(similarity: Scores, places: Places) -> Scores:
+    """Reduce (n_queries, n_references) to (n_queries, n_places): a place is worth its most similar image."""
+    if np.array_equal(places, np.arange(len(places))):
+        return similarity
+    order = np.argsort(places, kind="stable")
+    starts = np.flatnonzero(np.diff(places[order], prepend=-1))
+    return np.maximum.reduceat(similarity[:, order], starts, axis=1)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Reference and query traverses with their ground truth.
+
+    Raises BadInput where the parts do not fit one another.
+    """
+
+    name: str
+    references: Images
+    places: Places  # (n_references,)
+    queries: Images
+    positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places; empty where there is none
+    protocol: Mapping[str, Any]  # what was selected and how; part of every record
+    n_places: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit one another."""
+        object.__setattr__(self, "n_places", int(self.places.max()) + 1 if len(self.places) else 0)
+        if not len(self.references):
+            raise BadInput(f"dataset {self.name} has no reference images")
+        if not len(self.queries):
+            raise BadInput(f"dataset {self.name} has no query images: ask for at least one")
+        if len(self.places) != len(self.references):
+            raise BadInput(
+                f"dataset {self.name}: {len(self.references)} reference images but {len(self.places)} place ids"
+            )
+        unseen = np.setdiff1d(np.arange(self.n_places), self.places)
+        if len(unseen) or self.places.min() < 0:
+            raise BadInput(
+                f"dataset {self.name}: place ids must run from 0 to {self.n_places - 1} without a gap, "
+                f"but {unseen[:3].tolist() or int(self.places.min())} came"
+            )
+        if len(self.positives) != len(self.queries):
+            raise BadInput(
+                f"dataset {self.name}: {len(self.queries)} queries but ground truth for {len(self.positives)}"
+            )
+        for query, right in enumerate(self.positives):
+            if len(right) and not (right.min() >= 0 and right.max() < self.n_places):
+                raise BadInput(
+                    f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
+                    f"place {int(right.max())}, but places run from 0 to {self.n_places - 1}"
+                )

@@ -1,0 +1,254 @@
+"""Accuracy of place recognition: recall at N and the three precision-recall curves, as pure functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import BadInput, Scores
+from vprbench.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, right_and_soft_cells
+
+Values = npt.NDArray[np.float64]
+Ties = Literal["expected", "pessimistic", "optimistic"]
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Recall at N, 0 to 1, under the three ways to break ties."""
+
+    expected: float  # ties broken at random
+    pessimistic: float  # right places last
+    optimistic: float  # right places first
+    n_queries: int  # the denominator
+
+    @property
+    def hangs_on_ties(self) -> bool:
+        """Whether the way to break ties moves the recall by more than half a point."""
+        queries = round((self.optimistic - self.pessimistic) * self.n_queries)  # whole, so free of rounding
+        return 200 * queries > self.n_queries
+
+
+def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"] = "all") -> Recall | None:
+    """Return the share of queries with a right place among the best `n`; None where none has a right place.
+
+    The field uses two denominators: all queries (VPR-methods-evaluation, VPR-Bench and others) and the
+    answerable ones (VPR_Tutorial, VPRTempo). More than there are places is as good as all of them. Raises
+    BadInput below 1.
+    """
+    if denominator not in ("all", "answerable"):
+        raise ValueError(f"denominator={denominator!r} is unknown: give 'all' or 'answerable'")
+    n_answerable = int(np.count_nonzero(outcome.answerable))
+    n_queries = len(outcome) if denominator == "all" else n_answerable
+    ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
+    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) for ties in ways)
+    if not n_answerable:
+        return None
+    return Recall(expected / n_queries, pessimistic / n_queries, optimistic / n_queries, n_queries)
+
+
+def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
+    """Return per query, (n_queries,), the chance that a right place is among its best `n`.
+
+    With a places above the best right one, t tied with it and g of those right, r = n - a slots are left for
+    the tie, and a random order puts a right one there with 1 - C(t - g, r) / C(t, r). The pessimistic and the
+    optimistic order give 0 or 1. Raises BadInput for `n` below 1.
+    """
+    if n < 1:
+        raise BadInput(f"recall at {n} is not defined: ask for the best 1 or more places")
+    slots = min(n, outcome.n_places) - outcome.above
+    wrong = outcome.tied - outcome.tied_correct
+    if ties == "optimistic":
+        return (slots > 0).astype(np.float64)
+    if ties == "pessimistic":
+        return (slots > wrong).astype(np.float64)
+    if ties != "expected":
+        raise ValueError(f"ties={ties!r} is unknown: give 'expected', 'pessimistic' or 'optimistic'")
+    hits = (slots >= outcome.tied).astype(np.float64) * (slots > 0)
+    cut = (slots > 0) & (slots < outcome.tied)
+    hits[cut] = 1 - _chance_of_only_wrong(outcome.tied[cut], outcome.tied_correct[cut], slots[cut])
+    return hits
+
+
+def _chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Values:
+    """Return C(tied - correct, slots) / C(tied, slots) as a product of few factors.
+
+    The ratio is the same with `correct` and `slots` exchanged, so the smaller one is the number of factors.
+    Where there are too few wrong places a factor is 0.
+    """
+    fewer, more = np.minimum(correct, slots), np.maximum(correct, slots)
+    chance = np.ones(len(tied))
+    for drawn in range(int(fewer.max(initial=0))):
+        going = drawn < fewer
+        chance[going] *= (tied - more - drawn)[going] / (tied - drawn)[going]
+    return chance
+
+
+def tie_share(outcome: Outcome) -> float | None:
+    """Return the share of queries whose best place is not one place but several; None without queries."""
+    return float(np.mean(outcome.top_tied > 1)) if len(outcome) else None
+
+
+@dataclass(frozen=True)
+class PRCurve:
+    """Precision and recall, each (n_points,) and 0 to 1, from the highest threshold to the lowest.
+
+    Each point keeps all that scores at least its threshold, so tied scores enter together. The first point is
+    the convention recall 0, precision 1, threshold +inf. `kind` is part of the metric's name: A is over the
+    answerable queries, B over the correct best matches, C over all pairs of a query and a right place.
+    """
+
+    precision: Values
+    recall: Values
+    threshold: Values
+    kind: Literal["A", "B", "C"]
+
+
+def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
+    """Return the curve of the best match of each query; None where its recall has no denominator.
+
+    A match counts as retrieved where its score reaches the threshold. A wrong one is a false positive, also
+    that of a query without a right place: a good method would have kept silent. A query without any candidate
+    retrieves nothing. Where several places share the highest score, the match counts as right by the share of
+    right ones among them, which is its chance under random tie-breaking. What is retrieved does not depend on
+    ties, so precision and A's recall are exact expected values; B's recall is a ratio of two expected values.
+
+    Recall divides by the answerable queries (A: VPR_Tutorial, VPRTempo's paper) or by the correct best
+    matches (B: VPR-Bench, VPRTempo since 7d9ccef). Hence recall_A = R@1 recall_B, R@1 over the answerable
+    queries.
+    """
+    if kind not in ("A", "B"):
+        raise ValueError(f"kind={kind!r} is not a curve of best matches: give 'A' or 'B'")
+    best, right = _best_matches(outcome)
+    groups = _groups(best, best, right)
+    total = np.count_nonzero(outcome.answerable) if kind == "A" else groups[2].max(initial=0)
+    return _sweep(groups, float(total), kind) if total else None
+
+
+def pr_curve_multi(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> PRCurve | None:
+    """Return curve C, over all pairs of a query and a place (VPR_Tutorial, multi); None without a right pair.
+
+    The arguments are those of `ranking.outcome`, and so is what is raised. Pairs in the soft band and pairs
+    that are no candidates are never retrieved. Needs about 50 bytes of memory per pair.
+    """
+    scores = checked_scores(scores)
+    right_cells, soft_cells = right_and_soft_cells(scores.shape, positives, ignored)
+    if not len(right_cells):
+        return None
+    pairs = scores.ravel()
+    candidate = pairs > -np.inf
+    candidate[soft_cells] = False
+    right_scores = pairs[right_cells]  # those of -inf lie below every threshold
+    groups = _groups(pairs[candidate], right_scores, np.ones(len(right_scores)))
+    return _sweep(groups, float(len(right_scores)), "C")
+
+
+def _best_matches(outcome: Outcome) -> tuple[npt.NDArray[np.float32], Values]:
+    """Return the score of each best match and its chance to be right, where something is retrieved."""
+    retrieved = outcome.top_tied > 0
+    return outcome.best_score[retrieved], outcome.top_tied_correct[retrieved] / outcome.top_tied[retrieved]
+
+
+def _groups(
+    scores: npt.NDArray[np.float32], right_scores: npt.NDArray[np.float32], chances: Values
+) -> tuple[npt.NDArray[np.float32], Counts, Values]:
+    """Return the distinct scores in falling order, how many reach each, and how many right ones.
+
+    `chances` weighs each of the right scores. Only these are sorted with their indices, which takes long.
+    """
+    falling = np.sort(scores)[::-1]
+    last = np.flatnonzero(falling != np.append(falling[1:], np.float32(-np.inf)))  # ends of tied groups
+    order = np.argsort(right_scores)
+    n_below = np.searchsorted(right_scores[order], falling[last])
+    best_first = np.concatenate([[0.0], np.cumsum(chances[order][::-1])])
+    return falling[last], last + 1, best_first[len(order) - n_below]
+
+
+def _sweep(
+    groups: tuple[npt.NDArray[np.float32], Counts, Values], total: float, kind: Literal["A", "B", "C"]
+) -> PRCurve:
+    threshold, kept, correct = groups
+    return PRCurve(
+        precision=np.concatenate([[1.0], correct / kept]),
+        recall=np.concatenate([[0.0], correct / total]),
+        threshold=np.concatenate([[np.inf], threshold]),
+        kind=kind,
+    )
+
+
+def average_precision(curve: PRCurve) -> float:
+    """Return the area under the curve as the step sum of (R_i - R_(i-1)) P_i: the primary area."""
+    return float(np.sum(np.diff(curve.recall) * curve.precision[1:]))
+
+
+def auc(curve: PRCurve) -> float:
+    """Return the area under the curve by trapezoids, kept to compare with VPR-Bench and VPR_Tutorial."""
+    return float(np.trapezoid(curve.precision, curve.recall))
+
+
+@dataclass(frozen=True)
+class FullPrecision:
+    """What can be answered without a single error."""
+
+    count: int  # right answers above the first wrong one
+    recall: float  # the same over the answerable queries
+
+
+def recall_at_full_precision(outcome: Outcome) -> FullPrecision | None:
+    """Return R@100P, what is answered before the first error; None where no query has a right place.
+
+    Answers come in order of falling score. Those that tie with an error do not count, and neither does a
+    query whose best place ties with a wrong one.
+    """
+    n_answerable = int(np.count_nonzero(outcome.answerable))
+    if not n_answerable:
+        return None
+    count = _n_before_first_error(outcome)
+    return FullPrecision(count, count / n_answerable)
+
+
+def extended_precision(outcome: Outcome) -> float | None:
+    """Return EP = (P_R0 + R_P100) / 2; None where no query has a right place or none retrieves anything.
+
+    P_R0 is the precision at the highest threshold and R_P100 the share of the correct best matches that score
+    above the first error, 0 where P_R0 is below 1 (Ferrarini et al. 2020; VPR-Bench). Fragile: a single
+    wrong, most confident query takes it from above 0.5 to 0.
+    """
+    best, right = _best_matches(outcome)
+    if not len(best) or not outcome.answerable.any():
+        return None
+    precision_at_first = float(right[best == best.max()].mean())
+    if precision_at_first < 1:
+        return precision_at_first / 2
+    return (1 + _n_before_first_error(outcome) / float(right.sum())) / 2
+
+
+def _n_before_first_error(outcome: Outcome) -> int:
+    best, right = _best_matches(outcome)
+    best_error = best[right < 1].max(initial=-np.inf)
+    return int(np.count_nonzero(best > best_error))
+
+
+def auc_roc(outcome: Outcome) -> float | None:
+    """Return the chance that a correct best match scores above a wrong one, ties one half; None without both.
+
+    A query whose best place is tied counts as correct and as wrong by the shares among the tied places.
+    """
+    best, right = _best_matches(outcome)
+    _, kept, correct = _groups(best, best, right)
+    if not len(kept) or not 0 < correct[-1] < kept[-1]:
+        return None
+    wrong = kept - correct
+    area = np.trapezoid(np.append(0, correct), np.append(0, wrong))
+    return float(area / (correct[-1] * wrong[-1]))
+
+
+def f1_max(outcome: Outcome) -> float | None:
+    """Return the highest harmonic mean of precision and recall on curve A; None where that is undefined."""
+    curve = pr_curve(outcome, "A")
+    if curve is None:
+        return None
+    both = curve.precision + curve.recall
+    return float(np.max(2 * curve.precision * curve.recall / np.where(both > 0, both, 1)))

@@ -1,0 +1,155 @@
+"""What a score matrix says about each query, small enough to keep: all that single-match metrics need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import BadInput, Scores
+
+PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty where there are none
+Counts = npt.NDArray[np.int64]  # (n_queries,)
+
+_BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays near the processor's cache
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Where the right places of each query stand, ties counted instead of broken. Arrays are (n_queries,).
+
+    A place that is no candidate (score -inf, or in the soft band) is neither above nor tied. Where no right
+    place can be retrieved, because there is none or because all are no candidates, `above` is `n_places` and
+    `tied` is 0.
+    """
+
+    best_score: npt.NDArray[np.float32]  # the highest score; -inf where no place is a candidate
+    top_tied: Counts  # places that share the highest score; 0 where no place is a candidate
+    top_tied_correct: Counts  # right places among those
+    above: Counts  # places that score higher than the best right place
+    tied: Counts  # places that score the same as the best right place, itself included
+    tied_correct: Counts  # right places among those
+    n_positives: Counts  # right places, whether candidates or not
+    n_places: int
+
+    @property
+    def answerable(self) -> npt.NDArray[np.bool_]:
+        """Whether each query has a right place, (n_queries,)."""
+        return self.n_positives > 0
+
+    def __len__(self) -> int:
+        """Return the number of queries."""
+        return len(self.best_score)
+
+
+def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None) -> Outcome:
+    """Rank the right places of each query by `scores` (n_queries, n_places), higher means more alike.
+
+    `positives` holds per query the right places. `ignored` holds per query a wider, soft band: its places
+    that are not right are taken out of the ranking, neither rewarded nor punished. A score of -inf marks a
+    place that is no candidate. Scores of another type are compared as float32. Works in blocks, so the memory
+    beside `scores` is small. Raises BadInput for scores that are NaN or +inf and for places that do not
+    exist, ValueError for shapes that do not fit.
+    """
+    scores = checked_scores(scores)
+    n_queries, n_places = scores.shape
+    right, soft = right_and_soft_cells(scores.shape, positives, ignored)
+    n_rows = max(1, _BLOCK_CELLS // n_places)
+    blocks = []
+    for first in range(0, max(n_queries, 1), n_rows):  # no query at all is one empty block
+        block = scores[first : first + n_rows]
+        start = first * n_places
+        blocks.append(_block_outcome(block, _part(right, start, block.size), _part(soft, start, block.size)))
+    return concatenate(blocks)
+
+
+def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
+    """Join the outcomes of consecutive blocks of queries; raises ValueError for maps of different sizes."""
+    sizes = sorted({part.n_places for part in outcomes})
+    if len(sizes) != 1:
+        raise ValueError(f"outcomes to join must be over one map, but maps of {sizes} places came")
+    columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
+    joined = {name: np.concatenate([getattr(part, name) for part in outcomes]) for name in columns}
+    return Outcome(**joined, n_places=sizes[0])
+
+
+def checked_scores(scores: Scores) -> Scores:
+    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is NaN or +inf."""
+    if np.ndim(scores) != 2 or np.shape(scores)[1] == 0:
+        raise ValueError(f"scores must be (n_queries, n_places) with a place or more, not {np.shape(scores)}")
+    with np.errstate(over="ignore"):  # what does not fit into float32 becomes infinite and is refused below
+        scores = np.asarray(scores, dtype=np.float32)
+    best = scores.max(axis=1)  # NaN wins every maximum
+    for value, refused in (("NaN", np.isnan(best)), ("+inf", np.isposinf(best))):
+        if refused.any():
+            raise BadInput(
+                f"the scores of {np.count_nonzero(refused)} of {len(best)} queries hold {value} "
+                f"(the first is query {np.argmax(refused)}): a method must give finite scores, "
+                "or -inf for a place that is no candidate"
+            )
+    return scores
+
+
+def right_and_soft_cells(
+    shape: tuple[int, ...], positives: PlacesPerQuery, ignored: PlacesPerQuery | None = None
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the right cells of a score matrix of `shape`, and those of the soft band that are not right.
+
+    Cells are positions in the flattened matrix, ascending, each once. Raises ValueError where the number of
+    queries differs and BadInput where a place does not exist.
+    """
+    right = _cells(shape, positives, "positives")
+    if ignored is None:
+        return right, np.empty(0, np.int64)
+    return right, np.setdiff1d(_cells(shape, ignored, "ignored places"), right, assume_unique=True)
+
+
+def _cells(shape: tuple[int, ...], places: PlacesPerQuery, role: str) -> npt.NDArray[np.int64]:
+    n_queries, n_places = shape
+    if len(places) != n_queries:
+        raise ValueError(f"scores of {n_queries} queries came with {role} of {len(places)}: the numbers must agree")
+    columns = [np.asarray(row, dtype=np.int64) for row in places]
+    queries = np.repeat(np.arange(n_queries), [len(row) for row in columns])
+    flat = np.concatenate([np.empty(0, np.int64), *columns])
+    outside = (flat < 0) | (flat >= n_places)
+    if outside.any():
+        first = int(np.argmax(outside))
+        raise BadInput(
+            f"the {role} of query {queries[first]} name place {flat[first]}, but places run from 0 to {n_places - 1}"
+        )
+    return np.unique(queries * n_places + flat)
+
+
+def _part(cells: npt.NDArray[np.int64], start: int, size: int) -> npt.NDArray[np.int64]:
+    low, high = np.searchsorted(cells, (start, start + size))
+    return cells[low:high] - start
+
+
+def _block_outcome(scores: Scores, right: npt.NDArray[np.int64], soft: npt.NDArray[np.int64]) -> Outcome:
+    n_queries, n_places = scores.shape
+    if len(soft):
+        scores = scores.copy()
+        scores.flat[soft] = -np.inf
+    rows, columns = np.divmod(right, n_places)
+    right_scores = scores[rows, columns]
+    best = scores.max(axis=1)
+    best_right = np.full(n_queries, -np.inf, np.float32)
+    np.maximum.at(best_right, rows, right_scores)
+    retrievable = best_right > -np.inf
+
+    def right_at(score: npt.NDArray[np.float32]) -> Counts:
+        there = (right_scores == score[rows]) & (right_scores > -np.inf)
+        return np.bincount(rows[there], minlength=n_queries)
+
+    return Outcome(
+        best_score=best,
+        top_tied=np.where(best > -np.inf, np.count_nonzero(scores == best[:, None], axis=1), 0),
+        top_tied_correct=right_at(best),
+        above=np.where(retrievable, np.count_nonzero(scores > best_right[:, None], axis=1), n_places),
+        tied=np.where(retrievable, np.count_nonzero(scores == best_right[:, None], axis=1), 0),
+        tied_correct=right_at(best_right),
+        n_positives=np.bincount(rows, minlength=n_queries),
+        n_places=n_places,
+    )

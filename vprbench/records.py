@@ -1,0 +1,318 @@
+"""One finished run, and the store of runs on disk: atomic, checked, without pickle."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import shutil
+import socket
+import uuid
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+
+from vprbench.interface import BadInput
+from vprbench.ranking import Outcome
+from vprbench.stopwatch import Laps, Timing, plain
+
+logger = logging.getLogger(__name__)
+
+SCHEMA = 1
+_SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
+_PARTIAL = ".partial-"
+_DAMAGED = ".damaged"
+
+
+class DamagedRunError(Exception):
+    """A folder of the store does not hold a whole run; the message says what is wrong with it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one method did on one dataset: raw answers and raw times, nothing judged."""
+
+    method: str
+    dataset: str
+    key: str
+    config: Mapping[str, Any]  # everything that was asked for, resolved
+    protocol: Mapping[str, Any]  # what the dataset selected and how
+    fingerprint: str  # of the dataset's images
+    environment: Mapping[str, Any]
+    notes: tuple[str, ...]  # what a reader of the numbers has to know: a noisy machine, an audit that failed
+    n_references: int
+    fit_seconds: float  # wall time, reading the images included
+    fit_compute_seconds: float  # without the time that the method waited for images
+    peak_memory_bytes: int
+    harness_seconds: float  # spent neither in the method nor in reading images
+    method_seconds: float  # spent in the method
+    timing: Timing
+    outcome: Outcome
+    positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places
+    top_places: npt.NDArray[np.int32]  # (n_queries, depth), best first
+    top_scores: npt.NDArray[np.float32]  # (n_queries, depth)
+    scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that ended without a result."""
+
+    method: str
+    dataset: str
+    config: Mapping[str, Any]
+    error: str
+
+
+def content_key(content: Mapping[str, Any]) -> str:
+    """Return the hash of everything that can change an outcome."""
+    text = json.dumps({"schema": SCHEMA, **content}, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class Store:
+    """A results folder: `<dataset>/<method>-<key>/` holds one run. Several processes may write to it at once."""
+
+    def __init__(self, root: Path) -> None:
+        """Use the folder `root`; nothing is written yet."""
+        self.root = root
+
+    def prepare(self) -> None:
+        """Make the folder and see that it can be written; raises BadInput before work is wasted on a run."""
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            self._remove_leftovers()
+            self._partial().rmdir()
+        except OSError as error:
+            raise BadInput(
+                f"results={self.root} cannot be written ({error.strerror}): choose another folder with results=..."
+            ) from error
+
+    def folder(self, dataset: str, method: str, key: str) -> Path:
+        """Return where a run with this key lies, or would lie."""
+        return self.root / dataset / f"{method}-{key}"
+
+    def find(self, dataset: str, method: str, key: str) -> Run | None:
+        """Return the stored run with this key; a damaged one is set aside by name and counts as absent."""
+        folder = self.folder(dataset, method, key)
+        if not folder.exists():
+            return None
+        try:
+            return load(folder)
+        except DamagedRunError as error:
+            self._set_aside(folder, str(error))
+            return None
+
+    def runs(self) -> Iterator[Run]:
+        """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
+        for folder in sorted(self.root.glob("*/*-*")):
+            if folder.is_dir() and not folder.name.startswith(".") and (folder / _SUMMARY).exists():
+                try:
+                    yield load(folder)
+                except DamagedRunError as error:
+                    self._set_aside(folder, str(error))
+
+    def save(self, run: Run) -> Path:
+        """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
+        folder = self.folder(run.dataset, run.method, run.key)
+        try:
+            partial = self._partial()
+            try:
+                _write(run, partial)
+                _move(partial, folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
+        except OSError as error:
+            raise BadInput(
+                f"the run could not be stored in {folder} ({error.strerror}): nothing was left there; "
+                "make room or choose another folder with results=..."
+            ) from error
+        return folder
+
+    def save_failure(self, failure: Failure) -> Path:
+        """Store that a run ended in an error, until a run of the same configuration succeeds."""
+        folder = self._failure_folder(failure.method, failure.dataset, failure.config)
+        partial = self._partial()
+        try:
+            _write_json(partial / _FAILURE, asdict(failure))
+            _move(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+        return folder
+
+    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
+        """Return how the last run of this configuration failed, None if it did not."""
+        try:
+            content = json.loads((self._failure_folder(method, dataset, config) / _FAILURE).read_text("utf-8"))
+            return Failure(**content)
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
+        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device")}
+        return self.root / dataset / f"{method}-failed-{content_key(asked)}"
+
+    def _partial(self) -> Path:
+        """Make a folder that no reader looks at, named after this process."""
+        folder = self.root / f"{_PARTIAL}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        folder.mkdir()
+        return folder
+
+    def _remove_leftovers(self) -> None:
+        """Remove what killed processes of this machine left unfinished."""
+        prefix = f"{_PARTIAL}{socket.gethostname()}-"
+        for folder in self.root.glob(f"{prefix}*"):
+            pid = folder.name.removeprefix(prefix).split("-")[0]
+            if pid.isdigit() and not psutil.pid_exists(int(pid)):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _set_aside(self, folder: Path, reason: str) -> None:
+        aside = folder.with_name(f"{_DAMAGED}-{folder.name}-{uuid.uuid4().hex[:8]}")
+        try:
+            folder.rename(aside)
+        except OSError:
+            logger.warning("%s is damaged (%s) and could not be set aside", folder, reason)
+        else:
+            logger.warning("%s is damaged (%s): set aside as %s", folder, reason, aside.name)
+
+
+def load(folder: Path) -> Run:
+    """Read a run; raises DamagedRunError where a part is missing, changed or of another layout."""
+    try:
+        summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
+        if summary["schema"] != SCHEMA:
+            raise DamagedRunError(f"its layout is version {summary['schema']}, this program reads {SCHEMA}")
+        for name, digest in summary["sha256"].items():
+            if _digest(folder / name) != digest:
+                raise DamagedRunError(f"{name} is not what was written")
+        with np.load(folder / _ARRAYS, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        scores = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False) if _SCORES in summary["sha256"] else None
+        return _from_parts(summary, arrays, scores)
+    except DamagedRunError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        raise DamagedRunError(f"{type(error).__name__}: {error}") from error
+
+
+_OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
+_PLAIN = (
+    "method",
+    "dataset",
+    "key",
+    "config",
+    "protocol",
+    "fingerprint",
+    "environment",
+    "n_references",
+    "fit_seconds",
+    "fit_compute_seconds",
+    "peak_memory_bytes",
+    "harness_seconds",
+    "method_seconds",
+)
+
+
+def _write(run: Run, folder: Path) -> None:
+    laps = {"streaming": run.timing.streaming}
+    laps |= {f"offline_{number}": laps for number, laps in enumerate(run.timing.offline)}
+    arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
+    arrays |= {f"{name}_encode_seconds": lap.encode_seconds for name, lap in laps.items()}
+    arrays |= {f"{name}_match_seconds": lap.match_seconds for name, lap in laps.items()}
+    arrays |= {
+        "sample": run.timing.sample,
+        "answers": run.timing.answers,
+        "top_places": run.top_places,
+        "top_scores": run.top_scores,
+        "positives": np.concatenate([np.empty(0, np.int64), *run.positives]),
+        "positives_per_query": np.array([len(right) for right in run.positives]),
+    }
+    np.savez_compressed(folder / _ARRAYS, allow_pickle=False, **arrays)
+    if run.scores is not None:
+        np.save(folder / _SCORES, run.scores, allow_pickle=False)
+    summary = {name: getattr(run, name) for name in _PLAIN}
+    summary |= {
+        "schema": SCHEMA,
+        "notes": list(run.notes),
+        "n_places": run.outcome.n_places,
+        "timing": plain(run.timing),
+        "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
+    }
+    _write_json(folder / _SUMMARY, summary)
+
+
+def _from_parts(
+    summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]], scores: npt.NDArray[np.float32] | None
+) -> Run:
+    def laps(name: str, images_per_call: int, valid: bool) -> Laps:
+        return Laps(arrays[f"{name}_encode_seconds"], arrays[f"{name}_match_seconds"], images_per_call, valid)
+
+    timing = summary["timing"]
+    ends = np.cumsum(arrays["positives_per_query"])[:-1]
+    return Run(
+        **{name: summary[name] for name in _PLAIN},
+        notes=tuple(summary["notes"]),
+        timing=Timing(
+            timing["first_query_seconds"],
+            timing["warmup_queries"],
+            laps("streaming", 1, timing["streaming_valid"]),
+            tuple(
+                laps(f"offline_{number}", lap["images_per_call"], lap["valid"])
+                for number, lap in enumerate(timing["offline"])
+            ),
+            arrays["sample"],
+            arrays["answers"],
+            timing["repeated_seconds"],
+        ),
+        outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
+        positives=tuple(np.split(arrays["positives"], ends)),
+        top_places=arrays["top_places"],
+        top_scores=arrays["top_scores"],
+        scores=scores,
+    )
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    with path.open("x", encoding="utf-8") as file:
+        json.dump(content, file, indent=1, sort_keys=True)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def replace_text(path: Path, content: str) -> None:
+    """Write a text file so that a reader sees the old or the new one, never a part."""
+    partial = path.with_name(f"{_PARTIAL}{path.name}-{uuid.uuid4().hex[:8]}")
+    partial.write_text(content, encoding="utf-8")
+    partial.replace(path)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _move(partial: Path, folder: Path) -> None:
+    """Rename a complete folder to its final name; of several writers of one name the last one stays."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    for _ in range(100):
+        try:
+            partial.rename(folder)
+        except OSError:
+            if not folder.exists():
+                raise
+            replaced = partial.with_name(f"{partial.name}-replaced-{uuid.uuid4().hex[:8]}")
+            try:
+                folder.rename(replaced)
+            except FileNotFoundError:
+                continue  # another process has just replaced it
+            shutil.rmtree(replaced, ignore_errors=True)
+        else:
+            return
+    raise OSError(f"{folder} is being replaced by others all the time")

@@ -1,0 +1,183 @@
+"""The names of methods and datasets, found as yaml files, and the configured objects behind them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal, get_type_hints
+
+import yaml
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.plugins import Plugins
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.utils import get_object
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from vprbench.interface import BadInput, Dataset, Method
+
+Group = Literal["method", "dataset"]
+
+ENTRY_POINTS = "vprbench.conf"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One registered method or dataset: its yaml and who provides it."""
+
+    group: Group
+    name: str
+    path: Path
+    provider: str
+
+    @property
+    def description(self) -> str:
+        """The first comment line of the yaml."""
+        first = self.path.read_text(encoding="utf-8").splitlines()[:1]
+        return first[0].lstrip("# ").strip() if first and first[0].startswith("#") else ""
+
+    def target(self) -> Callable[..., Any]:
+        """Import and return the class or function; raises BadInput with the reason where that fails."""
+        try:
+            content = yaml.safe_load(self.path.read_text(encoding="utf-8"))
+            return _locate(content["_target_"])
+        except (yaml.YAMLError, KeyError, TypeError) as error:
+            reason = str(error).splitlines()[0]
+            raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
+
+
+def entries(group: Group) -> dict[str, Entry]:
+    """Return the registered methods or datasets by name; imports none of them.
+
+    Of several with one name this project's own comes first.
+    """
+    found: dict[str, Entry] = {}
+    for provider, folder in conf_folders().items():
+        for path in sorted((folder / group).glob("*.yaml")):
+            found.setdefault(path.stem, Entry(group, path.stem, path, provider))
+    return dict(sorted(found.items()))
+
+
+def conf_folders() -> dict[str, Path]:
+    """Return the folders that hold method/ and dataset/, by provider: this project's and those of plug-ins."""
+    folders = {"vprbench": _package_folder("vprbench.conf")}
+    for point in _plugin_points():
+        try:
+            folders[point.name] = _package_folder(point.value)
+        except ModuleNotFoundError:
+            continue  # `broken_plugins` names it
+    return folders
+
+
+def broken_plugins() -> dict[str, str]:
+    """Return the installed plug-ins whose configuration folder is missing, with the reason."""
+    broken = {}
+    for point in _plugin_points():
+        try:
+            folder = _package_folder(point.value)
+        except ModuleNotFoundError as error:
+            broken[point.name] = str(error)
+        else:
+            if not folder.is_dir():
+                broken[point.name] = f"{folder} does not exist"
+    return broken
+
+
+def make_method(config: Mapping[str, Any]) -> Method:
+    """Build a method from its configuration; raises BadInput for arguments that do not fit."""
+    method = _build("method", config)
+    if not isinstance(method, Method):
+        raise BadInput(f"{config['_target_']} made a {type(method).__name__}; a method has to subclass Method")
+    return method
+
+
+def make_dataset(config: Mapping[str, Any]) -> Dataset:
+    """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
+    dataset = _build("dataset", config)
+    if not isinstance(dataset, Dataset):
+        raise BadInput(f"{config['_target_']} made a {type(dataset).__name__}; it has to return a Dataset")
+    return dataset
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """Return the part of an error message that says what is known, the nearest names first."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
+
+
+def register_search_path() -> None:
+    """Let Hydra find the yaml files of installed plug-ins."""
+    Plugins.instance().register(_PluginSearchPath)
+
+
+class _PluginSearchPath(SearchPathPlugin):
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        for provider, folder in conf_folders().items():
+            if provider != "vprbench":
+                search_path.append(provider=provider, path=f"file://{folder}")
+
+
+def _plugin_points() -> list[EntryPoint]:
+    return sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name)
+
+
+def _package_folder(name: str) -> Path:
+    """Return the folder of a package without importing it."""
+    top, *rest = name.split(".")
+    spec = importlib.util.find_spec(top)
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError(f"package {top} is not installed")
+    if top == "vprbench":  # in a checkout conf/ stands beside the package
+        import vprbench
+
+        candidates = [Path(location).joinpath(*rest) for location in vprbench.__path__]
+    else:
+        candidates = [Path(location).joinpath(*rest) for location in spec.submodule_search_locations]
+    return next((folder for folder in candidates if folder.is_dir()), candidates[0])
+
+
+def _locate(target: str) -> Callable[..., Any]:
+    """Import what a dotted path names; raises BadInput with the reason."""
+    try:
+        found = get_object(target)
+    except Exception as error:  # a plug-in may fail in any way while it is imported, and must hurt only itself
+        reason = str(error.__cause__ or error).splitlines()[0]
+        raise BadInput(f"{target} cannot be imported: {reason}") from error
+    if not callable(found):
+        raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
+    return found  # type: ignore[no-any-return]
+
+
+def _build(group: Group, config: Mapping[str, Any]) -> Any:
+    target = _locate(config["_target_"])
+    arguments = {name: value for name, value in config.items() if name != "_target_"}
+    known = inspect.signature(target).parameters
+    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
+    for name, value in arguments.items():
+        if name not in known:
+            raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
+        arguments[name] = checked(f"{group}.{name}", value, hints.get(name, Any))
+    missing = [n for n, p in known.items() if p.default is p.empty and p.kind < p.VAR_POSITIONAL and n not in arguments]
+    if missing:
+        raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")
+    return target(**arguments)
+
+
+def checked(option: str, value: Any, hint: Any) -> Any:
+    """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
+    try:
+        return TypeAdapter(hint, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
+    except ValidationError as error:
+        wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
+        raise BadInput(f"{option}={value}: {wanted}") from error
+
+
+def _wanted(problem: Mapping[str, Any]) -> str:
+    return str(problem["msg"]).replace("Input should be", "wanted").replace("a valid ", "a ")

@@ -1,0 +1,213 @@
+"""Runs one method on one dataset: fit, encode, match and the stopwatch; keeps answers and times, judges nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench import environment, images, interface, preprocess, progress
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, Method, Places, Scores
+from vprbench.ranking import Outcome, concatenate, outcome
+from vprbench.records import Run, content_key
+from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
+
+_BLOCK = 128  # queries scored together
+_LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
+_NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
+_CACHING = 0.75  # a repeated query that needs less than this share of the median time is suspicious
+_SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
+
+
+def run_key(
+    method: Method,
+    config: Mapping[str, Any],
+    dataset: Dataset,
+    fingerprint: str,
+    protocol: Protocol,
+    threads: int,
+) -> str:
+    """Return the hash of all that can change the outcome of a run or the times it measures."""
+    arguments = {name: value for name, value in config["method"].items() if name != "device"}
+    return content_key(
+        {
+            "method": arguments,
+            "code": code_hash(type(method)),
+            "dataset": dataset.name,
+            "protocol": dict(dataset.protocol),
+            "images": fingerprint,
+            "seed": config["seed"],
+            "device": environment.device_class(config["device"]),
+            "threads": threads,
+            "depth": config["depth"],
+            "timing": asdict(protocol),
+        }
+    )
+
+
+def code_hash(method: type[Method]) -> str:
+    """Return the hash of the source behind a method: its folder (in `methods/`, its file) and what all methods use."""
+    own = Path(inspect.getfile(method))
+    one_file = method.__module__.startswith("vprbench.methods.") and method.__module__.count(".") == 2
+    sources = [own] if one_file else sorted(own.parent.rglob("*.py"))
+    sources += [Path(module.__file__) for module in (interface, images, preprocess) if module.__file__]
+    digest = hashlib.sha256()
+    for source in sources:
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return the hash of a dataset's images, order and ground truth."""
+    digest = hashlib.sha256()
+    digest.update(dataset.references.fingerprint().encode())
+    digest.update(dataset.queries.fingerprint().encode())
+    digest.update(dataset.places.tobytes())
+    for right in dataset.positives:
+        digest.update(right.tobytes() + b";")
+    return digest.hexdigest()
+
+
+def run(
+    name: str,
+    method: Method,
+    dataset: Dataset,
+    config: Mapping[str, Any],
+    key: str,
+    dataset_fingerprint: str,
+    protocol: Protocol,
+    threads: int,
+) -> Run:
+    """Fit a method, score every query and measure its rates.
+
+    `config` holds what was asked for (method, dataset, seed, device, depth); raises whatever the method raises.
+    """
+    device = config["device"]
+    started = time.perf_counter()
+    surroundings = environment.capture(device, threads)
+    canary = environment.canary_seconds()
+    stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
+    environment.reset_peak_memory()
+
+    reading = dataset.references.reading
+    progress.report("fit", 0.0)
+    with stopwatch.lap() as fit:
+        method.fit(dataset.references, _read_only(dataset.places))
+    fit_reading = reading.seconds
+
+    answers = _Answers(dataset, config["depth"])
+    with stopwatch.lap() as querying:
+        for block in dataset.queries.blocks(_BLOCK):
+            answers.add(*_timed_scores(stopwatch, method, block))
+            progress.report("query", answers.done / len(dataset.queries))
+    harness = querying[0] - answers.method_seconds - dataset.queries.reading.seconds
+
+    progress.report("timing", 0.0)
+    with stopwatch.lap() as measuring:
+        timing = stopwatch.measure(method, dataset.queries)
+    progress.report("timing", 1.0)
+
+    drift = environment.canary_seconds() / canary - 1
+    result = concatenate(answers.outcomes)
+    return Run(
+        method=name,
+        dataset=dataset.name,
+        key=key,
+        config=config,
+        protocol=dataset.protocol,
+        fingerprint=dataset_fingerprint,
+        environment={
+            **surroundings,
+            "canary_drift": drift,
+            "device_memory_bytes": environment.peak_device_memory_bytes(device),
+        },
+        notes=tuple(_notes(drift, timing, answers)),
+        n_references=len(dataset.references),
+        fit_seconds=fit[0],
+        fit_compute_seconds=fit[0] - fit_reading,
+        peak_memory_bytes=environment.peak_memory_bytes(),
+        harness_seconds=time.perf_counter() - started - fit[0] - querying[0] - measuring[0] + harness,
+        method_seconds=fit[0] - fit_reading + answers.method_seconds,
+        timing=timing,
+        outcome=result,
+        positives=dataset.positives,
+        top_places=np.concatenate(answers.top_places),
+        top_scores=np.concatenate(answers.top_scores),
+        scores=np.concatenate(answers.kept) if answers.kept else None,
+    )
+
+
+class _Answers:
+    """Collects a method's answers block by block, in bounded memory."""
+
+    def __init__(self, dataset: Dataset, depth: int) -> None:
+        """Keep the best `depth` places of each query, and all scores where they are few."""
+        self._positives = dataset.positives
+        self._depth = min(depth, dataset.n_places)
+        self._shape = (len(dataset.queries), dataset.n_places)
+        self.done = 0
+        self.method_seconds = 0.0
+        self.outcomes: list[Outcome] = []
+        self.top_places: list[npt.NDArray[np.int32]] = []
+        self.top_scores: list[Scores] = []
+        self.kept: list[Scores] = []
+
+    def add(self, scores: Scores, seconds: float) -> None:
+        """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
+        if scores.ndim != 2 or scores.shape[1] != self._shape[1]:
+            raise BadInput(
+                f"the method gave scores of shape {scores.shape}; wanted (n_queries, {self._shape[1]}), a score for "
+                "each place"
+            )
+        self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
+        best = np.argpartition(scores, -self._depth, axis=1)[:, -self._depth :]
+        best.sort(axis=1)  # of equal scores the lower place comes first
+        values = np.take_along_axis(scores, best, axis=1)
+        order = np.argsort(-values, axis=1, kind="stable")
+        self.top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
+        self.top_scores.append(np.take_along_axis(values, order, axis=1))
+        if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
+            self.kept.append(scores)
+        self.done += len(scores)
+        self.method_seconds += seconds
+
+
+def _timed_scores(stopwatch: Stopwatch, method: Method, block: Images) -> tuple[Scores, float]:
+    with stopwatch.lap() as lap:
+        scores = method.query(block)
+    return scores, lap[0]
+
+
+def _read_only(places: Places) -> Places:
+    view = places.view()
+    view.flags.writeable = False
+    return view
+
+
+def _notes(drift: float, timing: Timing, answers: _Answers) -> Iterator[str]:
+    """Yield what a reader of the numbers has to know."""
+    if abs(drift) > _NOISE:
+        yield f"noisy: a fixed computation took {100 * drift:+.0f} % longer after the run than before"
+    if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
+        yield "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
+    if timing.repeated_seconds < _CACHING * float(np.median(timing.streaming.total_seconds)):
+        yield "caching: one image asked again and again is answered much faster than different images"
+    if not _same_answers(timing, answers):
+        yield "audit failed: the timed run gave other answers than the scored run"
+
+
+def _same_answers(timing: Timing, answers: _Answers) -> bool:
+    """Tell whether the places named in the timed run score best in the scored run too."""
+    queries = timing.sample[timing.answers >= 0]
+    named = timing.answers[timing.answers >= 0]
+    places, scores = np.concatenate(answers.top_places)[queries], np.concatenate(answers.top_scores)[queries]
+    close = scores >= scores[:, :1] - _SAME_SCORE * np.abs(scores[:, :1])
+    return bool(((places == named[:, None]) & close).any(axis=1).all())

@@ -1,0 +1,269 @@
+"""The timing protocol: streaming and offline laps of encode and match, measured from outside the method."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import binom
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Method, Scores
+
+Clock = Callable[[], int]  # nanoseconds, monotonic
+Seconds = npt.NDArray[np.float64]
+
+_STEADY_QUERIES = 10
+_STEADY_SPREAD = 0.1
+
+
+def _nothing() -> None:
+    """Synchronise a device that does nothing behind the caller's back."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How long and how often to measure; a part of every record.
+
+    A measurement ends when all three minima are met, or unfinished at `maximum_seconds`: it is then marked invalid.
+    Source: the rules of MLPerf LoadGen (warm-up, minimum duration and count).
+    """
+
+    minimum_seconds: float = 2.0
+    minimum_queries: int = 64  # enough for a 90th percentile; 662 are for a 99th
+    minimum_passes: int = 1  # over the sample of images
+    maximum_seconds: float = 120.0
+    sample: int = 256  # query images held decoded in memory
+    warmup_queries: int = 50  # at most; fewer once the last ten differ by less than 10 %
+    batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])
+
+    def __post_init__(self) -> None:
+        """Check that something will be measured."""
+        if min(self.minimum_queries, self.minimum_passes, self.sample) < 1 or not self.batch_sizes:
+            raise BadInput(
+                f"timing.minimum_queries={self.minimum_queries}, timing.minimum_passes={self.minimum_passes}, "
+                f"timing.sample={self.sample}: all have to be at least 1, and timing.batch_sizes not empty"
+            )
+        if min(self.batch_sizes) < 1 or not 0 <= self.minimum_seconds <= self.maximum_seconds:
+            raise BadInput(
+                f"timing.batch_sizes={self.batch_sizes}, timing.minimum_seconds={self.minimum_seconds}, "
+                f"timing.maximum_seconds={self.maximum_seconds}: batches hold at least one image, and the minimum "
+                "cannot exceed the maximum"
+            )
+
+
+@dataclass(frozen=True)
+class Laps:
+    """Raw times of one scenario, one element per call; `valid` says whether the protocol's minima were met."""
+
+    encode_seconds: Seconds  # (n_calls,)
+    match_seconds: Seconds  # (n_calls,)
+    images_per_call: int
+    valid: bool
+
+    @property
+    def total_seconds(self) -> Seconds:
+        """Encode and match together, (n_calls,)."""
+        return self.encode_seconds + self.match_seconds
+
+
+@dataclass(frozen=True)
+class Timing:
+    """All that was measured of one method's queries."""
+
+    first_query_seconds: float
+    warmup_queries: int
+    streaming: Laps
+    offline: tuple[Laps, ...]  # one per batch size
+    sample: npt.NDArray[np.int64]  # (n_sample,), the queries that were timed
+    answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 where not reached
+    repeated_seconds: float  # median of one image asked again and again: a method that caches is faster there
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A rate with its percentiles; None where the sample is too small to carry one."""
+
+    hz: float
+    p50_seconds: float
+    p90_seconds: float | None
+    p99_seconds: float | None
+
+
+class Stopwatch:
+    """Owns the clock: no method measures itself."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        clock: Clock = time.perf_counter_ns,
+        synchronise: Callable[[], None] = _nothing,
+        seed: int = 0,
+    ) -> None:
+        """Measure by `clock`, with `synchronise` at every boundary; `seed` draws the order of the queries."""
+        self._protocol = protocol
+        self._clock = clock
+        self._synchronise = synchronise
+        self._generator = np.random.default_rng(seed)
+
+    @contextmanager
+    def lap(self) -> Iterator[list[float]]:
+        """Time the block, in seconds appended to the list it yields, the device idle at both ends."""
+        seconds: list[float] = []
+        self._synchronise()
+        start = self._clock()
+        yield seconds
+        self._synchronise()
+        seconds.append((self._clock() - start) / 1e9)
+
+    def measure(self, method: Method, images: Images) -> Timing:
+        """Measure a fitted method on a sample of `images`, decoded beforehand."""
+        count = min(len(images), self._protocol.sample)
+        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
+        sample = images[chosen].in_memory()
+        singles = [sample[np.array([i])] for i in range(count)]
+        with _garbage_kept():
+            first, warmup = self._warm_up(method, singles)
+            streaming, answers = self._stream(method, singles)
+            repeated = self._repeat(method, singles[0])
+            sizes = sorted({min(size, count) for size in self._protocol.batch_sizes})
+            offline = tuple(self._batches(method, sample, size) for size in sizes)
+        return Timing(first, warmup, streaming, offline, chosen, answers, repeated)
+
+    def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
+        """Return the seconds of encode and match, and the scores."""
+        self._synchronise()
+        start = self._clock()
+        codes = method.encode(images)
+        self._synchronise()
+        encoded = self._clock()
+        scores = method.match(codes)
+        self._synchronise()
+        matched = self._clock()
+        return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
+
+    def _warm_up(self, method: Method, singles: Sequence[Images]) -> tuple[float, int]:
+        laps: list[float] = []
+        while len(laps) < self._protocol.warmup_queries:
+            encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
+            laps.append(encode + match)
+            last = laps[-_STEADY_QUERIES:]
+            if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
+                break
+        return laps[0] if laps else float("nan"), len(laps)
+
+    def _stream(self, method: Method, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+        encodes: list[float] = []
+        matches: list[float] = []
+        answers = np.full(len(singles), -1)
+        started = self._clock()
+        while not (finished := self._finished(len(encodes), len(singles), started)) and not self._late(started):
+            order = self._generator.permutation(len(singles)).tolist()
+            for query in order:
+                encode, match, scores = self._call(method, singles[query])
+                encodes.append(encode)
+                matches.append(match)
+                answers[query] = int(scores[0].argmax())
+                if self._late(started):
+                    break
+        return Laps(np.array(encodes), np.array(matches), 1, finished), answers
+
+    def _repeat(self, method: Method, single: Images) -> float:
+        laps = [sum(self._call(method, single)[:2]) for _ in range(self._protocol.minimum_queries)]
+        return float(np.median(laps))
+
+    def _batches(self, method: Method, sample: Images, size: int) -> Laps:
+        starts = range(0, len(sample) - size + 1, size)  # whole batches only
+        batches = [sample[start : start + size] for start in starts]
+        encodes: list[float] = []
+        matches: list[float] = []
+        self._call(method, batches[0])
+        started = self._clock()
+        while not (finished := self._finished(len(encodes) * size, len(sample), started)):
+            encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
+            encodes.append(encode)
+            matches.append(match)
+            if self._late(started):
+                break
+        return Laps(np.array(encodes), np.array(matches), size, finished)
+
+    def _finished(self, queries: int, per_pass: int, started: int) -> bool:
+        protocol = self._protocol
+        long_enough = (self._clock() - started) / 1e9 >= protocol.minimum_seconds
+        return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
+
+    def _late(self, started: int) -> bool:
+        return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds
+
+
+def streaming_rate(seconds: Seconds) -> Rate:
+    """Return 1 / median of single-query times, with upper 99 % bounds of p90 and p99 where the count allows them."""
+    return Rate(
+        1 / float(np.median(seconds)),
+        float(np.median(seconds)),
+        percentile_bound(seconds, 0.9),
+        percentile_bound(seconds, 0.99),
+    )
+
+
+def offline_rate(seconds: Seconds, images_per_call: int) -> float:
+    """Return images per second over all calls."""
+    return images_per_call * len(seconds) / float(seconds.sum())
+
+
+def best_batch(offline: Sequence[Laps]) -> Laps:
+    """Return the laps of the batch size with the highest total rate."""
+    return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))
+
+
+def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
+    """Return the upper bound of a percentile at `confidence`, from order statistics; None if there are too few laps.
+
+    At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at
+    least one has to, so that a p90 needs 64 laps and a p99 662. Source: MLPerf LoadGen, sample counts.
+    """
+    allowed = int(binom.ppf(1 - confidence, len(seconds), 1 - share)) - 1 if len(seconds) else -1
+    if allowed >= -1 and binom.cdf(allowed + 1, len(seconds), 1 - share) <= 1 - confidence:
+        allowed += 1
+    if allowed < 1:
+        return None
+    return float(np.sort(seconds)[::-1][allowed])
+
+
+def synchroniser(device: str) -> Callable[[], None]:
+    """Return what waits until `device` has nothing left to do."""
+    if not device.startswith("cuda"):
+        return _nothing
+    import torch
+
+    return lambda: torch.cuda.synchronize(device)
+
+
+@contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Keep the garbage collector out of the timed window."""
+    gc.collect()
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def plain(timing: Timing) -> dict[str, Any]:
+    """Return what is no array in a timing, for a record."""
+    return {
+        "first_query_seconds": timing.first_query_seconds,
+        "warmup_queries": timing.warmup_queries,
+        "repeated_seconds": timing.repeated_seconds,
+        "streaming_valid": timing.streaming.valid,
+        "offline": [{"images_per_call": laps.images_per_call, "valid": laps.valid} for laps in timing.offline],
+    }

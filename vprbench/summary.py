@@ -1,0 +1,76 @@
+"""The numbers of one run that people ask for first, computed from its record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vprbench.intervals import wilson
+from vprbench.metrics import auc, average_precision, hits_at, pr_curve, recall_at
+from vprbench.records import Run
+from vprbench.stopwatch import best_batch, offline_rate, streaming_rate
+
+RECALLS = (1, 5, 10, 25)
+
+
+@dataclass(frozen=True)
+class StageRates:
+    """Images per second of each stage, and of both together."""
+
+    encode: float
+    match: float
+    total: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Accuracy and speed of one run; recalls are shares of all queries, expected values under ties."""
+
+    recalls: dict[int, float | None]  # None where no query has a right place
+    recall_at_1_low: float | None  # Wilson, 95 %
+    recall_at_1_high: float | None
+    recall_at_1_answerable: float | None  # of the queries that have a right place
+    recall_at_1_pessimistic: float | None  # ties broken against the method
+    recall_at_1_optimistic: float | None
+    hangs_on_ties: bool  # these two differ by more than half a point
+    auc_pr: float | None  # PR-A, trapezoid
+    average_precision: float | None  # PR-A, step sum
+    streaming: StageRates
+    streaming_p90_seconds: float | None  # of the total, upper 99 % bound
+    streaming_p99_seconds: float | None
+    offline: StageRates
+    offline_batch: int  # images per call in the fastest batch size
+
+
+def summarise(run: Run) -> Summary:
+    """Compute a run's summary."""
+    everything = {n: recall_at(run.outcome, n) for n in RECALLS}
+    first = everything[1]
+    answerable = recall_at(run.outcome, 1, "answerable")
+    hits = hits_at(run.outcome, 1)
+    interval = wilson(float(hits.sum()), len(hits)) if first else None
+    curve = pr_curve(run.outcome, "A")
+    streaming = run.timing.streaming
+    batch = best_batch(run.timing.offline)
+    total = streaming_rate(streaming.total_seconds)
+    return Summary(
+        recalls={n: recall.expected if recall else None for n, recall in everything.items()},
+        recall_at_1_low=interval.low if interval else None,
+        recall_at_1_high=interval.high if interval else None,
+        recall_at_1_answerable=answerable.expected if answerable else None,
+        recall_at_1_pessimistic=first.pessimistic if first else None,
+        recall_at_1_optimistic=first.optimistic if first else None,
+        hangs_on_ties=first.hangs_on_ties if first else False,
+        auc_pr=auc(curve) if curve else None,
+        average_precision=average_precision(curve) if curve else None,
+        streaming=StageRates(
+            streaming_rate(streaming.encode_seconds).hz, streaming_rate(streaming.match_seconds).hz, total.hz
+        ),
+        streaming_p90_seconds=total.p90_seconds,
+        streaming_p99_seconds=total.p99_seconds,
+        offline=StageRates(
+            offline_rate(batch.encode_seconds, batch.images_per_call),
+            offline_rate(batch.match_seconds, batch.images_per_call),
+            offline_rate(batch.total_seconds, batch.images_per_call),
+        ),
+        offline_batch=batch.images_per_call,
+    )

@@ -1,0 +1,169 @@
+"""Stored runs as rows of numbers for people: Markdown and CSV."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import pandas as pd
+
+from vprbench.interface import BadInput
+from vprbench.records import Failure, Run
+from vprbench.summary import RECALLS, StageRates, Summary, summarise
+
+NOTHING = "-"
+
+_LEGEND = (
+    "R@N: share of all queries with a right place among the best N, expected value under ties; interval: Wilson, 95 %. "
+    "AUC-PR (A): recall over all answerable queries, trapezoid. Rates: images in memory; streaming is one image at a "
+    "time (1 / median), offline the best batch size (images / time); enc needs no map, match scores all places. "
+    "fit: wall time, reading the images included."
+)
+
+
+def label(run: Run | Failure) -> str:
+    """Return a method's name with the arguments that were asked for."""
+    asked = [text.removeprefix("method.") for text in run.config["overrides"] if text.startswith("method.")]
+    return " ".join([run.method, *asked])
+
+
+def readable_row(run: Run) -> dict[str, str]:
+    """Return one run as a row of text."""
+    summary = summarise(run)
+    return {
+        "method": label(run),
+        "R@1 % [95 %]": _recall_with_interval(summary),
+        **{f"R@{n} %": _percent(summary.recalls[n]) for n in RECALLS[1:]},
+        "AUC-PR (A)": _number(summary.auc_pr),
+        "fit s": f"{run.fit_seconds:.1f}",
+        "streaming Hz enc/match/total": _rates(summary.streaming),
+        "offline Hz enc/match/total": f"{_rates(summary.offline)} (batch {summary.offline_batch})",
+        "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
+    }
+
+
+def failed_row(failure: Failure) -> dict[str, str]:
+    """Return a run that failed as a row that says so."""
+    return {"method": label(failure), "R@1 % [95 %]": f"failed: {failure.error}"}
+
+
+def markdown(rows: Sequence[dict[str, str]]) -> str:
+    """Return rows of text as a Markdown table; what a row lacks is a dash."""
+    return str(pd.DataFrame(rows).fillna(NOTHING).to_markdown(index=False, disable_numparse=True))
+
+
+def plain_row(row: dict[str, str]) -> str:
+    """Return one row of text with its head, aligned for a terminal."""
+    widths = {name: max(len(name), len(value)) for name, value in row.items()}
+    head = "  ".join(name.ljust(widths[name]) for name in row)
+    return f"{head}\n" + "  ".join(value.ljust(widths[name]) for name, value in row.items())
+
+
+def numbers(run: Run) -> dict[str, float | int | None]:
+    """Return one run as unrounded numbers, under names that hold their unit."""
+    summary = summarise(run)
+    return {
+        **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
+        "recall_at_1_low": summary.recall_at_1_low,
+        "recall_at_1_high": summary.recall_at_1_high,
+        "recall_at_1_answerable": summary.recall_at_1_answerable,
+        "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
+        "recall_at_1_optimistic": summary.recall_at_1_optimistic,
+        "auc_pr_a": summary.auc_pr,
+        "average_precision_a": summary.average_precision,
+        "fit_seconds": run.fit_seconds,
+        "fit_compute_seconds": run.fit_compute_seconds,
+        **_named_rates("streaming", summary.streaming),
+        "streaming_p90_seconds": summary.streaming_p90_seconds,
+        "streaming_p99_seconds": summary.streaming_p99_seconds,
+        **_named_rates("offline", summary.offline),
+        "offline_batch": summary.offline_batch,
+        "peak_memory_bytes": run.peak_memory_bytes,
+        "harness_seconds": run.harness_seconds,
+        "method_seconds": run.method_seconds,
+        "queries": len(run.outcome),
+        "places": run.outcome.n_places,
+    }
+
+
+def csv(results: Sequence[Run | Failure]) -> str:
+    """Return runs as CSV, one line each, unrounded; a failed one has its error and no numbers."""
+    lines = []
+    for result in results:
+        line: dict[str, object] = {"method": label(result), "dataset": result.dataset}
+        line |= {"error": result.error} if isinstance(result, Failure) else {"error": "", **numbers(result)}
+        lines.append(line)
+    return str(pd.DataFrame(lines).to_csv(index=False))
+
+
+def table_text(results: Sequence[Run | Failure]) -> str:
+    """Return runs of one protocol as Markdown, with what was asked and on which machine.
+
+    Raises BadInput for runs of several protocols, which belong in no common table.
+    """
+    runs = [result for result in results if isinstance(result, Run)]
+    rows = [readable_row(result) if isinstance(result, Run) else failed_row(result) for result in results]
+    lines = [markdown(rows), ""]
+    if runs:
+        if len({(run.dataset, run.fingerprint, json.dumps(dict(run.protocol), sort_keys=True)) for run in runs}) > 1:
+            raise BadInput(
+                "these runs follow different protocols; make a table of each: " + ", ".join(map(label, runs))
+            )
+        lines += [f"Data: {protocol_line(runs[0])}.", ""]
+        if runs[0].dataset == "synthetic":
+            lines += ["The embedded journey is rendered; it stands in for real frames and replaces none.", ""]
+        lines += [f"Machine: {machine}." for machine in dict.fromkeys(map(machine_line, runs))]
+        lines += ["", _LEGEND]
+        lines += [f"\nNote on {label(run)}: {note}." for run in runs for note in run.notes]
+    return "\n".join(lines) + "\n"
+
+
+def protocol_line(run: Run) -> str:
+    """Return in one line what was asked of which places."""
+    chosen = ", ".join(f"{name} {_plain(value)}" for name, value in run.protocol.items())
+    return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen})"
+
+
+def machine_line(run: Run) -> str:
+    """Return in one line what the times were measured on."""
+    surroundings = run.environment
+    accelerator = f", {surroundings['accelerator']}" if "accelerator" in surroundings else ""
+    return (
+        f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores{accelerator}, "
+        f"torch {surroundings['libraries']['torch']}, {surroundings['time_utc'][:10]}"
+    )
+
+
+def _recall_with_interval(summary: Summary) -> str:
+    if summary.recall_at_1_low is None or summary.recall_at_1_high is None:
+        return "undefined (no query has a right place)"
+    interval = f"[{100 * summary.recall_at_1_low:.1f}, {100 * summary.recall_at_1_high:.1f}]"
+    return f"{_percent(summary.recalls[1])} {interval}{' ties!' if summary.hangs_on_ties else ''}"
+
+
+def _percent(share: float | None) -> str:
+    return NOTHING if share is None else f"{100 * share:.1f}"
+
+
+def _number(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.3f}"
+
+
+def _rates(rates: StageRates) -> str:
+    return " / ".join(_hz(rate) for rate in (rates.encode, rates.match, rates.total))
+
+
+def _hz(rate: float) -> str:
+    return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
+
+
+def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:
+    return {
+        f"{scenario}_encode_hz": rates.encode,
+        f"{scenario}_match_hz": rates.match,
+        f"{scenario}_total_hz": rates.total,
+    }
+
+
+def _plain(value: object) -> str:
+    return "+".join(map(str, value)) if isinstance(value, list) else str(value)
