@@ -133,7 +133,7 @@ def test_the_protocol_says_everything_that_was_selected():
         "query": "winter",
         "first_query_place": 5,
         "query_places": 7,
-        "tolerance": 1,
+        "tolerance_places": 1,
         "seed": 3,
         "width": 160,
         "height": 90,

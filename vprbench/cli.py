@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -86,13 +87,15 @@ def _run_or_sweep(arguments: list[str]) -> int:
     """Let Hydra compose the configuration, then run it, or each of its combinations in a process of its own."""
     _check_names(arguments)
     codes: list[int] = []
+    errors: list[Exception] = []
 
     @hydra.main(version_base="1.3", config_path="pkg://vprbench.conf", config_name="run")
     def task(config: DictConfig) -> None:
-        if HydraConfig.get().mode == RunMode.MULTIRUN:
-            codes.append(_run_in_process(list(HydraConfig.get().overrides.task)))
-        else:
-            codes.append(_run(config))
+        try:
+            sweeping = HydraConfig.get().mode == RunMode.MULTIRUN
+            codes.append(_run_in_process(HydraConfig.get().overrides.task) if sweeping else _run(config))
+        except Exception as error:  # Hydra would print lines of its own; it is raised again below
+            errors.append(error)
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
@@ -101,6 +104,8 @@ def _run_or_sweep(arguments: list[str]) -> int:
         task()
     finally:
         sys.argv = kept
+    if errors:
+        raise errors[0]
     return max(codes, default=0)
 
 
@@ -124,15 +129,27 @@ def _run(config: DictConfig) -> int:
         return _answer(choices["method"], asked, settings, store)
     except Exception as error:
         text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-        if not isinstance(error, BadInput) or os.environ.get(_IN_SWEEP):
-            if not isinstance(error, BadInput | TrainingDivergedError):
-                traceback.print_exc()
-            name = asked["dataset"].get("name", choices["dataset"])
-            store.root.mkdir(parents=True, exist_ok=True)
-            store.save_failure(Failure(choices["method"], name, asked, text.splitlines()[0]))
+        failure = Failure(
+            choices["method"], asked["dataset"].get("name", choices["dataset"]), asked, text.splitlines()[0]
+        )
+        if os.environ.get(_IN_SWEEP):
+            _record(failure, store, settings.output)
         if isinstance(error, BadInput):
             raise
-        return _complain(f"{choices['method']} failed: {text.splitlines()[0]}", 1)
+        if not isinstance(error, TrainingDivergedError):
+            traceback.print_exc()
+        if not os.environ.get(_IN_SWEEP):
+            _record(failure, store, "row")
+        return _complain(f"{failure.method} failed: {failure.error}", 1)
+
+
+def _record(failure: Failure, store: Store, output: str) -> None:
+    """Store a failure; in a sweep that reads JSON, say it there too."""
+    with contextlib.suppress(OSError):  # the error itself is told in any case
+        store.root.mkdir(parents=True, exist_ok=True)
+        store.save_failure(failure)
+    if output == "json":
+        print(json.dumps({"method": failure.method, "dataset": failure.dataset, "error": failure.error}))
 
 
 def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
@@ -210,23 +227,14 @@ def _child(overrides: Sequence[str], stdout: int | None = None) -> subprocess.Co
 def _table(options: list[str]) -> int:
     """Run the rows of conf/table.yaml, each in a process of its own, and write the table."""
     from vprbench import tables
-    from vprbench.records import Failure, load, replace_text
+    from vprbench.records import Failure, replace_text
 
     _check_names(options)
     if any(option.split("=")[0] in ("output", "method") for option in options):
         raise BadInput("the table chooses method and output itself: change conf/table.yaml for other rows")
     results = Path(next((o.split("=", 1)[1] for o in options if o.startswith("results=")), "results"))
     rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]
-    outcomes: list[Run | Failure] = []
-    for row in rows:
-        overrides = [*row, *options, "output=json"]
-        child = _child(overrides, stdout=subprocess.PIPE)
-        if child.returncode == 2 and not outcomes and len(rows) > 1 and not child.stdout:
-            return 2  # input that every row shares, and that was named already
-        if child.returncode == 0:
-            outcomes.append(load(Path(json.loads(child.stdout)["run_folder"])))
-        else:
-            outcomes.append(_ended(row, child.returncode))
+    outcomes = [_table_cell(row, [*options, "output=json"]) for row in rows]
     text = tables.table_text(outcomes)
     results.mkdir(parents=True, exist_ok=True)
     for name, content in (("table.md", text), ("table.csv", tables.csv(outcomes))):
@@ -234,6 +242,19 @@ def _table(options: list[str]) -> int:
     print(text, end="")
     print(f"\nwritten to {results / 'table.md'} and {results / 'table.csv'}")
     return 1 if any(isinstance(outcome, Failure) for outcome in outcomes) else 0
+
+
+def _table_cell(row: Sequence[str], options: Sequence[str]) -> Run | Failure:
+    """Run one row of the table, or find it in the store; what ends without a result is a row too."""
+    from vprbench.records import Failure, load
+
+    child = _child([*row, *options], stdout=subprocess.PIPE)
+    answer = json.loads(child.stdout) if child.stdout.strip() else {}
+    if child.returncode == 0:
+        return load(Path(answer["run_folder"]))
+    name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
+    ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "the message is above"
+    return Failure(name, answer.get("dataset", ""), {"overrides": list(row)}, answer.get("error", ending))
 
 
 def _list(options: list[str]) -> int:
@@ -341,14 +362,6 @@ def _known_options(group: str, arguments: Sequence[str]) -> list[str]:
     chosen = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), default).split(",")[0]
     entry = registry.entries("method" if group == "method" else "dataset")[chosen]
     return [name for name in yaml.safe_load(entry.path.read_text(encoding="utf-8")) if name != "_target_"]
-
-
-def _ended(row: Sequence[str], code: int) -> Failure:
-    from vprbench.records import Failure
-
-    how = f"ended by signal {-code}" if code < 0 else "see the message above"
-    name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
-    return Failure(name, "", {"overrides": list(row)}, how)
 
 
 def _complain(message: str, code: int = 2) -> int:

@@ -17,8 +17,9 @@ _STEPS = 1000  # resolution of the bar
 
 
 @contextmanager
-def progress_shown(title: str, stream: TextIO = sys.stderr) -> Iterator[None]:
-    """Show what is reported inside the block, with the stage and the time left."""
+def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
+    """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
+    stream = sys.stderr if stream is None else stream
     if stream.isatty():
         with _Bar(title, stream) as bar, listening(bar.show):
             yield

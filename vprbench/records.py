@@ -281,7 +281,7 @@ def _from_parts(
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     with path.open("x", encoding="utf-8") as file:
-        json.dump(content, file, indent=1, sort_keys=True)
+        json.dump(content, file, indent=1)
         file.flush()
         os.fsync(file.fileno())
 

@@ -106,7 +106,7 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
 def near(name: str, known: Iterable[str]) -> str:
     """Return the part of an error message that says what is known, the nearest names first."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, n=3)
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
@@ -180,4 +180,5 @@ def checked(option: str, value: Any, hint: Any) -> Any:
 
 
 def _wanted(problem: Mapping[str, Any]) -> str:
-    return str(problem["msg"]).replace("Input should be", "wanted").replace("a valid ", "a ")
+    text = str(problem["msg"]).replace("Input should be", "wanted")
+    return text.replace("a valid integer", "an integer").replace("a valid ", "a ")

@@ -81,7 +81,7 @@ def synthetic(
             "query": query,
             "first_query_place": first,
             "query_places": count,
-            "tolerance": tolerance,
+            "tolerance_places": tolerance,
             "seed": seed,
             "width": WIDTH,
             "height": HEIGHT,

@@ -1,0 +1,1 @@
+"""A method for vprbench in a package of its own."""

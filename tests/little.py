@@ -1,0 +1,194 @@
+"""A method, a dataset and a stored run small enough to work by hand, and what other processes do to a store."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, Image, Method, Places, Scores
+from vprbench.ranking import Outcome
+from vprbench.records import Run, Store
+from vprbench.stopwatch import Laps, Timing
+
+
+def picture(number: int) -> Image:
+    """Return an image that carries `number`, 0 to 65535, in its first pixel."""
+    image = np.full((3, 4, 3), 100, np.uint8)
+    image[0, 0, :2] = divmod(number, 256)
+    return image
+
+
+def number_in(image: Image) -> int:
+    return int(image[0, 0, 0]) * 256 + int(image[0, 0, 1])
+
+
+def pictures(numbers: Sequence[int]) -> Images:
+    return Images.from_arrays([picture(number) for number in numbers])
+
+
+def numbers_in(images: Images) -> list[int]:
+    return [number_in(image) for image in images]
+
+
+@dataclass
+class Lookup(Method):
+    """Answers query number i with row i of a table of scores."""
+
+    table: Scores  # (n_queries, n_places)
+    asked: list[list[int]] = field(default_factory=list)  # the numbers of the images of each call
+
+    def fit(self, references: Images, places: Places) -> Self:
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        numbers = numbers_in(images)
+        self.asked.append(numbers)
+        return np.array(numbers)
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        return self.table[codes]
+
+
+def journey(n_queries: int, n_places: int, positives: Sequence[Sequence[int]] | None = None) -> Dataset:
+    """Return a dataset whose query i is picture(i); unless told otherwise its right place is i modulo n_places."""
+    right = [[i % n_places] for i in range(n_queries)] if positives is None else positives
+    return Dataset(
+        name="journey",
+        references=pictures(range(n_places)),
+        places=np.arange(n_places),
+        queries=pictures(range(n_queries)),
+        positives=tuple(np.array(row, np.int64) for row in right),
+        protocol={"queries": "dusk", "tolerance_places": 0},
+    )
+
+
+def slow_pictures(count: int, seconds: float, sleep: Callable[[float], None]) -> Images:
+    """Return images each of which takes `seconds` to read."""
+
+    def read(i: int) -> Image:
+        sleep(seconds)
+        return picture(i)
+
+    return Images(read, [f"{i}.png" for i in range(count)])
+
+
+def laps(encode_seconds: Sequence[float], match_seconds: Sequence[float], images_per_call: int = 1) -> Laps:
+    return Laps(np.array(encode_seconds), np.array(match_seconds), images_per_call, True)
+
+
+def a_run(**changes: Any) -> Run:
+    """Return a run of four queries and ten places; its right places stand 1st, 1st, 3rd and 8th.
+
+    Streaming takes 10 ms to encode and 2.5 ms to match; a batch of eight takes 40 ms and 10 ms.
+    """
+    rows = np.arange(4)
+    run = Run(
+        method="little",
+        dataset="journey",
+        key="0123456789abcdef",
+        config={
+            "method": {"_target_": "little.Lookup", "window": 5},
+            "dataset": {"name": "journey"},
+            "seed": 3,
+            "device": "cpu",
+            "depth": 2,
+            "overrides": ["method=little", "dataset=journey", "method.window=5", "seed=3"],
+        },
+        protocol={"reference": ["spring", "fall"], "query": "summer", "tolerance_places": 0},
+        fingerprint="f" * 64,
+        environment={
+            "processor": "Abacus 9",
+            "threads": 1,
+            "cores": 2,
+            "libraries": {"torch": "2.6.0"},
+            "time_utc": "2025-01-31T12:00:00Z",
+            "load_average": [0.5, 0.25, 0.125],
+            "git": None,
+        },
+        notes=("noisy: two carts passed", "ünïcode"),
+        n_references=20,
+        fit_seconds=12.34,
+        fit_compute_seconds=11.5,
+        peak_memory_bytes=512_000_000,
+        harness_seconds=0.125,
+        method_seconds=11.75,
+        timing=Timing(
+            first_query_seconds=0.5,
+            warmup_queries=11,
+            streaming=laps([0.010] * 5, [0.0025] * 5),
+            offline=(laps([0.010] * 4, [0.0025] * 4), laps([0.040] * 3, [0.010] * 3, images_per_call=8)),
+            sample=np.arange(4),
+            answers=np.array([0, 1, 9, -1]),
+            repeated_seconds=0.0125,
+        ),
+        outcome=Outcome(
+            best_score=np.array([0.9, 0.8, 0.7, 0.6], np.float32),
+            top_tied=np.ones(4, np.int64),
+            top_tied_correct=np.array([1, 1, 0, 0]),
+            above=np.array([0, 0, 2, 7]),
+            tied=np.ones(4, np.int64),
+            tied_correct=np.ones(4, np.int64),
+            n_positives=np.array([1, 2, 1, 1]),
+            n_places=10,
+        ),
+        positives=tuple(np.array(right, np.int64) for right in ([0], [1, 5], [2], [3])),
+        top_places=np.array([[0, 4], [1, 5], [9, 8], [7, 6]], np.int32),
+        top_scores=np.array([[0.9, 0.1], [0.8, 0.2], [0.7, 0.3], [0.6, 0.4]], np.float32),
+        scores=(rows[:, None] * 10 + np.arange(10)).astype(np.float32),
+    )
+    return replace(run, **changes)
+
+
+def unanswerable_run() -> Run:
+    """Return a run of four queries of which none has a right place."""
+    nothing = np.zeros(4, np.int64)
+    return a_run(
+        positives=(np.empty(0, np.int64),) * 4,
+        outcome=replace(
+            a_run().outcome,
+            top_tied_correct=nothing,
+            above=np.full(4, 10),
+            tied=nothing,
+            tied_correct=nothing,
+            n_positives=nothing,
+        ),
+    )
+
+
+def save_keys(root: Path, keys: Sequence[str]) -> int:
+    """Save a run under each key, as one of several processes; returns how many were saved."""
+    for key in keys:
+        Store(root).save(a_run(key=key))
+    return len(keys)
+
+
+def save_forever(root: Path, started: Path) -> None:
+    """Save runs, every third time under a key that exists, until somebody ends this process."""
+    store = Store(root)
+    store.save(a_run(key="first"))
+    started.touch()
+    number = 0
+    while True:
+        store.save(a_run(key="again" if number % 3 == 0 else f"number{number % 50}", n_references=number))
+        number += 1
+
+
+def save_where_no_file_may_exceed(root: Path, limit_bytes: int) -> str:
+    """Try to save a run whose scores fill 400 kB where the system refuses longer files; returns the complaint."""
+    noise = np.random.default_rng(0).random((1000, 100), np.float32)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        Store(root).save(a_run(n_references=21, scores=noise))
+    except BadInput as error:
+        return str(error)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    return ""

@@ -1,0 +1,310 @@
+"""The command line: what it prints, what it stores, and one clear line with exit code 2 for bad input."""
+
+from __future__ import annotations
+
+import errno
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench import registry
+from vprbench.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+QUICK = [
+    "dataset.places=12",
+    "dataset.first_query_place=0",
+    "timing.minimum_seconds=0",
+    "timing.sample=4",
+    "timing.minimum_queries=4",
+    "timing.batch_sizes=[1,4]",
+]
+KEYS = {
+    *("recall_at_1", "recall_at_5", "recall_at_10", "recall_at_25", "recall_at_1_low", "recall_at_1_high"),
+    *("fit_seconds", "streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
+    *("offline_encode_hz", "offline_match_hz", "offline_total_hz", "peak_memory_bytes", "from_store", "run_folder"),
+}
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run what must be refused; return the one line about it, after lines of progress."""
+    code = main(arguments)
+    captured = capsys.readouterr()
+    assert code == 2, captured.err
+    assert captured.out == ""
+    lines = captured.err.strip().splitlines()
+    assert lines[-1].startswith("vprbench: ")
+    assert not any(line.startswith("Traceback") for line in lines)
+    assert not list(Path().rglob("run.json"))
+    assert not list(Path().rglob(".partial-*"))
+    return lines[-1]
+
+
+def frames(folder: Path, count: int, size: tuple[int, int] = (16, 12), mode: str = "RGB") -> Path:
+    folder.mkdir(parents=True)
+    generator = np.random.default_rng(len(str(folder)))
+    for number in range(count):
+        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
+        image.convert(mode).save(folder / f"{number}.png")
+    return folder
+
+
+def own_frames(references: Path, queries: Path) -> list[str]:
+    return ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *QUICK[2:]]
+
+
+def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert set(row) >= KEYS
+
+
+def test_a_repeated_run_answers_from_the_store(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = []
+    for _ in range(2):
+        main(["method=sad", *QUICK, "output=json"])
+        rows.append(json.loads(capsys.readouterr().out))
+    assert [row.pop("from_store") for row in rows] == [False, True]
+    assert rows[0] == rows[1]
+
+
+def test_force_runs_again_although_the_answer_is_stored(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    capsys.readouterr()
+    assert main(["method=sad", *QUICK, "output=json", "force=true"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is False
+
+
+def test_the_row_names_recall_interval_rates_memory_and_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    printed = capsys.readouterr().out
+    assert re.search(r"R@1 % \[95 %\]", printed)
+    assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed)
+    assert "streaming Hz enc/match/total" in printed
+    assert "offline Hz enc/match/total" in printed
+    assert "peak MB" in printed
+    assert "stored in results/synthetic/sad-" in printed
+
+
+def test_a_run_from_the_store_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    capsys.readouterr()
+    main(["method=sad", *QUICK])
+    assert "from the store: results/synthetic/sad-" in capsys.readouterr().out
+
+
+def test_progress_goes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    assert "sad on synthetic: fit" in capsys.readouterr().err
+
+
+def test_nothing_but_the_results_folder_is_made() -> None:
+    main(["method=sad", *QUICK])
+    assert [path.name for path in Path().iterdir()] == ["results"]
+
+
+def test_a_sweep_runs_every_combination_and_survives_a_failing_cell() -> None:
+    options = [*QUICK, "method.patch=3,4", "dataset.seed=0,1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "vprbench", "-m", "method=sad", *options],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(list(Path().rglob("run.json"))) == 2
+    failures = [json.loads(path.read_text()) for path in Path().rglob("failure.json")]
+    assert len(failures) == 2
+    assert all("method.patch=4" in failure["error"] for failure in failures)
+
+
+def test_list_shows_methods_and_datasets_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 0
+    printed = capsys.readouterr().out
+    for group in ("method", "dataset"):
+        for name, entry in registry.entries(group).items():  # type: ignore[arg-type]
+            assert entry.description
+            assert re.search(rf"^  {name} +{re.escape(entry.description)}$", printed, re.MULTILINE)
+
+
+def test_list_shows_a_broken_method_with_its_reason(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "method").mkdir()
+    (tmp_path / "method" / "needy.yaml").write_text("# Needs something\n_target_: not_installed_library.Method\n")
+    known = registry.conf_folders()
+    monkeypatch.setattr(registry, "conf_folders", lambda: {**known, "needy": tmp_path})
+    assert main(["list"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"needy +BROKEN: .*not_installed_library", printed)
+    assert re.search(r"sad +Sum of", printed)
+
+
+def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "method=sad"]) == 0
+    assert "12 rules: 12 kept, 0 excepted, 0 broken" in capsys.readouterr().out
+
+
+def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"vprbench {command}" in printed for command in ("method=", "-m", "table", "list", "check"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo?"),
+        (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
+        (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad?"),
+        (["method.pach=5"], "option method.pach is unknown: did you mean patch?"),
+        (["method=vprtempo", "method.max_modul=5"], "option method.max_modul is unknown: did you mean max_module?"),
+        (["dataset.placs=5"], "option dataset.placs is unknown: did you mean places"),
+        (["timing.minimum_second=5"], "option timing.minimum_second is unknown: did you mean minimum_seconds"),
+        (["thread=1"], "option thread is unknown: did you mean threads?"),
+        (["method.patch=seven"], "method.patch=seven: wanted an integer"),
+        (["method.patch=6.5"], "method.patch=6.5: wanted an integer"),
+        (["method.preprocessing=D"], "method.preprocessing=D: wanted 'A', 'B' or 'C'"),
+        (["method.patch=6", *QUICK], "method.patch=6: the window needs a centre"),
+        (["seed=x"], "seed=x: wanted an integer"),
+        (["force=perhaps"], "force=perhaps: wanted a boolean"),
+        (["output=xml"], "output=xml: wanted 'row' or 'json'"),
+        (["device=tpu"], "device=tpu is unknown: give cpu, cuda or cuda:1"),
+        (["threads=9999"], "threads=9999: this process may use 1 to"),
+        (["depth=0"], "depth=0: keep at least the best place"),
+        (["timing.sample=0"], "timing.sample=0: all have to be at least 1"),
+        (["dataset=nordland"], "dataset.root is not set: nordland needs the folder that holds the seasons"),
+        (["dataset=nordland", "dataset.root=/nowhere"], "dataset.root=/nowhere is no folder"),
+        (["dataset.places=5"], "dataset.places=5"),
+        (["dataset.query_places=0"], "dataset.query_places=0"),
+        (["method=vprtempo", *QUICK], "12 places are fewer than one module of method.max_module=1100"),
+        (["check"], "check needs method=NAME"),
+        (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),
+        (["list", "everything"], "list takes no options"),
+        (["table", "method=sad"], "the table chooses method and output itself"),
+    ],
+    ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
+)
+def test_bad_options_get_one_clear_line(arguments: list[str], wanted: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert wanted in refused(arguments, capsys)
+
+
+def test_missing_frames_are_counted_and_the_first_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for season in ("spring", "fall", "summer"):
+        frames(Path(season), 2)
+        Path(season, "0.png").rename(Path(season, "images-00202.png"))
+    line = refused(["dataset=nordland", "dataset.root=."], capsys)
+    assert "images-07029.png is missing from summer (2700 of 2700 expected frames are missing" in line
+
+
+def test_a_truncated_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    whole = (queries / "2.png").read_bytes()
+    (queries / "2.png").write_bytes(whole[: len(whole) // 2])
+    assert "queries/2.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
+
+
+def test_a_file_that_is_no_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    (references / "1.png").write_text("not an image")
+    assert "references/1.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
+
+
+def test_queries_without_a_match_are_counted_and_the_first_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(own_frames(frames(Path("references"), 3), frames(Path("queries"), 5)), capsys)
+    assert "2 of 5 queries have no reference within 0 places (first: queries/3.png)" in line
+
+
+def test_images_of_differing_sizes_grey_or_with_alpha_are_accepted() -> None:
+    frames(Path("references"), 3)
+    frames(Path("more"), 2, (30, 20), "L")
+    frames(Path("alpha"), 1, (24, 24), "RGBA")
+    Path("more/0.png").rename("references/3.png")
+    Path("more/1.png").rename("references/4.png")
+    Path("alpha/0.png").rename("references/5.png")
+    assert main(own_frames(Path("references"), frames(Path("queries"), 6))) == 0
+
+
+def test_an_all_black_image_is_accepted(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    for folder in (references, queries):
+        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
+    assert main([*own_frames(references, queries), "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["queries"] == 4
+
+
+def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("file").write_text("no folder")
+    assert "results=file/inside cannot be written" in refused(["results=file/inside", *QUICK], capsys)
+
+
+def test_what_a_full_disk_refuses_is_still_shown(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    assert main(["method=sad", *QUICK, "output=json"]) == 2
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["run_folder"] is None
+    assert "could not be stored" in captured.err
+    assert "No space left on device" in captured.err
+    assert not list(Path("results").rglob("*.*"))
+
+
+def test_a_damaged_record_is_named_set_aside_and_run_again(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    main(["method=sad", *QUICK, "output=json"])
+    folder = Path(json.loads(capsys.readouterr().out)["run_folder"])
+    (folder / "arrays.npz").write_bytes(b"damaged")
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is False
+    assert f"{folder} is damaged" in caplog.text
+    assert len(list(folder.parent.glob(f".damaged-{folder.name}-*"))) == 1
+
+
+def test_a_method_that_fails_ends_with_code_1_and_is_recorded(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vprbench.methods.sad import SAD
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("the method's own trouble")
+
+    monkeypatch.setattr(SAD, "match", fail)
+    assert main(["method=sad", *QUICK]) == 1
+    assert "vprbench: sad failed: RuntimeError: the method's own trouble" in capsys.readouterr().err
+    (failure,) = Path("results").rglob("failure.json")
+    assert json.loads(failure.read_text())["error"] == "RuntimeError: the method's own trouble"
+
+
+def test_the_table_holds_its_rows_as_markdown_and_csv() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "vprbench", "table", *QUICK, "results=here"],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    text = Path("here/table.md").read_text()
+    assert text in done.stdout
+    assert re.search(r"^\| sad +\| \d+\.\d \[", text, re.MULTILINE)
+    assert re.search(r"^\| vprtempo rules=reference +\| failed: 12 places are fewer", text, re.MULTILINE)
+    assert Path("here/table.csv").read_text().count("\n") == 4
+    assert done.returncode == 1

@@ -1,0 +1,248 @@
+"""The conformance suite: every method found keeps the contract, and each rule catches what breaks it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from vprbench import registry
+from vprbench.conformance import RULES, Journey, check
+from vprbench.images import Images
+from vprbench.interface import Method, NotFittedError, Places, Scores
+
+METHODS = sorted(registry.entries("method"))
+
+
+def configuration(name: str) -> dict[str, Any]:
+    """The method's yaml with the run's own options filled in."""
+    import hydra
+    from omegaconf import OmegaConf
+
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = hydra.compose("run", overrides=[f"method={name}"])
+    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("name", METHODS)
+def test_method_keeps_the_rule(name: str, rule: str, results: dict[str, dict[str, str]]) -> None:
+    assert results[name][rule] in ("", "excepted")
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, dict[str, str]]:
+    """Per method and rule: nothing where it is kept, else what broke it."""
+    return {
+        name: {
+            result.rule: {"kept": "", "excepted": "excepted"}.get(result.state, str(result))
+            for result in check(configuration(name))
+        }
+        for name in METHODS
+    }
+
+
+@dataclass
+class Pixels(Method):
+    """A plain method that keeps every rule; the wrong ones below differ from it in one point."""
+
+    bins: int = 4
+
+    _references: npt.NDArray[np.float32] | None = None
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Keep the references."""
+        codes = self.encode(references)
+        self._references = np.stack([codes[places == place].mean(0) for place in range(int(places.max()) + 1)])
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Average blocks of pixels."""
+        grids = []
+        for image in images:
+            rows = np.array_split(image.astype(np.float32), self.bins, axis=0)
+            grids.append([block.mean() for row in rows for block in np.array_split(row, self.bins, axis=1)])
+        return np.array(grids, np.float32)
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        """Compare with every place."""
+        if self._references is None:
+            raise NotFittedError("not fitted")
+        return -np.abs(codes[:, None] - self._references).mean(2)
+
+
+class ChangesArguments(Pixels):
+    def __init__(self, bins: int = 4) -> None:
+        super().__init__(bins + 1)
+
+
+class ReturnsNothing(Pixels):
+    def fit(self, references: Images, places: Places) -> Self:
+        super().fit(references, places)
+        return None  # type: ignore[return-value]
+
+
+class Remembers(Pixels):
+    fits = 0
+
+    def fit(self, references: Images, places: Places) -> Self:
+        super().fit(references, places)
+        self.fits += 1
+        return self
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes) * self.fits
+
+
+class AnswersUnfitted(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes) if self._references is not None else np.zeros((len(codes), 20), np.float32)
+
+
+class WritesOnImages(Pixels):
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        for image in images:
+            image[0, 0] = 0
+        return super().encode(images)
+
+
+class WritesOnCodes(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        codes += 1
+        return super().match(codes)
+
+
+class Random(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes) + np.random.default_rng().random(1, np.float32)
+
+
+class LooksAtTheBatch(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes - codes.mean(0))
+
+
+class DependsOnOrder(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes) + np.arange(len(codes), dtype=np.float32)[:, None]
+
+
+class DoublePrecision(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return super().match(codes).astype(np.float64)  # type: ignore[return-value]
+
+
+class NotFinite(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        scores = super().match(codes)
+        scores[:, 0] = np.nan
+        return scores
+
+
+class Distance(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return -super().match(codes)
+
+
+class ReadsNames(Pixels):
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        return super().encode(images) + np.array([[len(name)] for name in images.names], np.float32)
+
+
+class FailsOnBlack(Pixels):
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        codes = super().encode(images)
+        if (codes.max(1) == 0).any():
+            raise ValueError("log of zero")
+        return codes
+
+
+WRONG = {
+    "the constructor only stores its arguments": ChangesArguments,
+    "fit returns the method": ReturnsNothing,
+    "fit forgets an earlier fit": Remembers,
+    "query before fit raises NotFittedError": AnswersUnfitted,
+    "inputs are never modified": WritesOnImages,
+    "the same seed gives the same scores": Random,
+    "a batch gives what its single images give": LooksAtTheBatch,
+    "the order of queries does not matter": DependsOnOrder,
+    "scores are finite float32 of shape (n_queries, n_places)": DoublePrecision,
+    "higher scores mean more alike": Distance,
+    "the names of images do not matter": ReadsNames,
+    "black images and images of other sizes are accepted": FailsOnBlack,
+}
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let the registry find the classes of this file."""
+    import sys
+    import types
+
+    module = types.ModuleType("wrong_methods")
+    for wrong in (Pixels, WritesOnCodes, NotFinite, Excused, ExcusedForNothing, *WRONG.values()):
+        setattr(module, wrong.__name__, wrong)
+    monkeypatch.setitem(sys.modules, "wrong_methods", module)
+    yield
+
+
+class Excused(Random):
+    conformance_exceptions: ClassVar[Mapping[str, str]] = {
+        "the same seed gives the same scores": "it draws",
+        "fit forgets an earlier fit": "it draws",
+        "a batch gives what its single images give": "it draws",
+        "the order of queries does not matter": "it draws",
+        "the names of images do not matter": "it draws",
+    }
+
+
+class ExcusedForNothing(Pixels):
+    conformance_exceptions: ClassVar[Mapping[str, str]] = {"no such rule": "because"}
+
+
+def broken(method: type[Method]) -> list[str]:
+    return [r.rule for r in check({"_target_": f"wrong_methods.{method.__name__}"}) if r.state == "broken"]
+
+
+def test_a_plain_method_keeps_every_rule() -> None:
+    assert broken(Pixels) == []
+
+
+def test_there_is_a_wrong_method_for_every_rule() -> None:
+    assert list(WRONG) == list(RULES)
+
+
+@pytest.mark.parametrize("rule", WRONG)
+def test_the_rule_catches_what_breaks_it(rule: str) -> None:
+    config = {"_target_": f"wrong_methods.{WRONG[rule].__name__}"}
+    if WRONG[rule] is ChangesArguments:
+        config["bins"] = 4  # type: ignore[assignment]
+    assert rule in [result.rule for result in check(config) if result.state == "broken"]
+
+
+def test_scores_that_are_not_finite_break_the_rule_on_scores() -> None:
+    assert "scores are finite float32 of shape (n_queries, n_places)" in broken(NotFinite)
+
+
+def test_changed_codes_break_the_rule_on_inputs() -> None:
+    assert "inputs are never modified" in broken(WritesOnCodes)
+
+
+def test_a_declared_exception_is_counted_with_its_reason() -> None:
+    excepted = [r for r in check({"_target_": "wrong_methods.Excused"}) if r.state == "excepted"]
+    assert {r.reason for r in excepted} == {"it draws"}
+    assert len(excepted) == 5
+
+
+def test_an_exception_from_a_rule_that_does_not_exist_is_broken() -> None:
+    assert broken(ExcusedForNothing) == ["no such rule"]
+
+
+def test_the_small_world_is_the_same_for_one_seed_only() -> None:
+    first, again, other = Journey.draw(0), Journey.draw(0), Journey.draw(1)
+    assert np.array_equal(first.references, again.references)
+    assert not np.array_equal(first.references, other.references)

@@ -1,0 +1,87 @@
+"""Imports point down: plug-ins see the contract alone, and only the named files know Hydra or matplotlib."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# From the bottom up; a file may import only what stands before it.
+ORDER = [
+    "interface",
+    "progress",
+    "images",
+    "preprocess",
+    "ranking",
+    "intervals",
+    "metrics",
+    "stopwatch",
+    "environment",
+    "records",
+    "runner",
+    "summary",
+    "tables",
+    "registry",
+    "conformance",
+    "console",
+    "cli",
+    "__main__",
+]
+FOR_PLUGINS = {"interface", "images", "preprocess", "progress"}
+
+
+def imported(path: Path) -> set[str]:
+    """The modules that a file imports, inside functions too, but not those for types alone."""
+    found = set()
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in for_types:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.add(node.module or "")
+            if node.module == "vprbench":
+                found |= {f"vprbench.{alias.name}" for alias in node.names}
+    return found
+
+
+def own(path: Path) -> set[str]:
+    return {name.split(".")[1] for name in imported(path) if name.startswith("vprbench.")}
+
+
+def test_every_module_has_its_place_in_the_order() -> None:
+    assert {path.stem for path in (ROOT / "vprbench").glob("*.py")} - {"__init__"} == set(ORDER)
+
+
+@pytest.mark.parametrize("module", ORDER)
+def test_a_module_imports_only_what_stands_below_it(module: str) -> None:
+    assert own(ROOT / "vprbench" / f"{module}.py") <= set(ORDER[: ORDER.index(module)])
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*(ROOT / "methods").rglob("*.py"), *(ROOT / "datasets").rglob("*.py")],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_a_plug_in_imports_only_the_contract(path: Path) -> None:
+    assert own(path) <= FOR_PLUGINS
+
+
+def test_only_registry_and_command_line_know_hydra() -> None:
+    knowing = [p.stem for p in (ROOT / "vprbench").glob("*.py") if any(n.startswith("hydra") for n in imported(p))]
+    assert sorted(knowing) == ["cli", "registry"]
+
+
+def test_runner_and_tables_meet_only_in_records() -> None:
+    assert "runner" not in own(ROOT / "vprbench" / "tables.py")
+    assert "tables" not in own(ROOT / "vprbench" / "runner.py")

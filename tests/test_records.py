@@ -1,0 +1,650 @@
+"""The store of runs: what is read is what was written, whatever dies, fills up or is changed in between."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import multiprocessing
+import os
+import pickle
+import random
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+from little import a_run, save_forever, save_keys, save_where_no_file_may_exceed, unanswerable_run
+
+from vprbench import records
+from vprbench.interface import BadInput
+from vprbench.records import DamagedRunError, Failure, Run, Store, content_key, load, replace_text
+
+KEY = "0123456789abcdef"
+ARRAYS = ("arrays.npz", "scores.npy")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.prepare()
+    return store
+
+
+@pytest.fixture(scope="module")
+def processes() -> multiprocessing.context.ForkServerContext:
+    """Processes that start in no time, because one that has imported the store makes them."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["vprbench.records"])
+    return context
+
+
+def stored(store: Store, key: str = KEY) -> Run:
+    run = store.find("journey", "little", key)
+    assert run is not None
+    return run
+
+
+def unfinished(store: Store) -> list[str]:
+    return [path.name for path in store.root.iterdir() if path.name.startswith(".partial-")]
+
+
+def flip_a_bit(path: Path, position: int | None = None) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 if position is None else position] ^= 1
+    path.write_bytes(content)
+
+
+# Round trip
+
+
+@pytest.mark.parametrize(
+    "name",
+    [field.name for field in fields(Run) if field.name not in ("timing", "outcome", "positives", "scores")],
+)
+def test_a_field_comes_back_as_it_was_stored(store: Store, name: str) -> None:
+    store.save(a_run())
+    back, given = getattr(stored(store), name), getattr(a_run(), name)
+    if isinstance(given, np.ndarray):
+        assert back.dtype == given.dtype
+        assert back.tolist() == given.tolist()
+    else:
+        assert (type(back), back) == (type(given), given)
+
+
+@pytest.mark.parametrize(
+    "name", ["best_score", "top_tied", "top_tied_correct", "above", "tied", "tied_correct", "n_positives"]
+)
+def test_an_array_of_the_outcome_comes_back_bit_by_bit(store: Store, name: str) -> None:
+    awkward = replace(a_run().outcome, best_score=np.array([-np.inf, 1e-45, -0.0, 0.1], np.float32))
+    store.save(a_run(outcome=awkward))
+    back, given = getattr(stored(store).outcome, name), getattr(awkward, name)
+    assert (back.dtype, back.tobytes()) == (given.dtype, given.tobytes())
+
+
+def test_the_number_of_places_comes_back(store: Store) -> None:
+    store.save(a_run())
+    assert stored(store).outcome.n_places == 10
+
+
+def test_streaming_laps_come_back(store: Store) -> None:
+    times = np.array([0.1, 1 / 3, 1e-9])
+    streaming = replace(a_run().timing.streaming, encode_seconds=times, match_seconds=times[::-1], valid=False)
+    store.save(a_run(timing=replace(a_run().timing, streaming=streaming)))
+    back = stored(store).timing.streaming
+    assert (back.encode_seconds.tolist(), back.match_seconds.tolist()) == (times.tolist(), times[::-1].tolist())
+    assert (back.images_per_call, back.valid) == (1, False)
+
+
+def test_each_batch_size_keeps_its_own_laps(store: Store) -> None:
+    first, second = a_run().timing.offline
+    store.save(a_run(timing=replace(a_run().timing, offline=(first, replace(second, valid=False)))))
+    back = stored(store).timing.offline
+    assert [(laps.images_per_call, laps.valid) for laps in back] == [(1, True), (8, False)]
+    assert [laps.encode_seconds.tolist() for laps in back] == [[0.010] * 4, [0.040] * 3]
+    assert [laps.match_seconds.tolist() for laps in back] == [[0.0025] * 4, [0.010] * 3]
+
+
+@pytest.mark.parametrize("name", ["first_query_seconds", "warmup_queries", "repeated_seconds"])
+def test_a_number_of_the_timing_comes_back(store: Store, name: str) -> None:
+    store.save(a_run())
+    assert getattr(stored(store).timing, name) == getattr(a_run().timing, name)
+
+
+@pytest.mark.parametrize("name", ["sample", "answers"])
+def test_an_array_of_the_timing_comes_back(store: Store, name: str) -> None:
+    store.save(a_run())
+    assert getattr(stored(store).timing, name).tolist() == getattr(a_run().timing, name).tolist()
+
+
+@pytest.mark.parametrize(
+    "right", [[[0], [1, 5], [2], [3]], [[], [1], [], [9, 3]], [[], [], [], []]], ids=["all", "some", "none"]
+)
+def test_the_right_places_of_each_query_come_back(store: Store, right: list[list[int]]) -> None:
+    store.save(a_run(positives=tuple(np.array(row, np.int64) for row in right)))
+    back = stored(store).positives
+    assert [row.tolist() for row in back] == right
+    assert {row.dtype for row in back} == {np.dtype(np.int64)}
+
+
+def test_scores_come_back_bit_by_bit(store: Store) -> None:
+    scores = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
+    scores[0, 0] = -np.inf
+    store.save(a_run(scores=scores))
+    back = stored(store).scores
+    assert back is not None
+    assert (back.dtype, back.tobytes()) == (scores.dtype, scores.tobytes())
+
+
+def test_a_run_without_its_matrix_comes_back_without(store: Store) -> None:
+    store.save(a_run(scores=None))
+    assert stored(store).scores is None
+
+
+def test_a_run_that_nothing_could_answer_comes_back(store: Store) -> None:
+    store.save(unanswerable_run())
+    assert stored(store).outcome.above.tolist() == [10, 10, 10, 10]
+
+
+def test_a_run_is_found_only_by_its_own_key(store: Store) -> None:
+    store.save(a_run())
+    assert store.find("journey", "little", "f" * 16) is None
+
+
+def test_of_two_runs_of_one_key_the_last_stays(store: Store) -> None:
+    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=2))
+    assert [run.n_references for run in store.runs()] == [2]
+
+
+def test_nothing_unfinished_remains_after_a_run_was_replaced(store: Store) -> None:
+    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=2))
+    assert unfinished(store) == []
+
+
+def test_a_saved_run_lies_where_the_store_says(store: Store) -> None:
+    assert store.save(a_run()) == store.folder("journey", "little", KEY)
+
+
+# No pickle
+
+
+def test_every_array_of_a_run_is_read_without_pickle(store: Store) -> None:
+    folder = store.save(a_run())
+    with np.load(folder / "arrays.npz", allow_pickle=False) as archive:
+        assert all(archive[name].dtype.kind in "iuf" for name in archive.files)
+    assert np.load(folder / "scores.npy", allow_pickle=False).shape == (4, 10)
+
+
+def test_no_file_of_a_run_is_a_pickle(store: Store) -> None:
+    for path in store.save(a_run()).iterdir():
+        with pytest.raises(pickle.UnpicklingError):
+            pickle.loads(path.read_bytes())
+
+
+def test_a_run_consists_of_a_summary_and_arrays(store: Store) -> None:
+    assert sorted(path.name for path in store.save(a_run()).iterdir()) == ["arrays.npz", "run.json", "scores.npy"]
+
+
+def test_an_array_of_objects_is_refused_when_it_is_stored(store: Store) -> None:
+    with pytest.raises(ValueError, match="Object arrays"):
+        store.save(a_run(top_places=np.array([[None]])))
+
+
+# Damage
+
+
+def _change(folder: Path, name: str, value: Any) -> None:
+    summary = json.loads((folder / "run.json").read_text("utf-8"))
+    (folder / "run.json").write_text(json.dumps({**summary, name: value}), "utf-8")
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "truncated summary": lambda folder: _cut(folder / "run.json"),
+    "empty summary": lambda folder: (folder / "run.json").write_bytes(b"") and None,
+    "summary of another kind": lambda folder: (folder / "run.json").write_text("[]") and None,
+    "summary that is no text": lambda folder: (folder / "run.json").write_bytes(b"\xff\xfe\x00") and None,
+    "flipped bit in the arrays": lambda folder: flip_a_bit(folder / "arrays.npz"),
+    "flipped bit in the scores": lambda folder: flip_a_bit(folder / "scores.npy"),
+    "truncated arrays": lambda folder: _cut(folder / "arrays.npz"),
+    "missing arrays": lambda folder: (folder / "arrays.npz").unlink(),
+    "missing scores": lambda folder: (folder / "scores.npy").unlink(),
+    "another layout": lambda folder: _change(folder, "schema", 2),
+    "missing timing": lambda folder: _change(folder, "timing", {}),
+    "checksums of another kind": lambda folder: _change(folder, "sha256", []),
+}
+damage = pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
+
+
+@damage
+def test_a_damaged_run_is_not_found(store: Store, spoil: Callable[[Path], None]) -> None:
+    spoil(store.save(a_run()))
+    assert store.find("journey", "little", KEY) is None
+
+
+@damage
+def test_a_damaged_run_is_named_in_a_warning(
+    store: Store, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None]
+) -> None:
+    folder = store.save(a_run())
+    spoil(folder)
+    store.find("journey", "little", KEY)
+    assert [(record.levelno, str(folder) in record.getMessage()) for record in caplog.records] == [
+        (logging.WARNING, True)
+    ]
+
+
+@damage
+def test_a_damaged_run_is_set_aside_and_not_deleted(store: Store, spoil: Callable[[Path], None]) -> None:
+    folder = store.save(a_run())
+    spoil(folder)
+    store.find("journey", "little", KEY)
+    assert [path.name.startswith(f".damaged-{folder.name}") for path in folder.parent.iterdir()] == [True]
+
+
+@damage
+def test_other_runs_stay_readable_beside_a_damaged_one(store: Store, spoil: Callable[[Path], None]) -> None:
+    for key in ("a", "b", "c"):
+        store.save(a_run(key=key))
+    spoil(store.folder("journey", "little", "b"))
+    assert [run.key for run in store.runs()] == ["a", "c"]
+
+
+@damage
+def test_a_damaged_run_can_be_stored_anew(store: Store, spoil: Callable[[Path], None]) -> None:
+    spoil(store.save(a_run(n_references=1)))
+    store.save(a_run(n_references=2))
+    assert stored(store).n_references == 2
+
+
+def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
+    (store.save(a_run()) / "run.json").unlink()
+    assert store.find("journey", "little", KEY) is None
+
+
+def test_the_reason_of_another_layout_names_both_versions(store: Store) -> None:
+    folder = store.save(a_run())
+    _change(folder, "schema", 7)
+    with pytest.raises(DamagedRunError, match=r"version 7.*reads 1"):
+        load(folder)
+
+
+def test_a_flipped_bit_anywhere_in_the_summary_never_stops_the_reader(store: Store) -> None:
+    folder = store.save(a_run())
+    whole = (folder / "run.json").read_bytes()
+    for position in range(0, len(whole), 3):
+        flip_a_bit(folder / "run.json", position)
+        try:
+            load(folder)
+        except DamagedRunError:
+            pass
+        (folder / "run.json").write_bytes(whole)
+
+
+def test_a_changed_number_in_the_summary_is_noticed(store: Store) -> None:
+    folder = store.save(a_run())
+    text = (folder / "run.json").read_text("utf-8")
+    (folder / "run.json").write_text(text.replace('"fit_seconds": 12.34', '"fit_seconds": 10.34'), "utf-8")
+    assert store.find("journey", "little", KEY) is None
+
+
+# Leftovers
+
+
+def leftover(store: Store, host: str, pid: int) -> Path:
+    folder = store.root / f".partial-{host}-{pid}-0a1b2c3d"
+    folder.mkdir()
+    (folder / "arrays.npz").write_bytes(b"half")
+    return folder
+
+
+def a_dead_pid() -> int:
+    process = subprocess.Popen(["true"])
+    process.wait()
+    return process.pid
+
+
+def test_what_a_dead_process_left_is_removed(store: Store) -> None:
+    folder = leftover(store, socket.gethostname(), a_dead_pid())
+    store.prepare()
+    assert not folder.exists()
+
+
+def test_what_a_living_process_writes_is_left_alone(store: Store) -> None:
+    folder = leftover(store, socket.gethostname(), os.getppid())
+    store.prepare()
+    assert folder.exists()
+
+
+def test_what_another_machine_writes_is_left_alone(store: Store) -> None:
+    folder = leftover(store, "elsewhere", a_dead_pid())
+    store.prepare()
+    assert folder.exists()
+
+
+def test_a_leftover_is_no_run(store: Store) -> None:
+    store.save(a_run())
+    shutil.copytree(store.folder("journey", "little", KEY), leftover(store, "elsewhere", 1), dirs_exist_ok=True)
+    assert len(list(store.runs())) == 1
+
+
+# Sudden death
+
+
+def test_a_killed_process_leaves_only_whole_runs(
+    store: Store, processes: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    moments = random.Random(7)
+    for kill in range(12):
+        started = tmp_path / f"started-{kill}"
+        writer = processes.Process(target=save_forever, args=(store.root, started), daemon=True)
+        writer.start()
+        deadline = time.monotonic() + 30
+        while not started.exists() and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(moments.uniform(0, 0.06))
+        writer.kill()
+        writer.join()
+        assert "first" in {run.key for run in store.runs()}
+        assert caplog.records == []
+        store.prepare()
+        assert unfinished(store) == []
+        store.save(a_run(key=f"after-kill-{kill}"))
+        assert stored(store, f"after-kill-{kill}").n_references == 20
+
+
+# Several processes
+
+
+def test_ten_processes_lose_no_run(store: Store, processes: Any) -> None:
+    keys = [[f"writer{writer}run{number}" for number in range(5)] for writer in range(10)]
+    with ProcessPoolExecutor(10, mp_context=processes) as pool:
+        list(pool.map(save_keys, [store.root] * 10, keys))
+    assert sorted(run.key for run in store.runs()) == sorted(sum(keys, []))
+
+
+def test_ten_processes_that_write_one_key_leave_one_whole_run(store: Store, processes: Any) -> None:
+    with ProcessPoolExecutor(10, mp_context=processes) as pool:
+        saved = list(pool.map(save_keys, [store.root] * 10, [[KEY] * 20] * 10))
+    assert saved == [20] * 10
+    assert [run.key for run in store.runs()] == [KEY]
+    assert unfinished(store) == []
+
+
+def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.save(a_run(n_references=1))
+    folder = store.folder("journey", "little", KEY)
+    rename = Path.rename
+
+    def rename_while_another_replaces(path: Path, target: Path) -> Path:
+        try:
+            return rename(path, target)
+        except OSError:
+            shutil.rmtree(folder)  # the other process has just moved the old run away
+            raise
+
+    monkeypatch.setattr(Path, "rename", rename_while_another_replaces)
+    store.save(a_run(n_references=2))
+    assert stored(store).n_references == 2
+
+
+def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.save(a_run(fit_seconds=1.0, top_places=np.zeros((4, 2), np.int32)))
+    digest = records._digest
+
+    def digest_after_another_process_saved(path: Path) -> str:
+        monkeypatch.setattr(records, "_digest", digest)
+        store.save(a_run(fit_seconds=2.0))
+        return digest(path)
+
+    monkeypatch.setattr(records, "_digest", digest_after_another_process_saved)
+    store.find("journey", "little", KEY)
+    assert stored(store).fit_seconds == 2.0
+
+
+# A disk that refuses
+
+
+@pytest.mark.parametrize("below", [".", "deeper/still"])
+def test_a_results_folder_that_cannot_be_made_is_the_users_to_mend(tmp_path: Path, below: str) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(BadInput, match="results="):
+        Store(tmp_path / "file" / below).prepare()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(BadInput, match="Permission denied"):
+        store.prepare()
+
+
+def test_a_folder_that_became_a_file_is_the_users_to_mend(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(BadInput, match="results="):
+        Store(tmp_path / "file").save(a_run())
+
+
+full_disk = pytest.mark.parametrize("writer", ["savez_compressed", "save"])
+
+
+@pytest.fixture
+def fill_the_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Let a function of numpy write some bytes and then find the disk full."""
+
+    def fill(writer: str) -> None:
+        def refuse(path: Path, *_: Any, **__: Any) -> NoReturn:
+            path.write_bytes(b"half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(np, writer, refuse)
+
+    return fill
+
+
+@full_disk
+def test_a_full_disk_is_named(store: Store, fill_the_disk: Callable[[str], None], writer: str) -> None:
+    fill_the_disk(writer)
+    with pytest.raises(BadInput, match="No space left on device"):
+        store.save(a_run())
+
+
+@full_disk
+def test_a_full_disk_leaves_no_part_of_a_run(store: Store, fill_the_disk: Callable[[str], None], writer: str) -> None:
+    fill_the_disk(writer)
+    with pytest.raises(BadInput):
+        store.save(a_run())
+    assert [path for path in store.root.rglob("*") if path.is_file()] == []
+
+
+@full_disk
+def test_a_full_disk_leaves_the_earlier_run_whole(
+    store: Store, fill_the_disk: Callable[[str], None], writer: str
+) -> None:
+    store.save(a_run(n_references=1))
+    fill_the_disk(writer)
+    with pytest.raises(BadInput):
+        store.save(a_run(n_references=2))
+    assert stored(store).n_references == 1
+
+
+def test_a_full_disk_found_at_the_last_moment_leaves_the_earlier_run_whole(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    store.save(a_run(n_references=1))
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(BadInput, match="No space left"):
+        store.save(a_run(n_references=2))
+    assert stored(store).n_references == 1
+
+
+def test_a_failure_that_cannot_be_stored_is_the_users_to_mend(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(BadInput, match="No space left"):
+        store.save_failure(a_failure())
+
+
+# 100 bytes end in the arrays, 20 000 in the scores of 400 kB
+real_limits = pytest.mark.parametrize("limit_bytes", [100, 20_000])
+
+
+@pytest.fixture
+def limited(store: Store, processes: Any) -> Callable[[int], str]:
+    """Save a run where the system cuts files off, after an earlier one was saved without a limit."""
+
+    def save(limit_bytes: int) -> str:
+        store.save(a_run())
+        with ProcessPoolExecutor(1, mp_context=processes) as pool:
+            return pool.submit(save_where_no_file_may_exceed, store.root, limit_bytes).result()
+
+    return save
+
+
+@real_limits
+def test_a_file_that_the_system_cuts_off_is_the_users_to_mend(
+    limited: Callable[[int], str], limit_bytes: int
+) -> None:
+    assert "could not be stored" in limited(limit_bytes)
+
+
+@real_limits
+def test_a_file_that_the_system_cuts_off_is_explained(limited: Callable[[int], str], limit_bytes: int) -> None:
+    assert "(None)" not in limited(limit_bytes)
+
+
+@real_limits
+def test_a_file_that_the_system_cuts_off_leaves_no_partial_folder(
+    store: Store, limited: Callable[[int], str], limit_bytes: int
+) -> None:
+    limited(limit_bytes)
+    assert unfinished(store) == []
+
+
+@real_limits
+def test_a_file_that_the_system_cuts_off_leaves_the_earlier_run_whole(
+    store: Store, limited: Callable[[int], str], limit_bytes: int
+) -> None:
+    limited(limit_bytes)
+    assert stored(store).n_references == 20
+
+
+# Failures
+
+
+def a_failure(**changes: Any) -> Failure:
+    return replace(Failure("little", "journey", a_run().config, "MemoryError: 99 GB wanted"), **changes)
+
+
+def test_a_failure_is_found_again(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert store.failure("little", "journey", a_run().config) == a_failure()
+
+
+def test_of_two_failures_the_last_stays(store: Store) -> None:
+    store.save_failure(a_failure())
+    store.save_failure(a_failure(error="ValueError: no"))
+    found = store.failure("little", "journey", a_run().config)
+    assert found is not None
+    assert found.error == "ValueError: no"
+
+
+def test_a_failure_of_another_configuration_is_not_found(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert store.failure("little", "journey", {**a_run().config, "seed": 4}) is None
+
+
+def test_a_failure_is_no_run(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert list(store.runs()) == []
+
+
+def test_a_failure_vanishes_when_the_run_succeeds(store: Store) -> None:
+    store.save_failure(a_failure())
+    store.save(a_run())
+    assert store.failure("little", "journey", a_run().config) is None
+
+
+def test_a_failure_leaves_the_runs_of_its_method_in_place(store: Store) -> None:
+    store.save(a_run())
+    store.save_failure(a_failure())
+    assert stored(store).n_references == 20
+
+
+def test_a_damaged_failure_is_none(store: Store) -> None:
+    _cut(store.save_failure(a_failure()) / "failure.json")
+    assert store.failure("little", "journey", a_run().config) is None
+
+
+# Keys
+
+CONTENT = {"method": {"window": 5, "name": "sad"}, "code": "c0de", "images": "f00d", "seed": 0, "threads": 2}
+
+
+@pytest.mark.parametrize(
+    ("ingredient", "other"),
+    [
+        ("method", {"window": 6, "name": "sad"}),
+        ("method", {"window": "5", "name": "sad"}),
+        ("code", "c0df"),
+        ("images", "f00e"),
+        ("seed", 1),
+        ("threads", 1),
+        ("timing", {"sample": 3}),
+    ],
+)
+def test_a_key_changes_with_each_ingredient(ingredient: str, other: Any) -> None:
+    assert content_key({**CONTENT, ingredient: other}) != content_key(CONTENT)
+
+
+def test_a_key_does_not_depend_on_the_order_of_its_ingredients() -> None:
+    turned = {name: CONTENT[name] for name in reversed(CONTENT)} | {"method": {"name": "sad", "window": 5}}
+    assert content_key(turned) == content_key(CONTENT)
+
+
+def test_a_key_changes_with_the_layout_of_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = content_key(CONTENT)
+    monkeypatch.setattr(records, "SCHEMA", 2)
+    assert content_key(CONTENT) != before
+
+
+def test_a_key_is_the_same_in_every_process() -> None:
+    code = f"from vprbench.records import content_key; print(content_key({CONTENT!r}))"
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
+    answer = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == content_key(CONTENT)
+
+
+# Text files
+
+
+def test_a_text_file_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    (tmp_path / "table.md").write_text("old")
+    replace_text(tmp_path / "table.md", "nëw")
+    assert [(path.name, path.read_text("utf-8")) for path in tmp_path.iterdir()] == [("table.md", "nëw")]

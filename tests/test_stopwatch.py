@@ -1,0 +1,484 @@
+"""The stopwatch against a fake clock, a fake device and methods whose times are known."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import number_in, numbers_in, pictures
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Method, Places, Scores
+from vprbench.stopwatch import (
+    Protocol,
+    Stopwatch,
+    Timing,
+    best_batch,
+    offline_rate,
+    percentile_bound,
+    streaming_rate,
+)
+
+MS = 1_000_000  # nanoseconds
+
+
+@dataclass
+class FakeClock:
+    """Stands still unless somebody moves it."""
+
+    now: int = 0  # nanoseconds
+
+    def __call__(self) -> int:
+        return self.now
+
+
+@dataclass
+class FakeDevice:
+    """Finishes its queued work only when it is synchronised."""
+
+    clock: FakeClock
+    queued: int = 0  # nanoseconds of work
+
+    def synchronise(self) -> None:
+        self.clock.now += self.queued
+        self.queued = 0
+
+
+@dataclass
+class Timed(Method):
+    """Spends on each call what `encode_costs` and `match_costs` say; keeps what it was asked."""
+
+    spend: Callable[[int], None]
+    encode_costs: Callable[[list[int]], int]  # from the numbers of the images to nanoseconds
+    match_costs: Callable[[list[int]], int]
+    asked: list[list[int]] = field(default_factory=list)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        numbers = numbers_in(images)
+        self.asked.append(numbers)
+        self.spend(self.encode_costs(numbers))
+        return np.array(numbers)
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        self.spend(self.match_costs(codes.tolist()))
+        return (codes[:, None] == np.arange(12)).astype(np.float32)
+
+
+def short(**changes: Any) -> Protocol:
+    """Return a protocol without warm-up and with a single pass."""
+    small: dict[str, Any] = {"minimum_seconds": 0, "minimum_queries": 1, "warmup_queries": 0, "batch_sizes": [1]}
+    return Protocol(**{**small, **changes})
+
+
+def measured(
+    protocol: Protocol,
+    encode_costs: Callable[[list[int]], int] = lambda _: 3 * MS,
+    match_costs: Callable[[list[int]], int] = lambda _: 1 * MS,
+    images: int = 5,
+    seed: int = 0,
+) -> tuple[Timing, list[list[int]]]:
+    """Measure a method that moves a fake clock by its costs; returns the times and what was asked."""
+    clock = FakeClock()
+
+    def spend(nanoseconds: int) -> None:
+        clock.now += nanoseconds
+
+    method = Timed(spend, encode_costs, match_costs)
+    return Stopwatch(protocol, clock, seed=seed).measure(method, pictures(range(images))), method.asked
+
+
+def streamed(timing: Timing, asked: list[list[int]]) -> list[int]:
+    """Return the single images asked in the streaming laps of a measurement without warm-up."""
+    return [number for (number,) in asked[: len(timing.streaming.encode_seconds)]]
+
+
+# Known times
+
+
+def test_encode_seconds_are_those_that_the_clock_moved_in_encode() -> None:
+    timing, _ = measured(short())
+    assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
+
+
+def test_match_seconds_are_those_that_the_clock_moved_in_match() -> None:
+    timing, _ = measured(short())
+    assert timing.streaming.match_seconds.tolist() == [0.001] * 5
+
+
+def test_the_streaming_rate_is_one_over_the_median_of_all_queries() -> None:
+    timing, _ = measured(short(), encode_costs=lambda numbers: [1, 2, 4, 50, 90][numbers[0]] * MS)
+    assert streaming_rate(timing.streaming.total_seconds).hz == pytest.approx(200)  # median 4 ms + 1 ms
+
+
+def test_the_median_is_over_queries_and_not_a_mean() -> None:
+    assert streaming_rate(np.array([0.001, 0.002, 0.010])).p50_seconds == 0.002
+
+
+def test_the_offline_rate_is_images_over_time() -> None:
+    timing, _ = measured(short(batch_sizes=[4]), encode_costs=lambda numbers: (2 + len(numbers)) * MS, images=8)
+    (batches,) = timing.offline
+    assert offline_rate(batches.total_seconds, batches.images_per_call) == pytest.approx(4 / 0.007)
+
+
+def test_the_offline_rate_of_uneven_calls_divides_by_their_sum() -> None:
+    assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
+
+
+def test_the_best_batch_is_the_one_of_the_highest_total_rate() -> None:
+    costs = {1: 10, 2: 12, 4: 40}  # ms: 100, 167 and 100 images per second
+    timing, _ = measured(short(batch_sizes=[1, 2, 4]), lambda numbers: costs[len(numbers)] * MS, lambda _: 0, images=8)
+    assert best_batch(timing.offline).images_per_call == 2
+
+
+def test_a_batch_larger_than_the_sample_holds_the_whole_sample() -> None:
+    timing, _ = measured(short(batch_sizes=[2, 32, 128]), images=5)
+    assert [laps.images_per_call for laps in timing.offline] == [2, 5]
+
+
+def test_offline_calls_hold_whole_batches_only() -> None:
+    timing, asked = measured(short(batch_sizes=[2], minimum_passes=3), images=5)
+    offline = asked[-len(timing.offline[0].encode_seconds) :]
+    assert {len(numbers) for numbers in offline} == {2}
+
+
+def test_answers_are_the_best_places_of_the_sampled_queries() -> None:
+    timing, _ = measured(short(sample=3), images=9)
+    assert (timing.sample.tolist(), timing.answers.tolist()) == ([0, 4, 8], [0, 4, 8])
+
+
+# The real clock
+
+
+def test_a_method_that_sleeps_5_and_2_milliseconds_is_measured_so() -> None:
+    method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
+    streaming = Stopwatch(short(minimum_queries=10)).measure(method, pictures(range(5))).streaming
+    assert streaming.encode_seconds.min() >= 0.005
+    assert streaming.match_seconds.min() >= 0.002
+    assert np.median(streaming.encode_seconds) < 0.025
+    assert np.median(streaming.match_seconds) < 0.022
+
+
+def test_a_lap_of_a_sleep_lasts_at_least_as_long() -> None:
+    with Stopwatch(short()).lap() as lap:
+        time.sleep(0.01)
+    assert 0.01 <= lap[0] < 0.1
+
+
+# A device with a queue
+
+
+def queueing() -> tuple[FakeClock, FakeDevice, Timed]:
+    clock = FakeClock()
+    device = FakeDevice(clock)
+
+    def queue(nanoseconds: int) -> None:
+        device.queued += nanoseconds
+
+    return clock, device, Timed(queue, lambda _: 3 * MS, lambda _: 1 * MS)
+
+
+def test_work_that_encode_leaves_on_the_device_counts_as_encode() -> None:
+    clock, device, method = queueing()
+    timing = Stopwatch(short(), clock, device.synchronise).measure(method, pictures(range(5)))
+    assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
+
+
+def test_work_that_match_leaves_on_the_device_counts_as_match() -> None:
+    clock, device, method = queueing()
+    timing = Stopwatch(short(), clock, device.synchronise).measure(method, pictures(range(5)))
+    assert timing.streaming.match_seconds.tolist() == [0.001] * 5
+
+
+def test_work_queued_before_the_first_query_is_not_counted() -> None:
+    clock, device, method = queueing()
+    device.queued = 500 * MS
+    timing = Stopwatch(short(warmup_queries=1), clock, device.synchronise).measure(method, pictures(range(5)))
+    assert timing.first_query_seconds == pytest.approx(0.004)
+
+
+def test_work_queued_before_a_lap_is_not_counted() -> None:
+    clock, device, _ = queueing()
+    device.queued = 500 * MS
+    with Stopwatch(short(), clock, device.synchronise).lap() as lap:
+        clock.now += 7 * MS
+    assert lap == [0.007]
+
+
+def test_work_queued_in_a_lap_is_counted() -> None:
+    clock, device, _ = queueing()
+    with Stopwatch(short(), clock, device.synchronise).lap() as lap:
+        device.queued += 7 * MS
+    assert lap == [0.007]
+
+
+# Garbage collection
+
+
+def wasteful(_: int) -> None:
+    """Leave more cycles behind than the collector waits for."""
+    for _ in range(1000):
+        cycle: list[Any] = []
+        cycle.append(cycle)
+
+
+def test_no_collection_happens_in_the_timed_calls() -> None:
+    collections: list[str] = []
+
+    def spend(nanoseconds: int) -> None:
+        before = sum(generation["collections"] for generation in gc.get_stats())
+        wasteful(nanoseconds)
+        collections.extend(["collected"] * (sum(g["collections"] for g in gc.get_stats()) - before))
+
+    Stopwatch(short(minimum_queries=20)).measure(Timed(spend, lambda _: 1, lambda _: 1), pictures(range(5)))
+    assert collections == []
+
+
+def test_the_collector_is_on_again_after_a_measurement() -> None:
+    measured(short())
+    assert gc.isenabled()
+
+
+def test_the_collector_is_on_again_after_a_method_that_raises() -> None:
+    def spend(_: int) -> None:
+        raise RuntimeError("broken")
+
+    with pytest.raises(RuntimeError, match="broken"):
+        Stopwatch(short()).measure(Timed(spend, lambda _: 1, lambda _: 1), pictures(range(5)))
+    assert gc.isenabled()
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        measured(short())
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+# Warm-up
+
+
+def test_warm_up_ends_after_ten_queries_that_take_the_same_time() -> None:
+    assert measured(short(warmup_queries=50))[0].warmup_queries == 10
+
+
+def test_warm_up_goes_on_until_a_slow_first_query_is_no_longer_among_the_last_ten() -> None:
+    slow = iter([100] + [3] * 1000)
+    assert measured(short(warmup_queries=50), lambda _: next(slow) * MS)[0].warmup_queries == 11
+
+
+def test_the_first_query_is_reported_on_its_own() -> None:
+    slow = iter([100] + [3] * 1000)
+    timing, _ = measured(short(warmup_queries=50), lambda _: next(slow) * MS)
+    assert timing.first_query_seconds == pytest.approx(0.101)
+
+
+def test_times_within_ten_percent_are_steady() -> None:
+    uneven = iter([90, 99] * 1000)
+    timing, _ = measured(short(warmup_queries=50), lambda _: next(uneven) * MS)
+    assert timing.warmup_queries == 10
+
+
+def test_times_twelve_percent_apart_are_not_steady() -> None:
+    uneven = iter([87, 99] * 1000)
+    timing, _ = measured(short(warmup_queries=50), lambda _: next(uneven) * MS)
+    assert timing.warmup_queries == 50
+
+
+def test_warm_up_of_an_unsteady_method_ends_at_the_maximum() -> None:
+    uneven = iter([1, 2] * 1000)
+    timing, _ = measured(short(warmup_queries=25), lambda _: next(uneven) * MS)
+    assert timing.warmup_queries == 25
+
+
+def test_no_warm_up_query_is_in_the_streaming_laps() -> None:
+    slow = iter([100] + [3] * 1000)
+    timing, _ = measured(short(warmup_queries=50), lambda _: next(slow) * MS)
+    assert timing.streaming.encode_seconds.max() == 0.003
+
+
+# Minima and the maximum: every query takes 4 ms, a pass is 5 images
+
+
+def test_streaming_goes_on_for_the_minimum_seconds() -> None:
+    timing, _ = measured(short(minimum_seconds=0.1))
+    assert len(timing.streaming.total_seconds) == 25  # 0.1 s / 4 ms
+
+
+def test_streaming_goes_on_for_the_minimum_queries_in_whole_passes() -> None:
+    timing, _ = measured(short(minimum_queries=12))
+    assert len(timing.streaming.total_seconds) == 15
+
+
+def test_streaming_goes_on_for_the_minimum_passes() -> None:
+    timing, _ = measured(short(minimum_passes=3))
+    assert len(timing.streaming.total_seconds) == 15
+
+
+def test_offline_goes_on_for_the_minimum_seconds() -> None:
+    timing, _ = measured(short(minimum_seconds=0.1, batch_sizes=[5]))
+    assert len(timing.offline[0].total_seconds) == 25
+
+
+def test_offline_counts_images_for_the_minimum_queries() -> None:
+    timing, _ = measured(short(minimum_queries=12, batch_sizes=[5]))
+    assert len(timing.offline[0].total_seconds) == 3
+
+
+def test_offline_counts_images_for_the_minimum_passes() -> None:
+    timing, _ = measured(short(minimum_passes=3, batch_sizes=[2]))
+    assert len(timing.offline[0].total_seconds) == 8  # 15 images
+
+
+def test_a_measurement_that_meets_its_minima_is_valid() -> None:
+    timing, _ = measured(short(minimum_seconds=0.1, minimum_queries=12, minimum_passes=3))
+    assert [laps.valid for laps in (timing.streaming, *timing.offline)] == [True, True]
+
+
+def test_streaming_ends_at_the_maximum_in_the_middle_of_a_pass() -> None:
+    timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
+    assert len(timing.streaming.total_seconds) == 8  # the first end after 30 ms is at 32 ms
+
+
+def test_streaming_that_ends_at_the_maximum_is_invalid() -> None:
+    timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
+    assert not timing.streaming.valid
+
+
+def test_offline_that_ends_at_the_maximum_is_invalid() -> None:
+    timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
+    assert not timing.offline[0].valid
+
+
+def test_queries_that_were_not_reached_have_no_answer() -> None:
+    timing, asked = measured(short(maximum_seconds=0.01), images=12)
+    reached = set(streamed(timing, asked))
+    assert [query for query, answer in enumerate(timing.answers) if answer >= 0] == sorted(reached)
+    assert len(reached) == 3
+
+
+def test_streaming_whose_last_query_meets_all_minima_beyond_the_maximum_is_valid() -> None:
+    timing, _ = measured(short(maximum_seconds=0.002), images=1)
+    assert timing.streaming.valid
+
+
+def test_offline_whose_last_call_meets_all_minima_beyond_the_maximum_is_valid() -> None:
+    timing, _ = measured(short(maximum_seconds=0.002), images=1)
+    assert timing.offline[0].valid
+
+
+# Order
+
+
+def test_the_same_seed_asks_in_the_same_order() -> None:
+    first, second = (streamed(*measured(short(minimum_passes=3), images=12, seed=4)) for _ in range(2))
+    assert first == second
+
+
+def test_another_seed_asks_in_another_order() -> None:
+    first, second = (streamed(*measured(short(minimum_passes=3), images=12, seed=seed)) for seed in (4, 5))
+    assert first != second
+
+
+def test_queries_are_shuffled() -> None:
+    assert streamed(*measured(short(), images=12)) != list(range(12))
+
+
+def test_each_pass_asks_each_image_once() -> None:
+    order = streamed(*measured(short(minimum_passes=3), images=12))
+    assert [sorted(order[start : start + 12]) for start in (0, 12, 24)] == [list(range(12))] * 3
+
+
+def test_images_are_decoded_before_the_clock_runs() -> None:
+    clock = FakeClock()
+    reads: list[int] = []
+
+    def read(i: int) -> npt.NDArray[np.uint8]:
+        reads.append(clock.now)
+        return np.full((3, 4, 3), i, np.uint8)
+
+    def spend(nanoseconds: int) -> None:
+        clock.now += nanoseconds
+
+    method = Timed(spend, lambda _: MS, lambda _: MS)
+    method.match = lambda codes: np.zeros((len(codes), 2), np.float32)  # type: ignore[method-assign]
+    Stopwatch(short(), clock).measure(method, Images(read, ["a", "b", "c"]))
+    assert reads == [0, 0, 0]
+
+
+def test_the_repeated_time_is_the_median_of_one_image_asked_again() -> None:
+    timing, _ = measured(short(minimum_queries=7), lambda numbers: [9, 2, 2, 2, 2][numbers[0]] * MS)
+    assert timing.repeated_seconds == pytest.approx(0.010)
+
+
+def test_a_sample_covers_the_traverse_from_its_first_to_its_last_image() -> None:
+    timing, _ = measured(short(sample=4), images=10)
+    assert timing.sample.tolist() == [0, 3, 6, 9]
+
+
+# Percentiles: counts of spec timing.md 2.3
+
+
+@pytest.mark.parametrize(("count", "share"), [(0, 0.9), (1, 0.9), (63, 0.9), (661, 0.99), (360, 0.99)])
+def test_too_few_laps_carry_no_percentile(count: int, share: float) -> None:
+    assert percentile_bound(np.arange(count, dtype=np.float64), share) is None
+
+
+@pytest.mark.parametrize(
+    ("count", "share", "allowed_above"),
+    [(64, 0.9, 1), (662, 0.99, 1), (6636, 0.999, 1), (360, 0.9, 22), (2700, 0.9, 233), (2700, 0.99, 15)],
+)
+def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(count: int, share: float, allowed_above: int) -> None:
+    seconds = np.random.default_rng(0).permutation(count).astype(np.float64) + 1  # 1 to count
+    assert percentile_bound(seconds, share) == count - allowed_above
+
+
+def test_a_rate_of_63_queries_has_no_p90() -> None:
+    assert streaming_rate(np.ones(63)).p90_seconds is None
+
+
+def test_a_rate_of_661_queries_has_a_p90_and_no_p99() -> None:
+    rate = streaming_rate(np.ones(661))
+    assert (rate.p90_seconds, rate.p99_seconds) == (1.0, None)
+
+
+# The protocol
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("minimum_queries", 0),
+        ("minimum_passes", 0),
+        ("sample", 0),
+        ("batch_sizes", []),
+        ("batch_sizes", [8, 0]),
+        ("minimum_seconds", -1.0),
+        ("minimum_seconds", 121.0),
+        ("minimum_seconds", float("nan")),
+        ("maximum_seconds", 1.0),
+        ("maximum_seconds", float("nan")),
+    ],
+)
+def test_a_protocol_that_measures_nothing_is_refused_by_name(option: str, value: Any) -> None:
+    with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
+        Protocol(**{option: value})
+
+
+def test_a_protocol_without_any_time_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"timing\.maximum_seconds"):
+        Protocol(minimum_seconds=0.0, maximum_seconds=0.0)
+
+
+def test_pictures_carry_their_numbers() -> None:
+    assert [number_in(image) for image in pictures([0, 255, 256, 65535])] == [0, 255, 256, 65535]
