@@ -24,6 +24,7 @@ QUICK = [
     "timing.sample=4",
     "timing.minimum_queries=4",
     "timing.batch_sizes=[1,4]",
+    "threads=1",
 ]
 KEYS = {
     *("recall_at_1", "recall_at_5", "recall_at_10", "recall_at_25", "recall_at_1_low", "recall_at_1_high"),

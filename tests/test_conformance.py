@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -178,7 +178,7 @@ WRONG = {
 
 
 @pytest.fixture(autouse=True)
-def importable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the registry find the classes of this file."""
     import sys
     import types
@@ -187,7 +187,6 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for wrong in (Pixels, WritesOnCodes, NotFinite, Excused, ExcusedForNothing, *WRONG.values()):
         setattr(module, wrong.__name__, wrong)
     monkeypatch.setitem(sys.modules, "wrong_methods", module)
-    yield
 
 
 class Excused(Random):

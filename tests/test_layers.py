@@ -68,11 +68,10 @@ def test_a_module_imports_only_what_stands_below_it(module: str) -> None:
     assert own(ROOT / "vprbench" / f"{module}.py") <= set(ORDER[: ORDER.index(module)])
 
 
-@pytest.mark.parametrize(
-    "path",
-    [*(ROOT / "methods").rglob("*.py"), *(ROOT / "datasets").rglob("*.py")],
-    ids=lambda p: str(p.relative_to(ROOT)),
-)
+PLUG_INS = [*(ROOT / "methods").rglob("*.py"), *(ROOT / "datasets").rglob("*.py")]
+
+
+@pytest.mark.parametrize("path", PLUG_INS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_a_plug_in_imports_only_the_contract(path: Path) -> None:
     assert own(path) <= FOR_PLUGINS
 

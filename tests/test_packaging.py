@@ -23,6 +23,7 @@ QUICK = (
     "timing.sample=4",
     "timing.minimum_queries=4",
     "timing.batch_sizes=[4]",
+    "threads=1",
 )
 
 

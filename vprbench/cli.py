@@ -157,7 +157,7 @@ def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) 
     from vprbench import environment, runner
     from vprbench.console import progress_shown
 
-    _check_device(settings.device)
+    _check_device(settings.device, asked["method"])
     threads = _threads(settings.threads)
     store.prepare()
     environment.pin_threads(threads)
@@ -321,7 +321,9 @@ def _settings(plain: Mapping[str, Any]) -> Settings:
     return Settings(**options, timing=Protocol(**timing))
 
 
-def _check_device(device: str) -> None:
+def _check_device(device: str, method: Mapping[str, Any]) -> None:
+    if method.get("device", device) != device:
+        raise BadInput(f"method.device={method['device']} differs from device={device}: set device alone, for both")
     if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
         raise BadInput(f"device={device} is unknown: give cpu, cuda or cuda:1")
     if device != "cpu":

@@ -85,11 +85,11 @@ def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
     values = np.linspace(0, 1, 200_000)
     laps = []
-    for _ in range(15):
+    for _ in range(30):
         start = clock()
         np.sort(np.sqrt(values[::-1])).sum()
         laps.append(clock() - start)
-    return float(np.median(laps)) / 1e9
+    return float(np.median(laps[10:])) / 1e9  # the first ones warm up
 
 
 def reset_peak_memory() -> None:

@@ -23,6 +23,7 @@ from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 _BLOCK = 128  # queries scored together
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
+_BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
 _CACHING = 0.75  # a repeated query that needs less than this share of the median time is suspicious
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
@@ -97,25 +98,27 @@ def run(
     stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
     environment.reset_peak_memory()
 
-    reading = dataset.references.reading
+    before = dataset.references.reading.seconds
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
         method.fit(dataset.references, _read_only(dataset.places))
-    fit_reading = reading.seconds
+    fit_reading = dataset.references.reading.seconds - before
 
+    before = dataset.queries.reading.seconds
     answers = _Answers(dataset, config["depth"])
     with stopwatch.lap() as querying:
         for block in dataset.queries.blocks(_BLOCK):
             answers.add(*_timed_scores(stopwatch, method, block))
             progress.report("query", answers.done / len(dataset.queries))
-    harness = querying[0] - answers.method_seconds - dataset.queries.reading.seconds
+    harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     progress.report("timing", 0.0)
     with stopwatch.lap() as measuring:
         timing = stopwatch.measure(method, dataset.queries)
     progress.report("timing", 1.0)
 
-    drift = environment.canary_seconds() / canary - 1
+    pressure = environment.cpu_pressure()
+    slowdown = environment.canary_seconds() / canary
     result = concatenate(answers.outcomes)
     return Run(
         method=name,
@@ -126,10 +129,11 @@ def run(
         fingerprint=dataset_fingerprint,
         environment={
             **surroundings,
-            "canary_drift": drift,
+            "canary_slowdown": slowdown,
+            "cpu_pressure_avg10_after": pressure,
             "device_memory_bytes": environment.peak_device_memory_bytes(device),
         },
-        notes=tuple(_notes(drift, timing, answers)),
+        notes=tuple(_notes(slowdown, pressure, timing, answers)),
         n_references=len(dataset.references),
         fit_seconds=fit[0],
         fit_compute_seconds=fit[0] - fit_reading,
@@ -192,10 +196,12 @@ def _read_only(places: Places) -> Places:
     return view
 
 
-def _notes(drift: float, timing: Timing, answers: _Answers) -> Iterator[str]:
+def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[str]:
     """Yield what a reader of the numbers has to know."""
-    if abs(drift) > _NOISE:
-        yield f"noisy: a fixed computation took {100 * drift:+.0f} % longer after the run than before"
+    if abs(slowdown - 1) > _NOISE:
+        yield f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before"
+    if pressure is not None and pressure > _BUSY:
+        yield f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing"
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
         yield "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
     if timing.repeated_seconds < _CACHING * float(np.median(timing.streaming.total_seconds)):

@@ -135,7 +135,7 @@ class VPRTempo(Method):
         """Return the output neurons' states, (n_queries, n_places)."""
         if self._network is None:
             raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
-        return self._network.scores(torch.from_numpy(codes).to(self.device)).cpu().numpy()
+        return self._network.scores(torch.tensor(codes, device=self.device)).cpu().numpy()
 
     def chosen_rules(self) -> Rules:
         """Return the rules after the arguments that replace single choices."""

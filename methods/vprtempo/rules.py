@@ -80,7 +80,7 @@ REFERENCE = Rules(
     query_rule="linear",
 )
 # QVPR/VPRTempo a3b07b2, without its two slips in the output layer (spikes thresholded twice, the second
-# traverse never shown)
+# traverse never shown); and a connection whose weight was drawn as 0 (one in 740) exists here, there it does not
 V1 = Rules(
     one_sign_per_synapse=False,
     normalise_by_last_neuron=False,

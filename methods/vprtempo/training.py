@@ -13,7 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from vprbench.interface import Scores, TrainingDivergedError
 
-from .layer import CLIP, LARGEST, Layer, learn_features, learn_places
+from .layer import CLIP, LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
@@ -23,7 +23,8 @@ _REPORT_EVERY = 100  # steps
 class Schedule:
     """The training in full: per step and module an image, its output neuron and the factor on the learning rates.
 
-    A module that has fewer steps than others ends with a factor of 0, under which nothing is learnt.
+    A module that has fewer steps than others ends with a factor of 0, under which nothing is learnt (a weight that
+    homeostasis left below the smallest is lifted to it).
     """
 
     image: Tensor  # (n_steps, modules), index of a reference image
@@ -63,7 +64,7 @@ def draw_schedule(
         orders = [torch.randperm(len(own), generator=generator) for _ in range(epochs if rules.shuffle else 0)]
         image = torch.cat([own[order] for order in orders]) if rules.shuffle else own.repeat(epochs)
         images.append(image)
-        neurons.append(torch.from_numpy(places)[image] - int(first[module]))
+        neurons.append(torch.tensor(places)[image] - int(first[module]))
         factors.append(torch.from_numpy(annealing(epochs, len(own), rules)).float())
     return Schedule(pad_sequence(images), pad_sequence(neurons), pad_sequence(factors))
 
@@ -119,7 +120,8 @@ def check_weights(layer: Layer, name: str) -> None:
             f"training diverged: the {name} layer holds weights that are not finite; "
             "lower method.stdp_rate or method.homeostasis_gain"
         )
-    existing = (layer.excitation > 0).sum() + (layer.inhibition > 0).sum()
+    # Weights at the lower limit are left out: among them are those that only pad a smaller module.
+    existing = (layer.excitation > 2 * SMALLEST).sum() + (layer.inhibition > 2 * SMALLEST).sum()
     limit = (layer.excitation >= LARGEST).sum() + (layer.inhibition >= LARGEST).sum()
     if limit > 0.01 * existing:
         raise TrainingDivergedError(
@@ -153,7 +155,7 @@ def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
     own = np.bincount(module, minlength=int(module.max()) + 1) / len(module)
     won = np.bincount(module[winner], minlength=len(own)) / len(winner)
     greedy = int((won - own).argmax())
-    if len(own) > 1 and won[greedy] > 0.9 and own[greedy] < 0.75:
+    if len(own) > 1 and won[greedy] > 0.95 and own[greedy] < 0.75:
         raise TrainingDivergedError(
             f"training diverged: module {greedy} wins for {100 * won[greedy]:.0f} % of the reference images but "
             f"holds {100 * own[greedy]:.0f} % of the places; a lower method.stdp_rate or other modules may help"

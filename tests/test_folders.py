@@ -1,0 +1,236 @@
+"""Your own folders: natural order, matching by number or by position, and what is said where that fails."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench.datasets.folders import folders
+from vprbench.interface import BadInput
+
+
+@pytest.fixture
+def fill(tmp_path):
+    """A function that makes a folder of empty image files and returns its path."""
+
+    def fill(folder, names):
+        for name in names:
+            path = tmp_path / folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        return str(tmp_path / folder)
+
+    return fill
+
+
+def numbered(n):
+    return [f"{i}.png" for i in range(n)]
+
+
+def at(*positions):
+    return [f"@{east}@{north}@{i}@.png" for i, (east, north) in enumerate(positions)]
+
+
+def rights(dataset):
+    return [right.tolist() for right in dataset.positives]
+
+
+def answer(**arguments):
+    with pytest.raises(BadInput) as error:
+        folders(**arguments)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_images_come_in_natural_order(fill):
+    names = ["frame10.png", "frame9.png", "frame1.png", "frame100.png"]
+    dataset = folders(references=[fill("a", names)], queries=fill("b", numbered(1)))
+    assert dataset.references.names == ("frame1.png", "frame9.png", "frame10.png", "frame100.png")
+
+
+def test_sub_folders_are_included_in_natural_order(fill):
+    names = ["run10/1.png", "run2/7.png", "run2/deep/3.png"]
+    dataset = folders(references=[fill("a", names)], queries=fill("b", numbered(1)))
+    assert dataset.references.names == ("7.png", "3.png", "1.png")
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_names_that_differ_in_leading_zeros_alone_do_not_depend_on_the_file_system(fill, monkeypatch, backwards):
+    references, queries = fill("a", ["1.png", "01.png", "001.png"]), fill("b", numbered(1))
+    listed = Path.rglob
+    monkeypatch.setattr(Path, "rglob", lambda *arguments: sorted(listed(*arguments), reverse=backwards))
+    dataset = folders(references=[references], queries=queries)
+    assert dataset.references.names == ("001.png", "01.png", "1.png")
+
+
+def test_files_that_are_no_images_are_left_out(fill):
+    dataset = folders(
+        references=[fill("a", ["1.png", "poses.txt", "2.JPG", "Thumbs.db"])], queries=fill("b", numbered(2))
+    )
+    assert dataset.references.names == ("1.png", "2.JPG")
+
+
+def test_the_images_are_those_of_the_files(tmp_path):
+    for folder, level in (("a", 10), ("b", 20)):
+        (tmp_path / folder).mkdir()
+        PillowImage.new("RGB", (4, 3), (level, 0, 0)).save(tmp_path / folder / "1.png")
+    dataset = folders(references=[str(tmp_path / "a")], queries=str(tmp_path / "b"))
+    assert (dataset.references[0][0, 0, 0], dataset.queries[0][0, 0, 0]) == (10, 20)
+
+
+def test_the_query_of_a_number_is_the_place_of_that_number(fill):
+    dataset = folders(references=[fill("a", numbered(3))], queries=fill("b", numbered(3)))
+    assert rights(dataset) == [[0], [1], [2]]
+
+
+def test_the_tolerance_ends_where_the_traverse_ends(fill):
+    dataset = folders(references=[fill("a", numbered(5))], queries=fill("b", numbered(5)), tolerance=2)
+    assert rights(dataset) == [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4], [1, 2, 3, 4], [2, 3, 4]]
+
+
+def test_there_may_be_fewer_queries_than_places(fill):
+    dataset = folders(references=[fill("a", numbered(5))], queries=fill("b", numbered(2)))
+    assert (dataset.n_places, rights(dataset)) == (5, [[0], [1]])
+
+
+def test_several_folders_are_traverses_of_the_same_places(fill):
+    references = [fill("a", numbered(3)), fill("b", numbered(3))]
+    dataset = folders(references=references, queries=fill("c", numbered(3)))
+    assert dataset.places.tolist() == [0, 1, 2, 0, 1, 2]
+    assert dataset.n_places == 3
+
+
+def test_folders_of_unequal_counts_are_each_named_with_theirs(fill):
+    first, second = fill("a", numbered(3)), fill("b", numbered(4))
+    message = answer(references=[first, second], queries=fill("c", numbered(3)))
+    assert "dataset.references" in message
+    assert f"{first} 3, {second} 4" in message
+
+
+def test_queries_beyond_the_last_place_are_counted_and_the_first_is_named(fill):
+    queries = fill("b", numbered(7))
+    message = answer(references=[fill("a", numbered(4))], queries=queries, tolerance=1)
+    assert "2 of 7 queries have no reference within 1 places" in message  # query 4 still has place 3
+    assert str(Path(queries) / "5.png") in message
+    assert "dataset.unmatched=keep" in message
+
+
+def test_queries_beyond_the_last_place_are_kept_as_misses_where_asked(fill):
+    dataset = folders(references=[fill("a", numbered(2))], queries=fill("b", numbered(4)), unmatched="keep")
+    assert rights(dataset) == [[0], [1], [], []]
+
+
+# 7-24-25, 15-20-25 and the axis: exactly 25 m away.
+@pytest.mark.parametrize(("east", "north"), [(7, 24), (15, -20), (25, 0), (0, -25)])
+def test_a_reference_exactly_at_the_radius_is_right(fill, east, north):
+    references = fill("a", at((543256, 4178906)))
+    queries = fill("b", at((543256 + east, 4178906 + north)))
+    assert rights(folders(references=[references], queries=queries, ground_truth="utm")) == [[0]]
+
+
+def test_a_reference_just_beyond_the_radius_is_wrong(fill):
+    references, queries = fill("a", at((0, 0))), fill("b", at((25.001, 0)))
+    dataset = folders(references=[references], queries=queries, ground_truth="utm", unmatched="keep")
+    assert rights(dataset) == [[]]
+
+
+def test_every_reference_within_the_radius_is_right_and_a_place_of_its_own(fill):
+    first = fill("a", at((0, 0), (10, 0), (20, 0)))
+    second = fill("b", at((11, 0)))
+    dataset = folders(
+        references=[first, second], queries=fill("c", at((12, 0), (29, 0))), ground_truth="utm", radius_metres=10
+    )
+    assert dataset.places.tolist() == [0, 1, 2, 3]
+    assert rights(dataset) == [[1, 2, 3], [2]]
+
+
+def test_a_position_may_have_decimals_leading_zeros_and_further_fields(fill):
+    references = fill("a", ["@0543256.96@4178906.70@10@S@037.75@-122.50@pano@@0@@@@201311@@.jpg"])
+    queries = fill("b", ["@0543256.00@4178906.70@10@S@.jpg"])
+    dataset = folders(references=[references], queries=queries, ground_truth="utm", radius_metres=1)
+    assert rights(dataset) == [[0]]
+
+
+def test_an_at_sign_in_a_folder_name_does_not_matter(fill):
+    references, queries = fill("me@home@9@9/a", at((0, 0))), fill("me@home@9@9/b", at((3, 4)))
+    dataset = folders(references=[references], queries=queries, ground_truth="utm", radius_metres=5)
+    assert rights(dataset) == [[0]]
+
+
+def test_queries_too_far_from_every_reference_are_counted_and_the_first_is_named(fill):
+    queries = fill("b", at((0, 0), (100, 0), (200, 0)))
+    message = answer(references=[fill("a", at((0, 1)))], queries=queries, ground_truth="utm")
+    assert "2 of 3 queries have no reference within 25 m" in message
+    assert str(Path(queries) / "@100@0@1@.png") in message
+
+
+def test_queries_too_far_from_every_reference_are_kept_as_misses_where_asked(fill):
+    queries = fill("b", at((0, 0), (100, 0)))
+    dataset = folders(references=[fill("a", at((0, 1)))], queries=queries, ground_truth="utm", unmatched="keep")
+    assert rights(dataset) == [[0], []]
+
+
+@pytest.mark.parametrize(
+    "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@inf@.png"]
+)
+@pytest.mark.parametrize("side", ["references", "queries"])
+def test_a_name_without_a_position_is_named(fill, name, side):
+    names = {"references": at((0, 0)), "queries": at((0, 0))} | {side: [name]}
+    references, queries = fill("references", names["references"]), fill("queries", names["queries"])
+    message = answer(references=[references], queries=queries, ground_truth="utm")
+    assert str(Path(references).parent / side / name) in message
+
+
+@pytest.mark.parametrize("radius", [0, -1])
+def test_a_radius_of_nothing_is_refused(fill, radius):
+    message = answer(
+        references=[fill("a", at((0, 0)))], queries=fill("b", at((0, 0))), ground_truth="utm", radius_metres=radius
+    )
+    assert f"dataset.radius_metres={radius}" in message
+
+
+def test_a_negative_tolerance_is_refused(fill):
+    message = answer(references=[fill("a", numbered(2))], queries=fill("b", numbered(2)), tolerance=-1)
+    assert "dataset.tolerance=-1" in message
+
+
+@pytest.mark.parametrize("option", ["references", "queries"])
+@pytest.mark.parametrize("kind", ["missing", "empty", "without images", "a file"])
+def test_a_folder_without_images_is_named_with_its_option(fill, tmp_path, option, kind):
+    bad = tmp_path / "bad"
+    if kind in ("empty", "without images"):
+        bad.mkdir()
+    if kind == "without images":
+        (bad / "notes.txt").touch()
+    if kind == "a file":
+        bad.touch()
+    good = fill("good", numbered(2))
+    given = {"references": [good], "queries": good} | {option: [str(bad)] if option == "references" else str(bad)}
+    assert f"dataset.{option}: {bad}" in answer(**given)
+
+
+@pytest.mark.parametrize("given", [(), ("references",), ("queries",)])
+def test_unset_options_are_both_named(fill, given):
+    folder = fill("a", numbered(2))
+    arguments = {"references": [folder], "queries": folder}
+    message = answer(**{option: arguments[option] for option in given})
+    assert "dataset.references and dataset.queries" in message
+
+
+def test_the_protocol_of_an_index_says_everything_that_was_selected(fill):
+    references, queries = fill("a", numbered(2)), fill("b", numbered(2))
+    dataset = folders("mine", [references], queries, tolerance=1)
+    assert dataset.name == "mine"
+    assert dict(dataset.protocol) == {
+        "references": [references],
+        "queries": queries,
+        "ground_truth": "index",
+        "unmatched": "error",
+        "tolerance_places": 1,
+    }
+
+
+def test_the_protocol_of_positions_says_the_radius(fill):
+    dataset = folders(references=[fill("a", at((0, 0)))], queries=fill("b", at((1, 0))), ground_truth="utm")
+    assert dataset.protocol["radius_metres"] == 25
+    assert "tolerance_places" not in dataset.protocol

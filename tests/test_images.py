@@ -1,0 +1,475 @@
+"""Images are read when looked at, in order, a bounded number ahead, and a bad file is named."""
+
+import struct
+import threading
+import time
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench.images import Images, read_image
+from vprbench.interface import BadInput
+
+
+class Reader:
+    """Counts what is read; image i is a 2 x 3 frame of level i."""
+
+    def __init__(self, seconds=0.0):
+        self.seconds = seconds
+        self.read = []
+        self.threads = set()
+
+    def __call__(self, i):
+        self.read.append(i)
+        self.threads.add(threading.get_ident())
+        time.sleep(self.seconds)
+        return np.full((2, 3, 3), i % 256, np.uint8)
+
+    def images(self, n):
+        return Images(self, [f"frame {i}" for i in range(n)])
+
+    def wait_until_idle(self):
+        seen = -1
+        while seen != len(self.read):
+            seen = len(self.read)
+            time.sleep(0.1)
+        return seen
+
+
+def levels(images):
+    return [int(image[0, 0, 0]) for image in images]
+
+
+def noise(height, width, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def save(path, pixels, **options):
+    PillowImage.fromarray(pixels).save(path, **options)
+    return path
+
+
+def answer(call):
+    with pytest.raises(BadInput) as error:
+        call()
+    return str(error.value)
+
+
+def test_nothing_is_read_until_an_image_is_looked_at():
+    reader = Reader()
+    images = reader.images(20)
+    assert len(images) == 20
+    assert images.names[7] == "frame 7"
+    assert reader.read == []
+
+
+def test_looking_at_one_image_reads_only_that_one():
+    reader = Reader()
+    reader.images(20)[7]
+    assert reader.read == [7]
+
+
+@pytest.mark.parametrize("index", [slice(3, 9), slice(None, None, -1), np.array([4, 2]), np.arange(20) > 15])
+def test_a_view_reads_nothing(index):
+    reader = Reader()
+    reader.images(20)[index]
+    assert reader.read == []
+
+
+@pytest.mark.parametrize(
+    ("index", "chosen"),
+    [
+        (slice(3, 6), [3, 4, 5]),
+        (slice(None, None, -7), [19, 12, 5]),
+        (slice(18, 40), [18, 19]),
+        (slice(5, 5), []),
+        (np.array([4, 2, 4]), [4, 2, 4]),
+        (np.array([-1, 0]), [19, 0]),
+        (np.arange(20) > 17, [18, 19]),
+    ],
+)
+def test_a_view_holds_the_chosen_images_under_their_names(index, chosen):
+    view = Reader().images(20)[index]
+    assert levels(view) == chosen
+    assert view.names == tuple(f"frame {i}" for i in chosen)
+
+
+def test_a_view_of_a_view_counts_from_the_first_view():
+    view = Reader().images(20)[10:][np.array([5, 0])]
+    assert levels(view) == [15, 10]
+
+
+@pytest.mark.parametrize(("index", "level"), [(-1, 19), (-20, 0), (np.int64(3), 3), (np.int64(-2), 18)])
+def test_an_index_counts_from_either_end(index, level):
+    assert Reader().images(20)[index][0, 0, 0] == level
+
+
+@pytest.mark.parametrize("index", [20, -21, np.int64(20)])
+def test_an_index_outside_raises_index_error_with_the_length(index):
+    with pytest.raises(IndexError, match=f"{index} of 20"):
+        Reader().images(20)[index]
+
+
+def test_images_come_in_order_however_long_each_takes_to_read():
+    seconds = np.random.default_rng(0).uniform(0, 0.004, 150)
+
+    def read(i):
+        time.sleep(seconds[i])
+        return np.full((1, 1, 3), i, np.uint8)
+
+    assert levels(Images(read, [str(i) for i in range(150)])) == list(range(150))
+
+
+def test_iterating_reads_every_image_once():
+    reader = Reader()
+    list(reader.images(137))
+    assert sorted(reader.read) == list(range(137))
+
+
+def test_a_sequence_can_be_iterated_again():
+    images = Reader().images(30)
+    assert levels(images) == levels(images) == list(range(30))
+
+
+def test_iterating_reads_in_other_threads():
+    reader = Reader()
+    list(reader.images(100))
+    assert threading.get_ident() not in reader.threads
+
+
+@pytest.mark.parametrize("looked_at", [1, 500])
+def test_only_a_bounded_number_of_images_is_read_ahead(looked_at):
+    reader = Reader()
+    iterator = iter(reader.images(5000))
+    for _ in range(looked_at):
+        next(iterator)
+    assert reader.wait_until_idle() <= looked_at + 150
+    iterator.close()
+
+
+def test_reading_goes_on_while_the_caller_works():
+    reader = Reader()
+    iterator = iter(reader.images(5000))
+    next(iterator)
+    patience = time.perf_counter() + 10
+    while len(reader.read) <= 8 and time.perf_counter() < patience:
+        time.sleep(0.01)
+    assert len(reader.read) > 8  # more than one reader takes at a time, though one image was asked for
+    iterator.close()
+
+
+@pytest.mark.timeout(20)
+def test_leaving_an_iteration_early_ends_the_reading():
+    reader = Reader(seconds=0.005)
+    for _image in reader.images(100_000):
+        break
+    done = reader.wait_until_idle()
+    time.sleep(0.1)
+    assert len(reader.read) == done < 200
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 8, 9])
+def test_short_sequences_are_iterated_whole(n):
+    assert levels(Reader().images(n)) == list(range(n))
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(7, [3, 3, 1]), (6, [3, 3]), (2, [2]), (0, [])])
+def test_blocks_are_full_but_for_the_last(n, sizes):
+    assert [len(block) for block in Reader().images(n).blocks(3)] == sizes
+
+
+def test_blocks_hold_the_images_in_order_under_their_names():
+    blocks = list(Reader().images(20).blocks(6))
+    assert [level for block in blocks for level in levels(block)] == list(range(20))
+    assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(20)]
+
+
+def test_a_block_is_decoded_already():
+    reader = Reader()
+    block = next(reader.images(6).blocks(6))
+    before = len(reader.read)
+    list(block)
+    assert len(reader.read) == before
+
+
+def test_in_memory_reads_every_image_once_and_never_again():
+    reader = Reader()
+    decoded = reader.images(20).in_memory()
+    assert levels(decoded) == levels(decoded) == list(range(20))
+    assert sorted(reader.read) == list(range(20))
+
+
+def test_views_share_the_reading_time_of_the_whole():
+    images = Reader(seconds=0.01).images(20)
+    images[5:10][2]
+    list(images[::2])
+    assert images.reading.seconds == images[3:4].reading.seconds > 0.01
+
+
+def test_reading_while_the_caller_works_is_no_reading_time():
+    images = Reader(seconds=0.01).images(1000)
+    started = time.perf_counter()
+    iterator = iter(images)
+    next(iterator)
+    waited = time.perf_counter() - started
+    time.sleep(0.2)
+    iterator.close()
+    assert 0 < images.reading.seconds <= waited
+
+
+@pytest.mark.timeout(20)
+def test_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path):
+    paths = [save(tmp_path / f"{i}.png", noise(4, 4)) for i in range(200)]
+    paths[117].write_bytes(b"")
+    assert str(paths[117]) in answer(lambda: list(Images.from_files(paths)))
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_files_of_different_sizes_keep_their_own(tmp_path, suffix):
+    sizes = [(4, 6), (7, 3), (1, 1)]
+    paths = [save(tmp_path / f"{i}.{suffix}", noise(*size)) for i, size in enumerate(sizes)]
+    assert [image.shape for image in Images.from_files(paths)] == [(*size, 3) for size in sizes]
+
+
+def test_a_file_is_named_without_its_folder(tmp_path):
+    assert Images.from_files([tmp_path / "a" / "b.png"]).names == ("b.png",)
+
+
+def test_a_colour_png_comes_as_its_rgb_pixels(tmp_path):
+    pixels = noise(5, 7)
+    image = read_image(save(tmp_path / "a.png", pixels))
+    assert image.dtype == np.uint8
+    assert np.array_equal(image, pixels)
+
+
+def test_red_is_the_first_channel_of_a_jpeg(tmp_path):
+    path = save(tmp_path / "a.jpg", np.full((16, 16, 3), (200, 100, 20), np.uint8), quality=100)
+    assert np.abs(read_image(path).astype(int) - (200, 100, 20)).max() <= 3
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_grey_is_repeated_in_three_channels(tmp_path, suffix):
+    image = read_image(save(tmp_path / f"a.{suffix}", np.full((8, 8), 120, np.uint8), quality=100))
+    assert image.tolist() == np.full((8, 8, 3), 120).tolist()
+
+
+def test_alpha_is_dropped_without_touching_the_colour(tmp_path):
+    pixels = np.dstack([noise(3, 4), np.array([[0, 1, 128, 255]] * 3, np.uint8)])
+    assert np.array_equal(read_image(save(tmp_path / "a.png", pixels)), pixels[:, :, :3])
+
+
+def test_grey_with_alpha_is_repeated_in_three_channels(tmp_path):
+    PillowImage.fromarray(np.array([[[40, 0], [50, 255]]], np.uint8), mode="LA").save(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").tolist() == [[[40, 40, 40], [50, 50, 50]]]
+
+
+def test_sixteen_bit_grey_is_reduced_to_eight(tmp_path):
+    path = save(tmp_path / "a.png", np.array([[0, 0x4000, 0xFFFF]], np.uint16))
+    assert read_image(path).tolist() == [[[0] * 3, [64] * 3, [255] * 3]]
+
+
+def palette_image():
+    image = PillowImage.new("P", (3, 1))
+    image.putpalette([10, 20, 30, 200, 100, 0, 5, 6, 7])
+    image.putdata([1, 0, 2])
+    return image
+
+
+def test_a_palette_is_looked_up(tmp_path):
+    palette_image().save(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").tolist() == [[[200, 100, 0], [10, 20, 30], [5, 6, 7]]]
+
+
+def test_a_palette_with_transparency_is_looked_up_without_a_warning(tmp_path):
+    palette_image().save(tmp_path / "a.png", transparency=bytes([0, 128, 255]))
+    assert read_image(tmp_path / "a.png").tolist() == [[[200, 100, 0], [10, 20, 30], [5, 6, 7]]]
+
+
+def test_a_bilevel_png_is_black_and_white(tmp_path):
+    PillowImage.fromarray(np.array([[True, False]])).save(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").tolist() == [[[255] * 3, [0] * 3]]
+
+
+def half_of(suffix):
+    def write(path):
+        whole = path.with_suffix(f".{suffix}")
+        save(whole, noise(40, 40))
+        path.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+
+    return write
+
+
+def claim_a_huge_size(path):
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0")) + chunk(b"IEND", b""))
+
+
+BAD_FILES = {
+    "truncated PNG": half_of("png"),
+    "truncated JPEG": half_of("jpg"),
+    "empty file": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("frame 1 of 3\n"),
+    "no file": lambda path: None,
+    "folder": lambda path: path.mkdir(),
+    "PNG that claims 400 million pixels": claim_a_huge_size,
+}
+
+
+@pytest.mark.parametrize("kind", BAD_FILES)
+def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path(tmp_path, kind):
+    path = tmp_path / "bad.png"
+    BAD_FILES[kind](path)
+    message = answer(lambda: read_image(path))
+    assert str(path) in message
+    assert "\n" not in message
+
+
+def test_a_missing_file_is_said_to_be_missing(tmp_path):
+    assert "does not exist" in answer(lambda: read_image(tmp_path / "a.png"))
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_file_cut_anywhere_never_gives_other_pixels(tmp_path, suffix):
+    path = save(tmp_path / f"a.{suffix}", noise(6, 5))
+    whole, pixels = path.read_bytes(), read_image(path)
+    for n_bytes in [*range(0, len(whole), 7), *range(len(whole) - 30, len(whole))]:
+        path.write_bytes(whole[:n_bytes])
+        try:
+            cut = read_image(path)
+        except BadInput:
+            continue
+        assert np.array_equal(cut, pixels), f"{n_bytes} of {len(whole)} bytes"
+
+
+def test_grey_arrays_are_repeated_in_three_channels():
+    image = Images.from_arrays([np.array([[1, 2]], np.uint8)])[0]
+    assert image.tolist() == [[[1, 1, 1], [2, 2, 2]]]
+
+
+def test_arrays_lose_their_alpha():
+    assert Images.from_arrays([np.full((2, 2, 4), 9, np.uint8)])[0].shape == (2, 2, 3)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((3, 4, 3)),
+        np.zeros((3, 4, 2), np.uint8),
+        np.zeros(4, np.uint8),
+        np.zeros((1, 3, 4, 3), np.uint8),
+        np.zeros((3, 4)),  # grey levels of another type
+    ],
+    ids=lambda array: f"{array.dtype}{array.shape}",
+)
+def test_an_array_that_is_no_uint8_image_is_refused_with_its_shape_and_type(array):
+    message = answer(lambda: Images.from_arrays([array]))
+    assert str(array.shape) in message
+    assert str(array.dtype) in message
+
+
+@pytest.fixture
+def files(tmp_path):
+    return [save(tmp_path / f"{i}.png", noise(64, 64, seed=i), compress_level=0) for i in range(3)]
+
+
+def test_the_fingerprint_of_untouched_files_stays(files):
+    before = Images.from_files(files).fingerprint()
+    files[1].touch()
+    files[1].write_bytes(files[1].read_bytes())
+    assert Images.from_files(files).fingerprint() == before
+
+
+def test_the_fingerprint_of_files_does_not_depend_on_their_folder(files, tmp_path):
+    before = Images.from_files(files).fingerprint()
+    (tmp_path / "moved").mkdir()
+    moved = [path.rename(tmp_path / "moved" / path.name) for path in files]
+    assert Images.from_files(moved).fingerprint() == before
+
+
+def test_a_renamed_file_changes_the_fingerprint(files):
+    before = Images.from_files(files).fingerprint()
+    files[1] = files[1].rename(files[1].with_name("other.png"))
+    assert Images.from_files(files).fingerprint() != before
+
+
+def test_reordered_files_change_the_fingerprint(files):
+    assert Images.from_files(files).fingerprint() != Images.from_files(files[::-1]).fingerprint()
+
+
+def test_a_file_more_changes_the_fingerprint(files):
+    assert Images.from_files(files).fingerprint() != Images.from_files(files[:2]).fingerprint()
+
+
+def test_exchanged_contents_change_the_fingerprint(files):
+    before = Images.from_files(files).fingerprint()
+    first, second = files[0].read_bytes(), files[1].read_bytes()
+    files[0].write_bytes(second)
+    files[1].write_bytes(first)
+    assert Images.from_files(files).fingerprint() != before
+
+
+def test_one_pixel_in_the_middle_of_a_png_of_the_same_size_changes_the_fingerprint(files):
+    before, size = Images.from_files(files).fingerprint(), files[1].stat().st_size
+    pixels = noise(64, 64, seed=1)
+    pixels[32, 32, 0] ^= 1
+    save(files[1], pixels, compress_level=0)
+    assert files[1].stat().st_size == size
+    assert Images.from_files(files).fingerprint() != before
+
+
+def test_the_fingerprint_of_a_missing_file_is_an_error_with_its_path(files):
+    files[2].unlink()
+    assert str(files[2]) in answer(lambda: Images.from_files(files).fingerprint())
+
+
+def test_the_fingerprint_of_files_decodes_nothing(tmp_path):
+    (tmp_path / "a.png").write_text("no image")
+    assert Images.from_files([tmp_path / "a.png"]).fingerprint()
+
+
+def test_the_fingerprint_of_a_view_is_that_of_its_files(files):
+    assert Images.from_files(files)[1:].fingerprint() == Images.from_files(files[1:]).fingerprint()
+
+
+def rendered(arrays, names="abc"):
+    return Images(arrays.__getitem__, list(names))
+
+
+ARRAYS = [noise(2, 3, seed) for seed in range(3)]
+
+
+@pytest.mark.parametrize("wrap", [Images.from_arrays, rendered], ids=["arrays", "rendered"])
+def test_the_fingerprint_of_the_same_pixels_under_the_same_names_stays(wrap):
+    assert wrap(ARRAYS, "abc").fingerprint() == wrap([array.copy() for array in ARRAYS], "abc").fingerprint()
+
+
+@pytest.mark.parametrize("wrap", [Images.from_arrays, rendered], ids=["arrays", "rendered"])
+@pytest.mark.parametrize(
+    ("arrays", "names"),
+    [
+        (ARRAYS, "abd"),
+        (ARRAYS, "acb"),
+        (ARRAYS[::-1], "abc"),
+        (ARRAYS[:2], "ab"),
+        ([ARRAYS[0], ARRAYS[1] ^ 1, ARRAYS[2]], "abc"),
+        ([ARRAYS[0], ARRAYS[1].reshape(3, 2, 3), ARRAYS[2]], "abc"),
+    ],
+    ids=["renamed", "names reordered", "reordered", "fewer", "replaced", "reshaped"],
+)
+def test_other_arrays_change_the_fingerprint(wrap, arrays, names):
+    assert wrap(arrays, names).fingerprint() != wrap(ARRAYS, "abc").fingerprint()
+
+
+def test_the_fingerprint_of_many_rendered_images_looks_at_sixteen():
+    reader = Reader()
+    reader.images(1000).fingerprint()
+    assert len(reader.read) == 16
+
+
+def test_no_images_have_a_fingerprint():
+    assert Images.from_arrays([]).fingerprint() == Images.from_files([]).fingerprint()

@@ -1,0 +1,252 @@
+"""Nordland: the published list, the places of the paper, and folders in which something is missing."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench.datasets.nordland import chosen_names, nordland, published_frames
+from vprbench.interface import BadInput
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "nordland_64x32"
+needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
+
+TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
+TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on
+SEASON_LEVEL = {"spring": 10, "summer": 20, "fall": 30, "winter": 40}
+
+
+@pytest.fixture
+def tiny_root(tmp_path):
+    """Four seasons of six places; the red level of a frame is that of its season plus its place."""
+    for season, level in SEASON_LEVEL.items():
+        (tmp_path / season).mkdir()
+        for place, frame in enumerate(TINY_FRAMES):
+            PillowImage.new("RGB", (3, 2), (level + place, 0, 0)).save(tmp_path / season / f"images-{frame:05d}.png")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    """The dataset of the paper over empty files: nothing is read."""
+    root = tmp_path_factory.mktemp("nordland")
+    (root / "spring").mkdir()
+    for frame in published_frames()[::8]:
+        (root / "spring" / f"images-{frame:05d}.png").touch()
+    for season in ("fall", "summer"):
+        (root / season).symlink_to(root / "spring")
+    return nordland(root=str(root))
+
+
+def answer(**arguments):
+    with pytest.raises(BadInput) as error:
+        nordland(**arguments)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def reds(images):
+    return [int(image[0, 0, 0]) for image in images]
+
+
+def test_the_list_has_27592_names():
+    assert len(chosen_names(1, 27_592, 1)) == 27_592
+
+
+def test_the_names_are_those_of_the_published_list():
+    # sha256 of the names joined by LF without a final LF; QVPR/VPRTempo 64154e5, nordland-summer.csv.
+    digest = hashlib.sha256("\n".join(chosen_names(1, 27_592, 1)).encode()).hexdigest()
+    assert digest == "5f74d2dc7bb3ad4a452ec722c47482fb9d95ab3e0f15513b6ddf437157f914c2"
+
+
+@pytest.mark.parametrize(
+    ("place", "frame"), [(0, "00202"), (1, "00210"), (2, "00218"), (599, "07021"), (600, "07029"), (3299, "34160")]
+)
+def test_the_places_of_the_paper_are_every_eighth_name(place, frame):
+    assert chosen_names(8, 3300, 1)[place] == f"images-{frame}.png"
+
+
+def test_2761_names_have_a_number_divisible_by_ten():
+    with pytest.raises(BadInput, match="the list of 2761 names at stride 1 has 2761 places"):
+        chosen_names(1, 2762, 10)
+
+
+@needs_real_frames
+def test_the_names_divisible_by_ten_are_those_of_the_public_64x32_frames():
+    listed = (REAL / "frames_clean_qvpr.txt").read_text().split()
+    assert [Path(name).stem for name in chosen_names(1, 2761, 10)] == [Path(name).stem for name in listed]
+
+
+def test_the_paper_asks_2700_queries_of_3300_places_in_two_traverses(paper):
+    assert (len(paper.queries), paper.n_places, len(paper.references)) == (2700, 3300, 6600)
+
+
+def test_the_first_query_of_the_paper_is_place_600_and_nothing_else_is_right(paper):
+    assert paper.queries.names[0] == "images-07029.png"
+    assert paper.positives[0].tolist() == [600]
+
+
+def test_the_last_query_of_the_paper_is_place_3299(paper):
+    assert paper.queries.names[-1] == "images-34160.png"
+    assert paper.positives[-1].tolist() == [3299]
+
+
+def test_every_query_is_named_like_the_reference_of_its_right_place(paper):
+    names = np.array(paper.references.names)
+    assert [names[right[0]] for right in paper.positives] == list(paper.queries.names)
+
+
+def test_both_traverses_of_the_paper_show_the_same_places(paper):
+    assert paper.places.tolist() == [*range(3300), *range(3300)]
+
+
+def test_two_seasons_are_two_traverses_in_the_order_asked_for(tiny_root):
+    dataset = nordland(root=str(tiny_root), references=["winter", "spring"], **TINY)
+    assert reds(dataset.references) == [40, 41, 42, 43, 44, 45, 10, 11, 12, 13, 14, 15]
+    assert dataset.places.tolist() == [0, 1, 2, 3, 4, 5] * 2
+
+
+def test_without_references_spring_and_fall_are_the_map(tiny_root):
+    assert reds(nordland(root=str(tiny_root), **TINY).references)[::6] == [10, 30]
+
+
+def test_queries_are_those_of_the_query_season_from_the_first_query_place_on(tiny_root):
+    dataset = nordland(root=str(tiny_root), query="winter", **TINY)
+    assert reds(dataset.queries) == [42, 43, 44, 45]
+    assert [right.tolist() for right in dataset.positives] == [[2], [3], [4], [5]]
+
+
+def test_queries_may_end_before_the_last_place(tiny_root):
+    dataset = nordland(root=str(tiny_root), stride=2, places=6, query_places=2, first_query_place=1)
+    assert reds(dataset.queries) == [21, 22]
+
+
+def test_the_query_season_may_be_the_map(tiny_root):
+    dataset = nordland(root=str(tiny_root), references=["summer"], query="summer", **TINY)
+    assert reds(dataset.references)[2:] == reds(dataset.queries)
+
+
+def test_the_tolerance_ends_where_the_list_ends(tiny_root):
+    dataset = nordland(root=str(tiny_root), stride=2, places=6, query_places=6, first_query_place=0, tolerance=2)
+    assert [right.tolist() for right in dataset.positives] == [
+        [0, 1, 2],
+        [0, 1, 2, 3],
+        [0, 1, 2, 3, 4],
+        [1, 2, 3, 4, 5],
+        [2, 3, 4, 5],
+        [3, 4, 5],
+    ]
+
+
+def test_places_before_the_first_query_place_are_right_within_the_tolerance(tiny_root):
+    dataset = nordland(root=str(tiny_root), tolerance=1, **TINY)
+    assert dataset.positives[0].tolist() == [1, 2, 3]
+
+
+def test_frames_of_the_query_season_outside_the_queries_may_be_missing(tiny_root):
+    (tiny_root / "summer" / "images-00202.png").unlink()
+    assert len(nordland(root=str(tiny_root), **TINY).queries) == 4
+
+
+def test_the_protocol_says_everything_that_was_selected(tiny_root):
+    dataset = nordland("mine", str(tiny_root), ["fall"], "winter", tolerance=1, **TINY)
+    assert dataset.name == "mine"
+    assert dict(dataset.protocol) == {
+        "references": ["fall"],
+        "query": "winter",
+        "stride": 2,
+        "places": 6,
+        "query_places": 4,
+        "first_query_place": 2,
+        "tolerance_places": 1,
+        "frame_multiple": 1,
+    }
+
+
+def test_no_root_is_answered_with_the_option_and_where_the_frames_are():
+    message = answer()
+    assert "dataset.root is not set" in message
+    assert "Somayeh-h/Nordland" in message
+
+
+def test_a_root_that_does_not_exist_is_named(tmp_path):
+    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in answer(root=str(tmp_path / "nowhere"))
+
+
+def test_a_default_root_that_does_not_exist_is_no_root():
+    assert "dataset.root is not set" in answer(default_root="../no/such/folder")
+
+
+def test_a_missing_season_is_named(tiny_root):
+    (tiny_root / "fall").rename(tiny_root / "autumn")
+    assert str(tiny_root / "fall") in answer(root=str(tiny_root), **TINY)
+
+
+def test_a_missing_season_is_answered_with_the_option_to_set(tiny_root):
+    (tiny_root / "fall").rename(tiny_root / "autumn")
+    assert "dataset.root" in answer(root=str(tiny_root), **TINY)
+
+
+@pytest.mark.parametrize(("season", "n_wanted"), [("fall", 6), ("summer", 4)])
+def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_wanted):
+    for frame in (208, 212):
+        (tiny_root / season / f"images-{frame:05d}.png").unlink()
+    message = answer(root=str(tiny_root), **TINY)
+    assert f"images-00208.png is missing from {tiny_root / season}" in message
+    assert f"2 of {n_wanted} expected frames are missing" in message
+
+
+def test_missing_frames_are_answered_with_the_option_to_set(tiny_root):
+    (tiny_root / "fall" / "images-00208.png").unlink()
+    assert "dataset.root" in answer(root=str(tiny_root), **TINY)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"references": []}, "dataset.references=[]: name at least one season"),
+        ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
+        ({"stride": 1, "places": 2762, "frame_multiple": 10}, "dataset.places=2762: the list of 2761 names"),
+        ({"first_query_place": 601}, "dataset.first_query_place=601 and dataset.query_places=2700 ask for"),
+        ({"first_query_place": -1}, "dataset.first_query_place=-1"),
+        ({"query_places": 0}, "dataset.query_places=0"),
+        ({"query_places": -5}, "dataset.query_places=-5"),
+        ({"tolerance": -1}, "dataset.tolerance=-1"),
+        ({"stride": 0}, "dataset.stride=0"),
+        ({"places": 0}, "dataset.places=0"),
+        ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
+    ],
+    ids=lambda value: ", ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else "",
+)
+def test_a_bad_option_is_named_in_one_line(arguments, message):
+    assert message in answer(**arguments)
+
+
+@pytest.mark.parametrize("option", [{"references": ["spring", "autumn"]}, {"query": "autumn"}])
+def test_an_unknown_season_is_named_among_those_there_are(option):
+    message = answer(**option)
+    assert "autumn" in message
+    assert "spring, summer, fall, winter" in message
+
+
+@pytest.mark.parametrize("option", [{"references": ["spring", "autumn"]}, {"query": "autumn"}])
+def test_an_unknown_season_is_answered_with_the_option_it_came_from(option):
+    assert f"dataset.{next(iter(option))}" in answer(**option)
+
+
+@needs_real_frames
+def test_the_frames_beside_the_checkout_are_found_by_their_default_root():
+    dataset = nordland(
+        "nordland_64x32",
+        references=["winter"],
+        stride=1,
+        places=2761,
+        query_places=2761,
+        first_query_place=0,
+        frame_multiple=10,
+        default_root="../shared/data/nordland_64x32",
+    )
+    assert (len(dataset.references), dataset.n_places, len(dataset.queries)) == (2761, 2761, 2761)
+    assert dataset.references[0].shape == dataset.queries[2760].shape == (32, 64, 3)

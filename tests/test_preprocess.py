@@ -1,0 +1,235 @@
+"""Preprocessing against cases worked by hand and a pixel-by-pixel float64 oracle."""
+
+import cv2
+import numpy as np
+import preprocess_oracle as oracle
+import pytest
+
+from vprbench.images import Images
+from vprbench.interface import BadInput
+from vprbench.preprocess import PatchNormalisation, gamma_correct, patch_normalise
+
+VARIANTS = ("A", "B", "C")
+
+
+def smooth_frame(height, width, seed=0):
+    """A blurred random colour frame, 0..255."""
+    coarse = np.random.default_rng(seed).uniform(0, 255, (6, 8, 3))
+    frame = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    frame += np.random.default_rng(seed + 1).normal(0, 4, frame.shape)
+    return frame.clip(0, 255).round().astype(np.uint8)
+
+
+def grey_frame(levels):
+    return np.repeat(np.asarray(levels, np.uint8)[:, :, None], 3, axis=2)
+
+
+def preprocess(variant, *frames, **sizes):
+    return PatchNormalisation(variant, **sizes)(Images.from_arrays(frames))
+
+
+def floats(levels):
+    return np.asarray(levels, np.float32)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("colour", [(0, 0, 0), (1, 1, 1), (2, 2, 2), (100,) * 3, (255,) * 3, (10, 200, 30)])
+def test_a_constant_frame_is_127_everywhere(variant, colour):
+    frame = np.tile(np.array(colour, np.uint8), (56, 56, 1))
+    assert (preprocess(variant, frame) == 127).all()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(("height", "width"), [(28, 28), (32, 64), (90, 160), (53, 37), (360, 640)])
+def test_a_constant_frame_is_127_everywhere_whatever_its_size(variant, height, width):
+    frame = np.full((height, width, 3), 7, np.uint8)
+    assert (preprocess(variant, frame) == 127).all()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_black_frame_among_others_is_127_everywhere(variant):
+    levels = preprocess(variant, smooth_frame(32, 64), np.zeros((90, 160, 3), np.uint8))
+    assert (levels[1] == 127).all()
+
+
+# One level of 9 in a 3 x 3 frame. Corner: window 0 0 0 9, mean 2.25, squares 60.75. Edge: window of six, mean 1.5,
+# squares 67.5. Centre: z = 8 / 2.8 or 8 / 3, clipped to 1.
+# ddof 0: corner z = -2.25 / sqrt(60.75 / 4) = -0.5774, edge z = -1.5 / sqrt(67.5 / 6) = -0.4472.
+# ddof 1: corner z = -2.25 / sqrt(60.75 / 3) = -0.5, edge z = -1.5 / sqrt(67.5 / 5) = -0.4082.
+# Level = floor(255 (1 + z) / 2).
+@pytest.mark.parametrize(("ddof", "corner", "edge"), [(0, 53, 70), (1, 63, 75)])
+def test_a_window_is_cut_at_the_border(ddof, corner, edge):
+    grey = floats([[[0, 0, 0], [0, 9, 0], [0, 0, 0]]])
+    expected = [corner, edge, corner, edge, 255, edge, corner, edge, corner]
+    assert patch_normalise(grey, 3, ddof).tolist() == [expected]
+
+
+# Windows 0 4 | 0 4 8 | 4 8. ddof 0: z = -1, 0, 1. ddof 1: z = -2 / sqrt(8) = -0.7071, 0, 0.7071.
+@pytest.mark.parametrize(("ddof", "expected"), [(0, [0, 127, 255]), (1, [37, 127, 217])])
+def test_the_deviation_of_a_ramp_is_that_of_its_ddof(ddof, expected):
+    assert patch_normalise(floats([[[0, 4, 8]]]), 3, ddof).tolist() == [expected]
+
+
+def test_black_beyond_the_border_is_no_part_of_a_window():
+    assert patch_normalise(floats([[[200, 200], [200, 200]]]), 7, 1).tolist() == [[127] * 4]
+
+
+def test_a_frame_of_one_pixel_is_127():
+    assert patch_normalise(floats([[[80]]]), 3, 1).tolist() == [[127]]
+
+
+@pytest.mark.parametrize("level", [2, 10, 127, 200, 255])
+def test_gamma_maps_a_constant_frame_to_127_and_a_half(level):
+    assert gamma_correct(np.full((4, 5), level, np.float32)) == pytest.approx(127.5, abs=0.01)
+
+
+def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips():
+    # The mean is 16; 4 is its square root, so it goes to the square root of 127.5; 28 would go to 339.
+    corrected = gamma_correct(floats([[4, 16], [28, 16]]))
+    assert corrected == pytest.approx(np.array([[127.5**0.5, 127.5], [255, 127.5]]), abs=0.001)
+
+
+def test_gamma_leaves_0_and_1_where_they_are():
+    corrected = gamma_correct(floats([[0, 1, 8, 7]]))  # the mean is 4
+    assert corrected[0, :2].tolist() == [0, 1]
+
+
+def test_gamma_is_the_identity_where_the_mean_is_127_and_a_half_already():
+    grey = floats([[0, 255], [100, 155]])
+    assert np.array_equal(gamma_correct(grey), grey)
+
+
+@pytest.mark.parametrize("grey", [[[0, 0]], [[1, 1]], [[0, 2]], [[0, 1]]])
+def test_gamma_leaves_a_frame_whose_mean_is_at_most_1(grey):
+    assert gamma_correct(floats(grey)).tolist() == grey
+
+
+def test_gamma_makes_the_bright_pixels_of_an_almost_black_frame_white():
+    grey = np.zeros((20, 20), np.float32)
+    grey[0, :2] = 255  # the mean is 1.275, the exponent 20: beyond float32, so clipped
+    assert gamma_correct(grey)[0].tolist() == [255, 255] + [0] * 18
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_frame_whose_mean_is_exactly_1_is_accepted(variant):
+    # Left as it is: the 0s and 2s of a chessboard are 2 above or below their neighbours.
+    frame = grey_frame((np.indices((28, 28)).sum(axis=0) % 2) * 2)
+    ddof = 1 if variant == "C" else 0
+    expected = oracle.patch_normalise(frame[:, :, 0].astype(float), 7, ddof).ravel()
+    assert np.abs(preprocess(variant, frame)[0].astype(int) - expected).max() <= 1
+
+
+@pytest.mark.parametrize("patch", [0, 1, 2, 6, 8, -7])
+def test_a_patch_without_a_centre_or_neighbours_is_refused(patch):
+    with pytest.raises(BadInput, match=rf"method\.patch={patch}: .*odd number"):
+        PatchNormalisation(patch=patch)
+
+
+@pytest.mark.parametrize("size", [{"height": 0}, {"width": -1}])
+def test_a_size_below_one_pixel_is_refused(size):
+    with pytest.raises(BadInput, match=r"method\.height=.*method\.width="):
+        PatchNormalisation(**size)
+
+
+@pytest.mark.parametrize(("height", "width"), [(32, 64), (90, 160), (53, 37), (28, 28)])
+@pytest.mark.parametrize("target", [(28, 28), (12, 20)])
+def test_variant_c_is_the_oracle_but_for_a_level_where_a_window_is_not_flat(height, width, target):
+    frame = smooth_frame(height, width)
+    grey = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), *target)
+    expected = oracle.patch_normalise(grey, 7, 1).astype(int)
+    got = preprocess("C", frame, height=target[0], width=target[1])[0].reshape(target)
+    told = oracle.local_std(grey, 7, 1) > 1e-3
+    assert np.abs(got - expected)[told].max() <= 1
+
+
+def test_variant_c_resizes_to_the_oracles_grey():
+    frame = smooth_frame(53, 37)
+    expected = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), 12, 20)
+    assert PatchNormalisation("C", 12, 20).shrink(frame) == pytest.approx(expected, abs=0.01)
+
+
+def test_variant_b_has_the_oracles_whole_levels():
+    frame = smooth_frame(28, 28)
+    expected = oracle.gamma_b(oracle.grey_b(frame))
+    difference = np.abs(PatchNormalisation("B").shrink(frame) - expected)
+    assert difference.max() <= 2  # near-ties of OpenCV's fixed-point grey
+    assert np.count_nonzero(difference) <= 8
+
+
+def test_variant_b_truncates_what_variant_c_keeps():
+    frame = grey_frame([[4, 16], [28, 16]])  # the frame worked above: 11.29, 127.5, 255
+    b, c = (PatchNormalisation(variant, 2, 2, 3).shrink(frame) for variant in "BC")
+    assert b.tolist() == [[11, 127], [255, 127]]
+    assert c == pytest.approx(np.array([[11.2916, 127.5], [255, 127.5]]), abs=0.001)
+
+
+@pytest.mark.parametrize(("variant", "ddof"), [("A", 0), ("B", 0), ("C", 1)])
+def test_where_grey_gamma_and_resize_do_nothing_the_variants_differ_in_the_deviation_alone(variant, ddof):
+    half = np.random.default_rng(0).integers(0, 256, (14, 28))
+    levels = np.vstack([half, 255 - half])  # the mean is 127.5, so gamma is the identity
+    expected = oracle.patch_normalise(levels.astype(float), 7, ddof).ravel().astype(int)
+    assert np.abs(preprocess(variant, grey_frame(levels))[0] - expected).max() <= 1
+
+
+def test_variant_a_has_no_gamma():
+    assert PatchNormalisation("A").shrink(np.full((56, 56, 3), 10, np.uint8)).tolist() == np.full((28, 28), 10).tolist()
+
+
+def test_variant_a_resizes_before_it_takes_the_grey():
+    # The mean colour is (1, 0.25, 1.25), rounded (1, 0, 1), grey 0.413. Grey first would give 1 in every pixel
+    # (0.598, 0.587, 0.57, 0.598 rounded), and 1 after the resize.
+    frame = np.array([[[2, 0, 0], [0, 1, 0]], [[0, 0, 5], [2, 0, 0]]], np.uint8)
+    assert PatchNormalisation("A", 1, 1, 3).shrink(frame).tolist() == [[0]]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_height_comes_before_width(variant):
+    assert PatchNormalisation(variant, 12, 20).shrink(smooth_frame(32, 64)).shape == (12, 20)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_rows_are_not_columns(variant):
+    frame = grey_frame([[0, 0], [200, 200]])
+    assert preprocess(variant, frame, height=2, width=2, patch=3)[0].tolist() == sorted(
+        preprocess(variant, frame, height=2, width=2, patch=3)[0].tolist()
+    )
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_many_frames_give_what_each_gives_alone(variant):
+    frames = [smooth_frame(20 + i % 3, 30, seed=i) for i in range(70)]
+    together = preprocess(variant, *frames)
+    alone = np.concatenate([preprocess(variant, frame) for frame in frames])
+    assert np.array_equal(together, alone)
+
+
+def test_the_levels_are_uint8_with_a_row_for_each_image():
+    levels = preprocess("C", *[smooth_frame(20, 30)] * 3, height=5, width=6, patch=3)
+    assert levels.shape == (3, 30)
+    assert levels.dtype == np.uint8
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_frames_are_left_as_they_were(variant):
+    frame = smooth_frame(28, 28)
+    before = frame.copy()
+    preprocess(variant, frame)
+    assert np.array_equal(frame, before)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_read_only_frame_is_accepted(variant):
+    frame = smooth_frame(28, 28)
+    frame.setflags(write=False)
+    assert preprocess(variant, frame).shape == (1, 784)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_alpha_does_not_matter(variant):
+    frame = smooth_frame(32, 64)
+    alpha = np.random.default_rng(0).integers(0, 256, (32, 64, 1), dtype=np.uint8)
+    assert np.array_equal(preprocess(variant, np.dstack([frame, alpha])), preprocess(variant, frame))
+
+
+def test_no_frames_give_no_levels():
+    assert preprocess("C").shape == (0, 784)

@@ -1,0 +1,327 @@
+"""The summary and the tables of a run whose numbers are worked by hand.
+
+`a_run` has four queries whose right places stand 1st, 1st, 3rd and 8th of ten, in falling order of confidence:
+recall at 1 is 2/4, at 5 3/4, at 10 4/4. Curve A passes (1/4, 1), (1/2, 1), (1/2, 2/3), (1/2, 1/2): both areas 1/2.
+Streaming takes 10 + 2.5 ms: 100, 400 and 80 Hz. A batch of eight takes 40 + 10 ms: 200, 800 and 160 Hz.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from little import a_run, laps, unanswerable_run
+
+from vprbench import tables
+from vprbench.interface import BadInput
+from vprbench.records import Failure, Run
+from vprbench.summary import StageRates, summarise
+from vprbench.tables import readable_row, table_text
+
+FAILURE = Failure("vprtempo", "journey", {"overrides": ["method=vprtempo", "method.epochs=9"]}, "MemoryError: 99 GB")
+
+
+def tied_run() -> Run:
+    """Return the run with the first query's right place tied with a wrong one."""
+    two, one = np.array([2, 1, 1, 1]), np.ones(4, np.int64)
+    return a_run(outcome=replace(a_run().outcome, top_tied=two, tied=two, tied_correct=one))
+
+
+def csv_rows(*results: Run | Failure) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(tables.csv(results))))
+
+
+def markdown_cells(text: str) -> list[list[str]]:
+    """Return the cells of a Markdown table, without the line under its head."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in (lines[0], *lines[2:])]
+
+
+# Summary
+
+
+def test_recalls_are_shares_of_all_queries() -> None:
+    assert summarise(a_run()).recalls == {1: 0.5, 5: 0.75, 10: 1.0, 25: 1.0}
+
+
+def test_the_interval_of_two_of_four_is_wilsons() -> None:
+    summary = summarise(a_run())  # 0.5 -+ 1.96 sqrt(0.25 / 4 + 1.96^2 / 64) / (1 + 1.96^2 / 4)
+    assert (summary.recall_at_1_low, summary.recall_at_1_high) == pytest.approx((0.1500, 0.8500), abs=5e-5)
+
+
+def test_both_areas_of_the_worked_curve_are_one_half() -> None:
+    summary = summarise(a_run())
+    assert (summary.auc_pr, summary.average_precision) == pytest.approx((0.5, 0.5))
+
+
+def test_recall_of_the_answerable_queries_leaves_the_others_out() -> None:
+    outcome = replace(
+        a_run().outcome,
+        above=np.array([0, 0, 2, 10]),
+        tied=np.array([1, 1, 1, 0]),
+        tied_correct=np.array([1, 1, 1, 0]),
+        n_positives=np.array([1, 1, 1, 0]),
+    )
+    assert summarise(a_run(outcome=outcome)).recall_at_1_answerable == pytest.approx(2 / 3)
+
+
+def test_a_tie_of_two_counts_half() -> None:
+    assert summarise(tied_run()).recalls[1] == pytest.approx(1.5 / 4)
+
+
+def test_a_tie_is_lost_by_the_pessimist_and_won_by_the_optimist() -> None:
+    summary = summarise(tied_run())
+    assert (summary.recall_at_1_pessimistic, summary.recall_at_1_optimistic) == (0.25, 0.5)
+
+
+def test_streaming_rates_are_one_over_the_median_of_each_stage() -> None:
+    rates = summarise(a_run()).streaming
+    assert (rates.encode, rates.match, rates.total) == pytest.approx((100, 400, 80))
+
+
+def test_offline_rates_are_those_of_the_fastest_batch() -> None:
+    rates = summarise(a_run()).offline
+    assert (rates.encode, rates.match, rates.total) == pytest.approx((200, 800, 160))
+
+
+def test_the_fastest_batch_is_named() -> None:
+    assert summarise(a_run()).offline_batch == 8
+
+
+def test_a_p90_is_the_second_slowest_total_of_64_queries() -> None:
+    timing = replace(a_run().timing, streaming=laps([0.001 * (i + 1) for i in range(64)], [0.5] * 64))
+    assert summarise(a_run(timing=timing)).streaming_p90_seconds == pytest.approx(0.563)
+
+
+def test_five_queries_carry_no_percentile() -> None:
+    summary = summarise(a_run())
+    assert (summary.streaming_p90_seconds, summary.streaming_p99_seconds) == (None, None)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "recall_at_1_low",
+        "recall_at_1_high",
+        "recall_at_1_answerable",
+        "recall_at_1_pessimistic",
+        "recall_at_1_optimistic",
+        "auc_pr",
+        "average_precision",
+    ],
+)
+def test_without_a_right_place_a_measure_is_undefined_and_not_zero(name: str) -> None:
+    assert getattr(summarise(unanswerable_run()), name) is None
+
+
+def test_without_a_right_place_every_recall_is_undefined_and_not_zero() -> None:
+    assert set(summarise(unanswerable_run()).recalls.values()) == {None}
+
+
+# A row for people
+
+
+@pytest.mark.parametrize(
+    ("head", "cell"),
+    [
+        ("method", "little window=5"),
+        ("R@1 % [95 %]", "50.0 [15.0, 85.0]"),
+        ("R@5 %", "75.0"),
+        ("R@10 %", "100.0"),
+        ("R@25 %", "100.0"),
+        ("AUC-PR (A)", "0.500"),
+        ("fit s", "12.3"),
+        ("streaming Hz enc/match/total", "100 / 400 / 80"),
+        ("offline Hz enc/match/total", "200 / 800 / 160 (batch 8)"),
+        ("peak MB", "512"),
+    ],
+)
+def test_a_row_shows(head: str, cell: str) -> None:
+    assert readable_row(a_run())[head] == cell
+
+
+def test_a_row_says_when_its_recall_hangs_on_ties() -> None:
+    assert readable_row(tied_run())["R@1 % [95 %]"].endswith("ties!")
+
+
+def test_a_row_without_a_right_place_says_that_recall_is_undefined() -> None:
+    assert readable_row(unanswerable_run())["R@1 % [95 %]"].startswith("undefined")
+
+
+@pytest.mark.parametrize("head", ["R@5 %", "R@10 %", "R@25 %", "AUC-PR (A)"])
+def test_a_row_without_a_right_place_has_dashes(head: str) -> None:
+    assert readable_row(unanswerable_run())[head] == "-"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.0001, "10,000"), (0.001, "1,000"), (0.1, "10"), (0.5, "2"), (4, "0.25"), (3, "0.33")]
+)
+def test_a_rate_shows_as_many_digits_as_a_reader_needs(seconds: float, text: str) -> None:
+    timing = replace(a_run().timing, streaming=laps([seconds], [1.0]))
+    assert readable_row(a_run(timing=timing))["streaming Hz enc/match/total"].split(" / ")[0] == text
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        ([], "little"),
+        (["method=little", "seed=3", "timing.sample=9"], "little"),
+        (["method=little", "method.window=5", "method.grey=true"], "little window=5 grey=true"),
+    ],
+)
+def test_a_label_holds_the_arguments_of_the_method_that_were_asked_for(overrides: list[str], text: str) -> None:
+    assert tables.label(a_run(config={**a_run().config, "overrides": overrides})) == text
+
+
+def test_a_plain_row_stands_under_its_head() -> None:
+    assert tables.plain_row({"a": "long", "head": "b"}) == "a     head\nlong  b   "
+
+
+# Markdown
+
+
+def test_markdown_shows_each_run_in_a_line() -> None:
+    cells = markdown_cells(tables.markdown([readable_row(a_run()), readable_row(unanswerable_run())]))
+    assert [line[:2] for line in cells] == [
+        ["method", "R@1 % [95 %]"],
+        ["little window=5", "50.0 [15.0, 85.0]"],
+        ["little window=5", "undefined (no query has a right place)"],
+    ]
+
+
+def test_markdown_keeps_the_digits_it_is_given() -> None:
+    assert markdown_cells(tables.markdown([{"x": "1.50"}, {"x": "10,000"}]))[1:] == [["1.50"], ["10,000"]]
+
+
+def test_a_failed_run_says_so_in_its_row() -> None:
+    assert tables.failed_row(FAILURE) == {"method": "vprtempo epochs=9", "R@1 % [95 %]": "failed: MemoryError: 99 GB"}
+
+
+def test_what_a_failed_run_lacks_is_a_dash() -> None:
+    assert markdown_cells(table_text([a_run(), FAILURE]))[2] == [
+        "vprtempo epochs=9",
+        "failed: MemoryError: 99 GB",
+        *["-"] * 8,
+    ]
+
+
+def test_an_error_with_a_bar_stays_in_its_cell() -> None:
+    text = table_text([a_run(), replace(FAILURE, error="depth=x: int | None is wanted")])
+    head, line = [line.replace(r"\|", "") for line in text.splitlines() if line.startswith("|")][::3]
+    assert line.count("|") == head.count("|")
+
+
+def test_a_table_of_failed_runs_only_can_be_made() -> None:
+    assert "failed: MemoryError: 99 GB" in table_text([FAILURE])
+
+
+def test_a_table_names_data_places_and_protocol() -> None:
+    line = "Data: journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)."
+    assert line in table_text([a_run()]).splitlines()
+
+
+def test_a_table_names_the_machine_once() -> None:
+    line = "Machine: Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-01-31."
+    assert table_text([a_run(), a_run(key="other")]).splitlines().count(line) == 1
+
+
+def test_a_table_names_the_accelerator() -> None:
+    run = a_run(environment={**a_run().environment, "accelerator": "Sieve X"})
+    assert "1 of 2 cores, Sieve X, torch" in table_text([run])
+
+
+def test_a_table_ends_with_the_notes_on_its_runs() -> None:
+    text = table_text([a_run()])
+    assert text.endswith("Note on little window=5: noisy: two carts passed.\n\nNote on little window=5: ünïcode.\n")
+
+
+def test_a_table_of_rendered_images_says_so() -> None:
+    assert "is rendered" in table_text([a_run(dataset="synthetic")])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        a_run(protocol={**a_run().protocol, "tolerance_places": 1}),
+        a_run(dataset="voyage"),
+        a_run(fingerprint="e" * 64),
+    ],
+    ids=["protocol", "dataset", "images"],
+)
+def test_runs_of_two_protocols_get_no_common_table(other: Run) -> None:
+    with pytest.raises(BadInput, match="different protocols"):
+        table_text([a_run(), other])
+
+
+def test_the_order_of_a_protocols_entries_does_not_matter() -> None:
+    turned = a_run(protocol=dict(reversed(a_run().protocol.items())))
+    assert table_text([a_run(), turned])
+
+
+# CSV and JSON
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("recall_at_1", 0.5),
+        ("recall_at_5", 0.75),
+        ("recall_at_10", 1.0),
+        ("auc_pr_a", 0.5),
+        ("average_precision_a", 0.5),
+        ("fit_seconds", 12.34),
+        ("fit_compute_seconds", 11.5),
+        ("streaming_encode_hz", 100),
+        ("streaming_match_hz", 400),
+        ("streaming_total_hz", 80),
+        ("offline_encode_hz", 200),
+        ("offline_match_hz", 800),
+        ("offline_total_hz", 160),
+        ("offline_batch", 8),
+        ("peak_memory_bytes", 512_000_000),
+        ("harness_seconds", 0.125),
+        ("method_seconds", 11.75),
+        ("queries", 4),
+        ("places", 10),
+    ],
+)
+def test_csv_holds_the_unrounded_number_of(column: str, value: float) -> None:
+    assert float(csv_rows(a_run())[0][column]) == pytest.approx(value, rel=1e-12)
+
+
+def test_csv_names_method_and_dataset() -> None:
+    assert [csv_rows(a_run())[0][name] for name in ("method", "dataset", "error")] == ["little window=5", "journey", ""]
+
+
+def test_csv_holds_the_error_of_a_failed_run() -> None:
+    assert csv_rows(a_run(), FAILURE)[1]["error"] == "MemoryError: 99 GB"
+
+
+def test_csv_holds_no_number_of_a_failed_run() -> None:
+    line = csv_rows(a_run(), FAILURE)[1]
+    assert {line[name] for name in tables.numbers(a_run())} == {""}
+
+
+def test_csv_holds_nothing_where_a_measure_is_undefined() -> None:
+    assert csv_rows(unanswerable_run())[0]["recall_at_1"] == ""
+
+
+@pytest.mark.parametrize(
+    ("column", "text"), [("queries", "4"), ("offline_batch", "8"), ("peak_memory_bytes", "512000000")]
+)
+def test_counts_stay_whole_beside_a_failed_run(column: str, text: str) -> None:
+    assert csv_rows(a_run(), FAILURE)[0][column] == text
+
+
+def test_an_undefined_measure_is_null_in_json() -> None:
+    assert json.loads(json.dumps(tables.numbers(unanswerable_run()), allow_nan=False))["recall_at_1"] is None
+
+
+def test_stage_rates_are_plain_numbers() -> None:
+    rates = summarise(a_run()).streaming
+    assert {type(rate) for rate in (rates.encode, rates.match, rates.total)} == {float}
+    assert isinstance(rates, StageRates)
