@@ -79,6 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error))
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(_explained(error, arguments))
+    except OSError as error:
+        return _complain(f"{error.filename or 'a file'}: {error.strerror}")
     except KeyboardInterrupt:
         return _complain("interrupted; nothing was stored", 128 + signal.SIGINT)
 
