@@ -74,7 +74,8 @@ def _image_files(folder: str, option: str) -> list[Path]:
     files = [path for path in Path(folder).rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not files:
         raise BadInput(f"{option}: {folder} holds no images ({', '.join(_SUFFIXES)})")
-    return [Path(path) for path in natsorted(files)]
+    # Sorted first, so that names which count as equal (1.png, 01.png) have an order too.
+    return [Path(path) for path in natsorted(sorted(files))]
 
 
 def _by_index(

@@ -17,6 +17,7 @@ _WHERE = (
     "The full frames are on Hugging Face as Somayeh-h/Nordland (one archive a season, 35,768 frames each); "
     "wanted is <root>/<season>/images-00202.png and so on"
 )
+_MEND = f"set dataset.root to the folder that holds the seasons. {_WHERE}"
 
 
 def nordland(
@@ -40,11 +41,11 @@ def nordland(
     for a `root` of None where it exists. Raises BadInput for a missing root or frames.
     """
     seasons = ["spring", "fall"] if references is None else references
-    for season in (*seasons, query):
+    for option, season in [*(("references", season) for season in seasons), ("query", query)]:
         if season not in SEASONS:
-            raise BadInput(f"dataset season {season}: Nordland has {', '.join(SEASONS)}")
-    if not seasons:
-        raise BadInput("dataset.references=[]: name at least one season")
+            raise BadInput(f"dataset.{option}={season}: Nordland has {', '.join(SEASONS)}")
+    if not seasons or len(set(seasons)) < len(seasons):
+        raise BadInput(f"dataset.references={seasons}: name at least one season, each once")
     names = chosen_names(stride, places, frame_multiple)
     last = first_query_place + query_places
     if query_places < 1 or first_query_place < 0 or last > places:
@@ -117,11 +118,11 @@ def _check_frames(folder: Path, wanted: Mapping[str, Sequence[str]]) -> None:
     """Raise BadInput for a season that is missing or lacks frames."""
     for season, names in wanted.items():
         if not (folder / season).is_dir():
-            raise BadInput(f"{folder / season} does not exist. {_WHERE}")
+            raise BadInput(f"{folder / season} does not exist: {_MEND}")
         present = {entry.name for entry in (folder / season).iterdir()}
         missing = [name for name in names if name not in present]
         if missing:
             raise BadInput(
                 f"{missing[0]} is missing from {folder / season} ({len(missing)} of {len(names)} expected frames are "
-                f"missing, {len(present)} files are there). {_WHERE}"
+                f"missing, {len(present)} files are there): {_MEND}"
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -27,7 +27,7 @@ class SAD(Method):
     patch: int = 7
     device: str = "cpu"
 
-    _references: torch.Tensor | None = None  # (n_references, n_pixels), whole numbers
+    _references: torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Keep the preprocessed references."""

@@ -147,7 +147,7 @@ def _run(config: DictConfig) -> int:
 
 def _record(failure: Failure, store: Store, output: str) -> None:
     """Store a failure; in a sweep that reads JSON, say it there too."""
-    with contextlib.suppress(OSError):  # the error itself is told in any case
+    with contextlib.suppress(OSError, BadInput):  # the error itself is told in any case
         store.root.mkdir(parents=True, exist_ok=True)
         store.save_failure(failure)
     if output == "json":

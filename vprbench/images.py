@@ -70,6 +70,8 @@ class Images(Sequence[Image]):
     def from_arrays(cls, arrays: Sequence[Image], names: Sequence[str] | None = None) -> Images:
         """Wrap decoded images, (height, width, 3) or grey (height, width), uint8."""
         arrays = [_as_rgb(array) for array in arrays]
+        if names is not None and len(names) != len(arrays):
+            raise BadInput(f"{len(arrays)} images came with {len(names)} names: give one for each")
         return cls(arrays.__getitem__, names or [f"image {i}" for i in range(len(arrays))], in_memory=True)
 
     def __len__(self) -> int:
@@ -145,7 +147,8 @@ class Images(Sequence[Image]):
                 digest.update(self._stamp(i))
         else:
             for i in np.linspace(0, len(self) - 1, min(len(self), _FINGERPRINT_SAMPLE)).astype(int).tolist():
-                digest.update(self._read(i).tobytes())
+                image = self._read(i)
+                digest.update(repr(image.shape).encode() + image.tobytes())
         return digest.hexdigest()
 
     def _read_chunk(self, start: int) -> list[Image]:
@@ -167,10 +170,11 @@ def read_image(path: Path) -> Image:
         with PillowImage.open(path) as image:
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
-            return np.asarray(image.convert("RGB"))
+            # A palette with transparency has to become RGBA first.
+            return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
-    except (OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError) as error:
         reason = str(error).replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
@@ -187,7 +191,7 @@ def _file_stamp(path: Path) -> bytes:
 
 
 def _as_rgb(array: Image) -> Image:
-    if array.ndim == 2:
+    if array.ndim == 2 and array.dtype == np.uint8:
         return np.repeat(array[:, :, None], 3, axis=2)
     if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype != np.uint8:
         raise BadInput(

@@ -125,7 +125,7 @@ class Dataset:
         if len(unseen) or self.places.min() < 0:
             raise BadInput(
                 f"dataset {self.name}: place ids must run from 0 to {self.n_places - 1} without a gap, "
-                f"but {unseen[:3].tolist() or int(self.places.min())} came"
+                + (f"but {unseen[:3].tolist()} are missing" if len(unseen) else f"but {int(self.places.min())} came")
             )
         if len(self.positives) != len(self.queries):
             raise BadInput(
@@ -133,7 +133,8 @@ class Dataset:
             )
         for query, right in enumerate(self.positives):
             if len(right) and not (right.min() >= 0 and right.max() < self.n_places):
+                wrong = int(right.min() if right.min() < 0 else right.max())
                 raise BadInput(
                     f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
-                    f"place {int(right.max())}, but places run from 0 to {self.n_places - 1}"
+                    f"place {wrong}, but places run from 0 to {self.n_places - 1}"
                 )

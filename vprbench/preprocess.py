@@ -64,7 +64,10 @@ class PatchNormalisation:
             return cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         red, green, blue = (image[:, :, c].astype(np.float32) for c in range(3))
         weighted = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
-        pixels = torch.from_numpy(gamma_correct(weighted))[None, None]
+        corrected = gamma_correct(weighted)
+        if corrected.min() == corrected.max():  # the weights of the resize would leave rounding noise
+            return np.full((self.height, self.width), corrected[0, 0])
+        pixels = torch.from_numpy(corrected)[None, None]
         resized = functional.interpolate(pixels, (self.height, self.width), mode="bilinear", align_corners=False)
         return np.asarray(resized[0, 0], dtype=np.float32)
 
@@ -78,7 +81,8 @@ def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     mean = grey.mean()
     if mean <= 1:
         return grey
-    return np.clip(np.power(grey, np.float32(np.log(127.5) / np.log(mean))), 0, 255)
+    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
+        return np.clip(np.power(grey, np.float32(np.log(127.5) / np.log(mean))), 0, 255)
 
 
 def patch_normalise(grey: npt.NDArray[np.float32], patch: int, ddof: int) -> npt.NDArray[np.uint8]:

@@ -75,8 +75,11 @@ def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
     return Outcome(**joined, n_places=sizes[0])
 
 
-def checked_scores(scores: Scores) -> Scores:
-    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is NaN or +inf."""
+def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
+    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is NaN or +inf.
+
+    `first_query` is the number of the first row in the whole traverse, for the message.
+    """
     if np.ndim(scores) != 2 or np.shape(scores)[1] == 0:
         raise ValueError(f"scores must be (n_queries, n_places) with a place or more, not {np.shape(scores)}")
     with np.errstate(over="ignore"):  # what does not fit into float32 becomes infinite and is refused below
@@ -86,7 +89,7 @@ def checked_scores(scores: Scores) -> Scores:
         if refused.any():
             raise BadInput(
                 f"the scores of {np.count_nonzero(refused)} of {len(best)} queries hold {value} "
-                f"(the first is query {np.argmax(refused)}): a method must give finite scores, "
+                f"(the first is query {first_query + np.argmax(refused)}): a method must give finite scores, "
                 "or -inf for a place that is no candidate"
             )
     return scores

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import json
 import logging
@@ -71,7 +73,7 @@ class Failure:
 
 
 def content_key(content: Mapping[str, Any]) -> str:
-    """Return the hash of everything that can change an outcome."""
+    """Return the hash of plain values: of all that can change an outcome, or of a summary itself."""
     text = json.dumps({"schema": SCHEMA, **content}, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -91,7 +93,8 @@ class Store:
             self._partial().rmdir()
         except OSError as error:
             raise BadInput(
-                f"results={self.root} cannot be written ({error.strerror}): choose another folder with results=..."
+                f"results={self.root} cannot be written ({error.strerror or error}): "
+                "choose another folder with results=..."
             ) from error
 
     def folder(self, dataset: str, method: str, key: str) -> Path:
@@ -100,23 +103,16 @@ class Store:
 
     def find(self, dataset: str, method: str, key: str) -> Run | None:
         """Return the stored run with this key; a damaged one is set aside by name and counts as absent."""
-        folder = self.folder(dataset, method, key)
-        if not folder.exists():
-            return None
-        try:
-            return load(folder)
-        except DamagedRunError as error:
-            self._set_aside(folder, str(error))
-            return None
+        return self._load(self.folder(dataset, method, key))
 
     def runs(self) -> Iterator[Run]:
         """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
         for folder in sorted(self.root.glob("*/*-*")):
-            if folder.is_dir() and not folder.name.startswith(".") and (folder / _SUMMARY).exists():
-                try:
-                    yield load(folder)
-                except DamagedRunError as error:
-                    self._set_aside(folder, str(error))
+            if folder.name.startswith(".") or not (folder / _SUMMARY).exists():
+                continue
+            run = self._load(folder)
+            if run is not None:
+                yield run
 
     def save(self, run: Run) -> Path:
         """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
@@ -131,7 +127,7 @@ class Store:
             shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
         except OSError as error:
             raise BadInput(
-                f"the run could not be stored in {folder} ({error.strerror}): nothing was left there; "
+                f"the run could not be stored in {folder} ({error.strerror or error}): nothing was left there; "
                 "make room or choose another folder with results=..."
             ) from error
         return folder
@@ -139,12 +135,15 @@ class Store:
     def save_failure(self, failure: Failure) -> Path:
         """Store that a run ended in an error, until a run of the same configuration succeeds."""
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
-        partial = self._partial()
         try:
-            _write_json(partial / _FAILURE, asdict(failure))
-            _move(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            partial = self._partial()
+            try:
+                _write_json(partial / _FAILURE, asdict(failure))
+                _move(partial, folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+        except OSError as error:
+            raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
         return folder
 
     def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
@@ -154,6 +153,18 @@ class Store:
             return Failure(**content)
         except (OSError, ValueError, TypeError):
             return None
+
+    def _load(self, folder: Path) -> Run | None:
+        """Read a run; a damaged one is set aside, one that another process replaces meanwhile is read again."""
+        while folder.exists():
+            before = folder.stat().st_ino
+            try:
+                return load(folder)
+            except DamagedRunError as error:
+                if folder.exists() and folder.stat().st_ino == before:
+                    self._set_aside(folder, str(error))
+                    return None
+        return None
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device")}
@@ -171,7 +182,15 @@ class Store:
         for folder in self.root.glob(f"{prefix}*"):
             pid = folder.name.removeprefix(prefix).split("-")[0]
             if pid.isdigit() and not psutil.pid_exists(int(pid)):
+                self._put_back(folder)
                 shutil.rmtree(folder, ignore_errors=True)
+
+    def _put_back(self, folder: Path) -> None:
+        """Return a run whose replacement never arrived to its place."""
+        if "-replaced-" in folder.name:
+            with contextlib.suppress(DamagedRunError, OSError):  # damaged, or replaced after all
+                run = load(folder)
+                folder.rename(self.folder(run.dataset, run.method, run.key))
 
     def _set_aside(self, folder: Path, reason: str) -> None:
         aside = folder.with_name(f"{_DAMAGED}-{folder.name}-{uuid.uuid4().hex[:8]}")
@@ -189,6 +208,8 @@ def load(folder: Path) -> Run:
         summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
         if summary["schema"] != SCHEMA:
             raise DamagedRunError(f"its layout is version {summary['schema']}, this program reads {SCHEMA}")
+        if summary.pop("content_key") != content_key(summary):
+            raise DamagedRunError(f"{_SUMMARY} is not what was written")
         for name, digest in summary["sha256"].items():
             if _digest(folder / name) != digest:
                 raise DamagedRunError(f"{name} is not what was written")
@@ -198,7 +219,7 @@ def load(folder: Path) -> Run:
         return _from_parts(summary, arrays, scores)
     except DamagedRunError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
 
 
@@ -245,7 +266,7 @@ def _write(run: Run, folder: Path) -> None:
         "timing": plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
-    _write_json(folder / _SUMMARY, summary)
+    _write_json(folder / _SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
 def _from_parts(
@@ -270,6 +291,7 @@ def _from_parts(
             arrays["sample"],
             arrays["answers"],
             timing["repeated_seconds"],
+            timing["unseen_seconds"],
         ),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
         positives=tuple(np.split(arrays["positives"], ends)),
@@ -301,18 +323,21 @@ def _digest(path: Path) -> str:
 def _move(partial: Path, folder: Path) -> None:
     """Rename a complete folder to its final name; of several writers of one name the last one stays."""
     folder.parent.mkdir(parents=True, exist_ok=True)
+    aside: list[Path] = []
     for _ in range(100):
         try:
             partial.rename(folder)
-        except OSError:
-            if not folder.exists():
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
             replaced = partial.with_name(f"{partial.name}-replaced-{uuid.uuid4().hex[:8]}")
             try:
                 folder.rename(replaced)
             except FileNotFoundError:
                 continue  # another process has just replaced it
-            shutil.rmtree(replaced, ignore_errors=True)
+            aside.append(replaced)
         else:
+            for replaced in aside:
+                shutil.rmtree(replaced, ignore_errors=True)
             return
     raise OSError(f"{folder} is being replaced by others all the time")

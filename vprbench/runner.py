@@ -16,7 +16,7 @@ import numpy.typing as npt
 from vprbench import environment, images, interface, preprocess, progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Method, Places, Scores
-from vprbench.ranking import Outcome, concatenate, outcome
+from vprbench.ranking import Outcome, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
@@ -24,7 +24,7 @@ _BLOCK = 128  # queries scored together
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
-_CACHING = 0.75  # a repeated query that needs less than this share of the median time is suspicious
+_CACHING = 0.75  # known images that need less than this share of the time of new ones are suspicious
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
@@ -108,7 +108,7 @@ def run(
     answers = _Answers(dataset, config["depth"])
     with stopwatch.lap() as querying:
         for block in dataset.queries.blocks(_BLOCK):
-            answers.add(*_timed_scores(stopwatch, method, block))
+            answers.add(len(block), *_timed_scores(stopwatch, method, block))
             progress.report("query", answers.done / len(dataset.queries))
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
@@ -164,16 +164,14 @@ class _Answers:
         self.top_scores: list[Scores] = []
         self.kept: list[Scores] = []
 
-    def add(self, scores: Scores, seconds: float) -> None:
+    def add(self, n_queries: int, scores: Scores, seconds: float) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
-        if scores.ndim != 2 or scores.shape[1] != self._shape[1]:
-            raise BadInput(
-                f"the method gave scores of shape {scores.shape}; wanted (n_queries, {self._shape[1]}), a score for "
-                "each place"
-            )
+        wanted = (n_queries, self._shape[1])
+        if scores.shape != wanted:
+            raise BadInput(f"the method gave scores of shape {scores.shape}; wanted {wanted}, one for each place")
+        scores = checked_scores(scores, self.done)
         self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
-        best = np.argpartition(scores, -self._depth, axis=1)[:, -self._depth :]
-        best.sort(axis=1)  # of equal scores the lower place comes first
+        best = _best_places(scores, self._depth)
         values = np.take_along_axis(scores, best, axis=1)
         order = np.argsort(-values, axis=1, kind="stable")
         self.top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
@@ -182,6 +180,15 @@ class _Answers:
             self.kept.append(scores)
         self.done += len(scores)
         self.method_seconds += seconds
+
+
+def _best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
+    """Return the `depth` best places of each query in ascending order, (n_queries, depth); of equals the lower ones."""
+    worst = np.partition(scores, -depth, axis=1)[:, -depth, None]
+    better, equal = scores > worst, scores == worst
+    room = depth - np.count_nonzero(better, axis=1, keepdims=True)
+    chosen = better | (equal & (np.cumsum(equal, axis=1) <= room))
+    return np.nonzero(chosen)[1].reshape(len(scores), depth)
 
 
 def _timed_scores(stopwatch: Stopwatch, method: Method, block: Images) -> tuple[Scores, float]:
@@ -204,8 +211,9 @@ def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _An
         yield f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing"
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
         yield "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
-    if timing.repeated_seconds < _CACHING * float(np.median(timing.streaming.total_seconds)):
-        yield "caching: one image asked again and again is answered much faster than different images"
+    known = min(timing.repeated_seconds, float(np.median(timing.streaming.total_seconds)))
+    if known < _CACHING * timing.unseen_seconds:
+        yield "caching: images seen before are answered much faster than new ones"
     if not _same_answers(timing, answers):
         yield "audit failed: the timed run gave other answers than the scored run"
 
@@ -215,5 +223,5 @@ def _same_answers(timing: Timing, answers: _Answers) -> bool:
     queries = timing.sample[timing.answers >= 0]
     named = timing.answers[timing.answers >= 0]
     places, scores = np.concatenate(answers.top_places)[queries], np.concatenate(answers.top_scores)[queries]
-    close = scores >= scores[:, :1] - _SAME_SCORE * np.abs(scores[:, :1])
+    close = scores >= scores[:, :1] - _SAME_SCORE * np.abs(scores).max(1, keepdims=True)
     return bool(((places == named[:, None]) & close).any(axis=1).all())

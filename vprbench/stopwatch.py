@@ -50,7 +50,7 @@ class Protocol:
                 f"timing.minimum_queries={self.minimum_queries}, timing.minimum_passes={self.minimum_passes}, "
                 f"timing.sample={self.sample}: all have to be at least 1, and timing.batch_sizes not empty"
             )
-        if min(self.batch_sizes) < 1 or not 0 <= self.minimum_seconds <= self.maximum_seconds:
+        if min(self.batch_sizes) < 1 or not 0 <= self.minimum_seconds <= self.maximum_seconds > 0:
             raise BadInput(
                 f"timing.batch_sizes={self.batch_sizes}, timing.minimum_seconds={self.minimum_seconds}, "
                 f"timing.maximum_seconds={self.maximum_seconds}: batches hold at least one image, and the minimum "
@@ -83,7 +83,8 @@ class Timing:
     offline: tuple[Laps, ...]  # one per batch size
     sample: npt.NDArray[np.int64]  # (n_sample,), the queries that were timed
     answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 where not reached
-    repeated_seconds: float  # median of one image asked again and again: a method that caches is faster there
+    repeated_seconds: float  # median of one image asked again and again
+    unseen_seconds: float = 0.0  # median of images never shown before: a method that caches is slower there
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,11 @@ class Stopwatch:
         with _garbage_kept():
             first, warmup = self._warm_up(method, singles)
             streaming, answers = self._stream(method, singles)
-            repeated = self._repeat(method, singles[0])
+            repeated = self._median(method, lambda _: singles[0])
+            unseen = self._median(method, lambda i: self._changed(singles[i % count]))
             sizes = sorted({min(size, count) for size in self._protocol.batch_sizes})
             offline = tuple(self._batches(method, sample, size) for size in sizes)
-        return Timing(first, warmup, streaming, offline, chosen, answers, repeated)
+        return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
         """Return the seconds of encode and match, and the scores."""
@@ -150,7 +152,8 @@ class Stopwatch:
 
     def _warm_up(self, method: Method, singles: Sequence[Images]) -> tuple[float, int]:
         laps: list[float] = []
-        while len(laps) < self._protocol.warmup_queries:
+        started = self._clock()
+        while len(laps) < self._protocol.warmup_queries and not self._late(started):
             encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
             laps.append(encode + match)
             last = laps[-_STEADY_QUERIES:]
@@ -174,9 +177,19 @@ class Stopwatch:
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _repeat(self, method: Method, single: Images) -> float:
-        laps = [sum(self._call(method, single)[:2]) for _ in range(self._protocol.minimum_queries)]
+    def _median(self, method: Method, query: Callable[[int], Images]) -> float:
+        """Return the median time of single queries, as many as the protocol's minimum."""
+        laps: list[float] = []
+        started = self._clock()
+        while len(laps) < self._protocol.minimum_queries and not (laps and self._late(started)):
+            encode, match, _ = self._call(method, query(len(laps)))
+            laps.append(encode + match)
         return float(np.median(laps))
+
+    def _changed(self, single: Images) -> Images:
+        """Return the image with noise in the lowest bit of its levels: the same to see, but new."""
+        image = single[0]
+        return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
 
     def _batches(self, method: Method, sample: Images, size: int) -> Laps:
         starts = range(0, len(sample) - size + 1, size)  # whole batches only
@@ -185,12 +198,10 @@ class Stopwatch:
         matches: list[float] = []
         self._call(method, batches[0])
         started = self._clock()
-        while not (finished := self._finished(len(encodes) * size, len(sample), started)):
+        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not self._late(started):
             encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
             encodes.append(encode)
             matches.append(match)
-            if self._late(started):
-                break
         return Laps(np.array(encodes), np.array(matches), size, finished)
 
     def _finished(self, queries: int, per_pass: int, started: int) -> bool:
@@ -264,6 +275,7 @@ def plain(timing: Timing) -> dict[str, Any]:
         "first_query_seconds": timing.first_query_seconds,
         "warmup_queries": timing.warmup_queries,
         "repeated_seconds": timing.repeated_seconds,
+        "unseen_seconds": timing.unseen_seconds,
         "streaming_valid": timing.streaming.valid,
         "offline": [{"images_per_call": laps.images_per_call, "valid": laps.valid} for laps in timing.offline],
     }

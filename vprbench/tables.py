@@ -49,6 +49,7 @@ def failed_row(failure: Failure) -> dict[str, str]:
 
 def markdown(rows: Sequence[dict[str, str]]) -> str:
     """Return rows of text as a Markdown table; what a row lacks is a dash."""
+    rows = [{name: text.replace("|", r"\|") for name, text in row.items()} for row in rows]
     return str(pd.DataFrame(rows).fillna(NOTHING).to_markdown(index=False, disable_numparse=True))
 
 
@@ -93,7 +94,7 @@ def csv(results: Sequence[Run | Failure]) -> str:
         line: dict[str, object] = {"method": label(result), "dataset": result.dataset}
         line |= {"error": result.error} if isinstance(result, Failure) else {"error": "", **numbers(result)}
         lines.append(line)
-    return str(pd.DataFrame(lines).to_csv(index=False))
+    return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 
 
 def table_text(results: Sequence[Run | Failure]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -72,7 +72,7 @@ class VPRTempo(Method):
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
 
-    _network: Network | None = None
+    _network: Network | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Train the feature layer, then the output layer; every module learns from random draws of its own."""
@@ -139,7 +139,7 @@ class VPRTempo(Method):
 
     def chosen_rules(self) -> Rules:
         """Return the rules after the arguments that replace single choices."""
-        names = {field.name for field in fields(Rules)}
+        names = {choice.name for choice in fields(Rules)}
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(RULES[self.rules], **given)
 
