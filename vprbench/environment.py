@@ -83,11 +83,13 @@ def cpu_pressure() -> float | None:
 
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
-    values = np.linspace(0, 1, 200_000)
+    values = np.linspace(1, 0, 200_000)
+    scratch = np.empty_like(values)  # allocating anew would time the operating system
     laps = []
     for _ in range(30):
         start = clock()
-        np.sort(np.sqrt(values[::-1])).sum()
+        np.sqrt(values, out=scratch)
+        scratch.sort()
         laps.append(clock() - start)
     return float(np.median(laps[10:])) / 1e9  # the first ones warm up
 

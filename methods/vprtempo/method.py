@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Self
+from types import ModuleType
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,17 +16,13 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation, Variant
 
+from . import training
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
-from .training import (
-    check_weights,
-    check_winners,
-    draw_schedule,
-    module_sizes,
-    train_features,
-    train_places,
-)
+from .training import check_weights, check_winners, draw_schedule, module_sizes
+
+Engine = Literal["fused", "readable"]
 
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
@@ -36,6 +33,7 @@ class VPRTempo(Method):
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
     one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
+    `engine` is fused (compiled, the default on a CPU) or readable (PyTorch; the same results, slower).
     A network whose training diverged raises TrainingDivergedError.
     """
 
@@ -67,6 +65,7 @@ class VPRTempo(Method):
     shuffle: bool | None = None
     annealing_restarts: bool | None = None
     annealing_interval: int | None = None
+    engine: Engine | None = None
     seed: int = 0
     device: str = "cpu"
 
@@ -88,11 +87,12 @@ class VPRTempo(Method):
         schedules = [
             draw_schedule(generators, sizes, places, self.epochs, rules).to(self.device) for _ in ("features", "places")
         ]
+        engine = self._engine()
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if torch.device(self.device).type == "cpu" else len(sizes)
         groups = [slice(start, start + together) for start in range(0, len(sizes), together)]
         for number, group in enumerate(groups):
-            train_features(
+            engine.train_features(
                 features[group],
                 spikes,
                 schedules[0][group],
@@ -104,7 +104,7 @@ class VPRTempo(Method):
             )
         check_weights(features, "feature")
         for number, group in enumerate(groups):
-            train_places(
+            engine.train_places(
                 outputs[group],
                 features[group],
                 spikes,
@@ -153,6 +153,18 @@ class VPRTempo(Method):
                 f"{n_places} places are fewer than one module of method.max_module={self.max_module}: "
                 f"pass method.max_module={n_places} for one module, or less for several"
             )
+
+    def _engine(self) -> ModuleType:
+        """Return the module that trains: compiled on a CPU, readable elsewhere, or what was asked for."""
+        on_cpu = torch.device(self.device).type == "cpu"
+        engine = self.engine or ("fused" if on_cpu else "readable")
+        if engine == "fused" and not on_cpu:
+            raise BadInput(f"method.engine=fused runs on device=cpu, not on {self.device}: leave method.engine out")
+        if engine == "readable":
+            return training
+        from . import fused  # compiles when it is first imported
+
+        return fused
 
     def _draw_layers(
         self, generators: list[torch.Generator], sizes: list[int], n_pixels: int, rules: Rules
