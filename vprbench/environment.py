@@ -86,12 +86,12 @@ def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     values = np.linspace(1, 0, 200_000)
     scratch = np.empty_like(values)  # allocating anew would time the operating system
     laps = []
-    for _ in range(30):
+    for _ in range(20):
         start = clock()
         np.sqrt(values, out=scratch)
         scratch.sort()
         laps.append(clock() - start)
-    return float(np.median(laps[10:])) / 1e9  # the first ones warm up
+    return float(np.median(laps[5:])) / 1e9  # the first ones warm up
 
 
 def reset_peak_memory() -> None:

@@ -83,7 +83,7 @@ class Timing:
     offline: tuple[Laps, ...]  # one per batch size
     sample: npt.NDArray[np.int64]  # (n_sample,), the queries that were timed
     answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 where not reached
-    repeated_seconds: float  # median of one image asked again and again
+    repeated_seconds: float  # median of images asked a second time in a row
     unseen_seconds: float = 0.0  # median of images never shown before: a method that caches is slower there
 
 
@@ -132,8 +132,7 @@ class Stopwatch:
         with _garbage_kept():
             first, warmup = self._warm_up(method, singles)
             streaming, answers = self._stream(method, singles)
-            repeated = self._median(method, lambda _: singles[0])
-            unseen = self._median(method, lambda i: self._changed(singles[i % count]))
+            repeated, unseen = self._caching(method, singles)
             sizes = sorted({min(size, count) for size in self._protocol.batch_sizes})
             offline = tuple(self._batches(method, sample, size) for size in sizes)
         return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
@@ -177,14 +176,18 @@ class Stopwatch:
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _median(self, method: Method, query: Callable[[int], Images]) -> float:
-        """Return the median time of single queries, as many as the protocol's minimum."""
-        laps: list[float] = []
+    def _caching(self, method: Method, singles: Sequence[Images]) -> tuple[float, float]:
+        """Return the median seconds of images asked twice in a row, and of new ones asked in between."""
+        repeated: list[float] = []
+        unseen: list[float] = []
         started = self._clock()
-        while len(laps) < self._protocol.minimum_queries and not (laps and self._late(started)):
-            encode, match, _ = self._call(method, query(len(laps)))
-            laps.append(encode + match)
-        return float(np.median(laps))
+        while len(unseen) < self._protocol.minimum_queries and not (unseen and self._late(started)):
+            single = singles[len(unseen) % len(singles)]
+            for laps, image in ((None, single), (repeated, single), (unseen, self._changed(single))):
+                encode, match, _ = self._call(method, image)
+                if laps is not None:
+                    laps.append(encode + match)
+        return float(np.median(repeated)), float(np.median(unseen))
 
     def _changed(self, single: Images) -> Images:
         """Return the image with noise in the lowest bit of its levels: the same to see, but new."""
