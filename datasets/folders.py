@@ -58,8 +58,8 @@ def folders(
         queries=Images.from_files(asked),
         positives=tuple(positives),
         protocol={
-            "references": references,
-            "queries": queries,
+            "references": [Path(folder).resolve().name for folder in references],
+            "queries": Path(queries).resolve().name,
             "ground_truth": ground_truth,
             "unmatched": unmatched,
             **chosen,
@@ -69,9 +69,10 @@ def folders(
 
 def _image_files(folder: str, option: str) -> list[Path]:
     """Return the image files below a folder in natural order; raises BadInput where there are none."""
-    if not Path(folder).is_dir():
-        raise BadInput(f"{option}: {folder} is no folder")
-    files = [path for path in Path(folder).rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file()]
+    top = Path(folder).expanduser()
+    if not folder or not top.is_dir():
+        raise BadInput(f"{option}: {folder or 'nothing'} is no folder")
+    files = [path for path in top.rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not files:
         raise BadInput(f"{option}: {folder} holds no images ({', '.join(_SUFFIXES)})")
     # Sorted first, so that names which count as equal (1.png, 01.png) have an order too.

@@ -13,11 +13,7 @@ from vprbench.interface import BadInput, Dataset
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
-_WHERE = (
-    "The full frames are on Hugging Face as Somayeh-h/Nordland (one archive a season, 35,768 frames each); "
-    "wanted is <root>/<season>/images-00202.png and so on"
-)
-_MEND = f"set dataset.root to the folder that holds the seasons. {_WHERE}"
+_SOURCE = "Somayeh-h/Nordland on Hugging Face, one archive of 35,768 frames a season"
 
 
 def nordland(
@@ -32,13 +28,15 @@ def nordland(
     tolerance: int = 0,
     frame_multiple: int = 1,
     default_root: str | None = None,
+    source: str = _SOURCE,
 ) -> Dataset:
     """Return Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
 
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places away.
     `frame_multiple` keeps only names whose number it divides. `default_root` (relative to the checkout) stands in
-    for a `root` of None where it exists. Raises BadInput for a missing root or frames.
+    for a `root` of None where it exists; `source` says in messages where frames are to be had. Raises BadInput for a
+    missing root or frames.
     """
     seasons = ["spring", "fall"] if references is None else references
     for option, season in [*(("references", season) for season in seasons), ("query", query)]:
@@ -56,8 +54,9 @@ def nordland(
     if tolerance < 0:
         raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
     asked = names[first_query_place:last]
-    folder = _root(name, root, default_root)
-    _check_frames(folder, {query: asked} | dict.fromkeys(seasons, names))
+    layout = f"get the frames from {source}, and set dataset.root so that <root>/{seasons[0]}/{names[0]} is the first"
+    folder = _root(name, root, default_root, layout)
+    _check_frames(folder, {query: asked} | dict.fromkeys(seasons, names), layout)
     return Dataset(
         name=name,
         references=Images.from_files([folder / season / frame for season in seasons for frame in names]),
@@ -101,28 +100,29 @@ def published_frames() -> list[int]:
     return [frame for first, last in bounds for frame in range(first, last + 1)]
 
 
-def _root(name: str, root: str | None, default_root: str | None) -> Path:
+def _root(name: str, root: str | None, default_root: str | None, layout: str) -> Path:
     """Return the folder that holds the seasons; raises BadInput with where to get them."""
     if root is None and default_root is not None:
         default = Path(vprbench.__file__).resolve().parents[1] / default_root
         if default.is_dir():
             return default
     if root is None:
-        raise BadInput(f"dataset.root is not set: {name} needs the folder that holds the seasons. {_WHERE}")
-    if not Path(root).is_dir():
-        raise BadInput(f"dataset.root={root} is no folder: {name} needs the one that holds the seasons. {_WHERE}")
-    return Path(root)
+        raise BadInput(f"dataset.root is not set: {name} needs the folder that holds the seasons; {layout}")
+    folder = Path(root).expanduser()
+    if not folder.is_dir():
+        raise BadInput(f"dataset.root={root} is no folder: {name} needs the one that holds the seasons; {layout}")
+    return folder
 
 
-def _check_frames(folder: Path, wanted: Mapping[str, Sequence[str]]) -> None:
+def _check_frames(folder: Path, wanted: Mapping[str, Sequence[str]], layout: str) -> None:
     """Raise BadInput for a season that is missing or lacks frames."""
     for season, names in wanted.items():
         if not (folder / season).is_dir():
-            raise BadInput(f"{folder / season} does not exist: {_MEND}")
+            raise BadInput(f"{folder / season} does not exist: {layout}")
         present = {entry.name for entry in (folder / season).iterdir()}
         missing = [name for name in names if name not in present]
         if missing:
             raise BadInput(
                 f"{missing[0]} is missing from {folder / season} ({len(missing)} of {len(names)} expected frames are "
-                f"missing, {len(present)} files are there): {_MEND}"
+                f"missing, {len(present)} files are there): {layout}"
             )

@@ -191,6 +191,22 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["dataset.places=5"], "dataset.places=5"),
         (["dataset.query_places=0"], "dataset.query_places=0"),
         (["method=vprtempo", *QUICK], "12 places are fewer than one module of method.max_module=1100"),
+        (["seed=-1"], "seed=-1: give 0 or a larger number"),
+        (["+timing.foo=3"], "option timing.foo is unknown"),
+        (["timing=null"], "timing=None: set its options one by one"),
+        (["~seed"], "option seed is missing"),
+        (["+seeds=3"], "option seeds is unknown: did you mean seed?"),
+        (["method='sad'", "method.pach=5"], "option method.pach is unknown"),
+        (["check", "method=sad", "threads=x"], "threads=x: wanted an integer"),
+        (["method=vprtempo", "method.features_per_pixel=0.0", *QUICK, "method.max_module=12"], "give more than 0"),
+        (["method=vprtempo", "method.p_excitatory=2.0", *QUICK, "method.max_module=12"], "give a probability"),
+        (["method=vprtempo", "method.rate_min=-0.5", *QUICK, "method.max_module=12"], "method.rate_min=-0.5: give"),
+        (["dataset=nordland_64x32", "dataset.root=/nowhere"], "TimQuelch/seqslam"),
+        (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
+        (["dataset.references=spring"], "dataset.references=spring: wanted a list, as in [first,second]"),
+        (["dataset.name=../out", *QUICK], "dataset.name=../out: give letters"),
+        (["lst"], "lst is no command: did you mean list?"),
+        (["table", "-m"], "-m is no option here"),
         (["check"], "check needs method=NAME"),
         (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),
         (["list", "everything"], "list takes no options"),
@@ -308,3 +324,21 @@ def test_the_table_holds_its_rows_as_markdown_and_csv() -> None:
     assert re.search(r"^\| vprtempo rules=reference +\| failed: 12 places are fewer", text, re.MULTILINE)
     assert Path("here/table.csv").read_text().count("\n") == 4
     assert done.returncode == 1
+
+
+def test_help_of_a_command_changes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["table", "--help"]) == 0
+    assert "python -m vprbench table" in capsys.readouterr().out
+    assert list(Path().iterdir()) == []
+
+
+def test_results_may_lie_in_a_folder_with_a_space_and_letters_from_abroad(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", *QUICK, "results=min m\u00e5ling", "output=json"]) == 0
+    assert Path(json.loads(capsys.readouterr().out)["run_folder"]).parts[0] == "min m\u00e5ling"
+
+
+def test_a_stored_run_is_shown_under_the_words_it_was_asked_with(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", "method.patch=7", *QUICK])
+    assert "sad patch=7" in capsys.readouterr().out
+    main(["method=sad", *QUICK])
+    assert "patch=7" not in capsys.readouterr().out

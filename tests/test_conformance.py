@@ -245,3 +245,11 @@ def test_the_small_world_is_the_same_for_one_seed_only() -> None:
     first, again, other = Journey.draw(0), Journey.draw(0), Journey.draw(1)
     assert np.array_equal(first.references, again.references)
     assert not np.array_equal(first.references, other.references)
+
+
+def test_a_method_that_replaces_query_is_refused() -> None:
+    with pytest.raises(TypeError, match="replaces query: write encode and match"):
+
+        class OneStep(Pixels):
+            def query(self, images: Images) -> Scores:  # type: ignore[misc]
+                return np.zeros((len(images), 20), np.float32)

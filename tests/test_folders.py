@@ -222,8 +222,8 @@ def test_the_protocol_of_an_index_says_everything_that_was_selected(fill):
     dataset = folders("mine", [references], queries, tolerance=1)
     assert dataset.name == "mine"
     assert dict(dataset.protocol) == {
-        "references": [references],
-        "queries": queries,
+        "references": ["a"],
+        "queries": "b",
         "ground_truth": "index",
         "unmatched": "error",
         "tolerance_places": 1,

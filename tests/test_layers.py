@@ -26,6 +26,7 @@ ORDER = [
     "tables",
     "registry",
     "conformance",
+    "options",
     "console",
     "cli",
     "__main__",

@@ -366,7 +366,8 @@ def slow_run() -> Run:
 
 
 def test_fit_seconds_hold_reading_and_computing(slow_run: Run) -> None:
-    assert 0.22 <= slow_run.fit_seconds < 1
+    assert slow_run.fit_seconds < 1
+    assert slow_run.fit_seconds >= slow_run.fit_compute_seconds + 0.02
 
 
 def test_fit_compute_seconds_hold_the_computing(slow_run: Run) -> None:
@@ -374,7 +375,8 @@ def test_fit_compute_seconds_hold_the_computing(slow_run: Run) -> None:
 
 
 def test_fit_compute_seconds_do_not_hold_the_waiting_for_images(slow_run: Run) -> None:
-    assert slow_run.fit_compute_seconds <= slow_run.fit_seconds - 0.12
+    # Eight images of 20 ms are read by up to eight threads, which begin at once.
+    assert slow_run.fit_compute_seconds <= slow_run.fit_seconds - 0.02
 
 
 def test_a_second_run_on_the_same_dataset_does_not_count_the_reading_of_the_first() -> None:
@@ -504,11 +506,11 @@ def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> type[Method]:
     path = tmp_path / "plugin" / "given.py"
     path.parent.mkdir()
     path.write_text(METHOD_SOURCE.format(value=1))
-    spec = importlib.util.spec_from_file_location("given", path)
+    spec = importlib.util.spec_from_file_location("plugin.given", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "given", module)
+    monkeypatch.setitem(sys.modules, "plugin.given", module)
     spec.loader.exec_module(module)
     return module.Given  # type: ignore[no-any-return]
 

@@ -421,7 +421,8 @@ def test_images_are_decoded_before_the_clock_runs() -> None:
     method = Timed(spend, lambda _: MS, lambda _: MS)
     method.match = lambda codes: np.zeros((len(codes), 2), np.float32)  # type: ignore[method-assign]
     Stopwatch(short(), clock).measure(method, Images(read, ["a", "b", "c"]))
-    assert reads == [0, 0, 0]
+    assert len(reads) >= 3
+    assert set(reads) == {0}
 
 
 def test_the_repeated_time_is_the_median_over_images_asked_again() -> None:

@@ -273,7 +273,8 @@ def test_the_arguments_of_one_version_turn_the_paper_into_it() -> None:
         {"p_excitatory": 0.2},
         {"p_inhibitory": 0.4},
         # No query here is silent: silent_winner has tests of its own above.
-        *({name: another_value(name)} for name in CHOICES if name != "silent_winner"),
+        *({name: another_value(name)} for name in CHOICES if name not in ("silent_winner", "clip")),
+        {"clip": 0.1},
     ],
     ids=lambda arguments: next(iter(arguments)),
 )

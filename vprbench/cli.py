@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import logging
 import os
@@ -10,15 +11,16 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast, get_type_hints
+from typing import TYPE_CHECKING, Any, cast
 
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -27,6 +29,7 @@ from omegaconf.errors import OmegaConfBaseException
 import vprbench
 from vprbench import registry
 from vprbench.interface import BadInput, TrainingDivergedError
+from vprbench.options import KNOWN, Settings, checked_settings, n_threads
 from vprbench.stopwatch import Protocol
 
 if TYPE_CHECKING:
@@ -48,20 +51,6 @@ and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show 
 """
 
 
-@dataclass(frozen=True)
-class Settings:
-    """The options of a run that belong neither to the method nor to the dataset."""
-
-    seed: int = 0
-    device: str = "cpu"
-    threads: int | None = None
-    results: str = "results"
-    force: bool = False
-    output: Literal["row", "json"] = "row"
-    depth: int = 100
-    timing: Protocol = field(default_factory=Protocol)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
     logging.basicConfig(format="%(message)s", level=logging.INFO)
@@ -73,14 +62,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in commands:
-            return commands[arguments[0]](arguments[1:])
-        return _run_or_sweep(arguments)
+            if "--help" in arguments or "-h" in arguments:
+                print(_USAGE, end="")
+                return 0
+            return commands[arguments[0]](_readable(arguments[1:]))
+        if arguments and re.fullmatch(r"\w+", arguments[0]):
+            raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], commands)}")
+        return _run_or_sweep(_readable(arguments))
     except BadInput as error:
         return _complain(str(error))
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(_explained(error, arguments))
     except OSError as error:
-        return _complain(f"{error.filename or 'a file'}: {error.strerror}")
+        return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt:
         return _complain("interrupted; nothing was stored", 128 + signal.SIGINT)
 
@@ -102,10 +96,12 @@ def _run_or_sweep(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
     sys.argv = [kept[0], *arguments]
-    try:
-        task()
-    finally:
-        sys.argv = kept
+    with tempfile.TemporaryDirectory() as scratch:  # where Hydra leaves its notes on a sweep
+        sys.argv += [f"hydra.sweep.dir={scratch}"]
+        try:
+            task()
+        finally:
+            sys.argv = kept
     if errors:
         raise errors[0]
     return max(codes, default=0)
@@ -114,19 +110,13 @@ def _run_or_sweep(arguments: list[str]) -> int:
 def _run(config: DictConfig) -> int:
     """Run one configuration, or answer it from the store."""
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    settings = checked_settings(plain)
     choices = HydraConfig.get().runtime.choices
-    asked = {
-        "method": plain.pop("method"),
-        "dataset": plain.pop("dataset"),
-        "seed": plain["seed"],
-        "device": plain["device"],
-        "depth": plain["depth"],
-        "overrides": list(HydraConfig.get().overrides.task),
-    }
-    settings = _settings(plain)
+    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth")}
+    asked["overrides"] = list(HydraConfig.get().overrides.task)
     from vprbench.records import Failure, Store
 
-    store = Store(Path(settings.results))
+    store = Store(Path(settings.results).expanduser())
     try:
         return _answer(choices["method"], asked, settings, store)
     except Exception as error:
@@ -159,8 +149,7 @@ def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) 
     from vprbench import environment, runner
     from vprbench.console import progress_shown
 
-    _check_device(settings.device, asked["method"])
-    threads = _threads(settings.threads)
+    threads = n_threads(settings)
     store.prepare()
     environment.pin_threads(threads)
     method = registry.make_method(asked["method"])
@@ -169,7 +158,9 @@ def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) 
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads)
     run = None if settings.force else store.find(dataset.name, name, key)
     from_store = run is not None
-    if run is None:
+    if run is not None:  # whoever stored it may have asked in other words
+        run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
+    else:
         with progress_shown(f"{name} on {dataset.name}"):
             run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads)
     try:
@@ -234,7 +225,8 @@ def _table(options: list[str]) -> int:
     _check_names(options)
     if any(option.split("=")[0] in ("output", "method") for option in options):
         raise BadInput("the table chooses method and output itself: change conf/table.yaml for other rows")
-    results = Path(next((o.split("=", 1)[1] for o in options if o.startswith("results=")), "results"))
+    settings = checked_settings(_composed(options))
+    results = Path(settings.results).expanduser()
     rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]
     outcomes = [_table_cell(row, [*options, "output=json"]) for row in rows]
     text = tables.table_text(outcomes)
@@ -251,9 +243,10 @@ def _table_cell(row: Sequence[str], options: Sequence[str]) -> Run | Failure:
     from vprbench.records import Failure, load
 
     child = _child([*row, *options], stdout=subprocess.PIPE)
-    answer = json.loads(child.stdout) if child.stdout.strip() else {}
+    answer = json.loads(child.stdout) if child.stdout.strip().startswith("{") else {}
     if child.returncode == 0:
-        return load(Path(answer["run_folder"]))
+        run = load(Path(answer["run_folder"]))
+        return dataclasses.replace(run, config={**run.config, "overrides": list(row)})
     name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
     ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "the message is above"
     return Failure(name, answer.get("dataset", ""), {"overrides": list(row)}, answer.get("error", ending))
@@ -286,9 +279,8 @@ def _check(options: list[str]) -> int:
     if not any(option.startswith("method=") for option in options):
         raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
     _check_names(options)
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=options), resolve=True))
-    environment.pin_threads(_threads(config["threads"]))
+    config = _composed(options)
+    environment.pin_threads(n_threads(checked_settings(config)))
     asked = {option.split("=")[0].removeprefix("method.") for option in options}
     results = list(conformance.check(config["method"], asked))
     for result in results:
@@ -296,6 +288,29 @@ def _check(options: list[str]) -> int:
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
     return 1 if broken else 0
+
+
+def _composed(options: Sequence[str]) -> dict[str, Any]:
+    """Return the configuration of a run with these options, as plain values."""
+    for option in options:
+        if option.startswith("-"):
+            raise BadInput(f"{option} is no option here: see python -m vprbench --help")
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        return cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=list(options)), resolve=True))
+
+
+def _readable(arguments: Sequence[str]) -> list[str]:
+    """Put quotes around values, such as paths with letters from abroad, that Hydra's grammar cannot read bare."""
+    readable = []
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if equals and not argument.startswith("-"):
+            try:
+                OverridesParser.create().parse_override(argument)
+            except HydraException:
+                argument = f"{key}='" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+        readable.append(argument)
+    return readable
 
 
 def _check_names(arguments: Sequence[str]) -> None:
@@ -310,40 +325,6 @@ def _check_names(arguments: Sequence[str]) -> None:
                         raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
 
 
-def _settings(plain: Mapping[str, Any]) -> Settings:
-    """Return the checked options of a run; raises BadInput that names the one that does not fit."""
-    hints = get_type_hints(Settings)
-    timing = {
-        name: registry.checked(f"timing.{name}", value, get_type_hints(Protocol)[name])
-        for name, value in plain["timing"].items()
-    }
-    options = {n: registry.checked(n, plain[n], hints[n]) for n in hints if n != "timing"}
-    if options["depth"] < 1:
-        raise BadInput(f"depth={options['depth']}: keep at least the best place of each query")
-    return Settings(**options, timing=Protocol(**timing))
-
-
-def _check_device(device: str, method: Mapping[str, Any]) -> None:
-    if method.get("device", device) != device:
-        raise BadInput(f"method.device={method['device']} differs from device={device}: set device alone, for both")
-    if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
-        raise BadInput(f"device={device} is unknown: give cpu, cuda or cuda:1")
-    if device != "cpu":
-        import torch
-
-        if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):
-            raise BadInput(f"device={device}: torch sees {torch.cuda.device_count()} GPUs here; use device=cpu")
-
-
-def _threads(asked: int | None) -> int:
-    from vprbench import environment
-
-    available = len(environment.cores())
-    if asked is not None and not 1 <= asked <= available:
-        raise BadInput(f"threads={asked}: this process may use 1 to {available} cores")
-    return asked or available
-
-
 def _explained(error: Exception, arguments: Sequence[str]) -> str:
     """Turn an error of Hydra into one line that names the option and what to do."""
     text = " ".join(str(error).split())
@@ -354,8 +335,7 @@ def _explained(error: Exception, arguments: Sequence[str]) -> str:
     group = path.split(".")[0]
     if group in ("method", "dataset", "timing") and "." in path:
         return f"option {path} is unknown: {registry.near(path.split('.', 1)[1], _known_options(group, arguments))}"
-    known = [*Settings.__dataclass_fields__, "method", "dataset"]
-    return f"option {path} is unknown: {registry.near(path, known)}"
+    return f"option {path} is unknown: {registry.near(path, KNOWN)}"
 
 
 def _known_options(group: str, arguments: Sequence[str]) -> list[str]:
@@ -364,8 +344,9 @@ def _known_options(group: str, arguments: Sequence[str]) -> list[str]:
         return list(Protocol.__dataclass_fields__)
     default = {"method": "sad", "dataset": "synthetic"}[group]
     chosen = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), default).split(",")[0]
-    entry = registry.entries("method" if group == "method" else "dataset")[chosen]
-    return [name for name in yaml.safe_load(entry.path.read_text(encoding="utf-8")) if name != "_target_"]
+    entry = registry.entries("method" if group == "method" else "dataset").get(chosen.strip("'\""))
+    content = yaml.safe_load(entry.path.read_text(encoding="utf-8")) if entry else {}
+    return [name for name in content if name != "_target_"]
 
 
 def _complain(message: str, code: int = 2) -> int:

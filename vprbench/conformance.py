@@ -227,7 +227,7 @@ def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:
 def _same(scores: npt.NDArray[np.float32], others: npt.NDArray[np.float32], complaint: str) -> None:
     difference = float(np.abs(scores - others).max())
     scale = float(np.abs(scores).max())
-    if difference > _RELATIVE * scale:
+    if not difference <= _RELATIVE * scale:
         _broken(f"{complaint} (by {difference:.2g} where the largest score is {scale:.2g})")
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-_LIBRARIES = ("torch", "numpy", "opencv-python-headless", "scikit-learn", "faiss-cpu", "pillow", "hydra-core")
+_LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
 
 
 def capture(device: str, threads: int) -> dict[str, Any]:
@@ -31,13 +31,18 @@ def capture(device: str, threads: int) -> dict[str, Any]:
         "threads": threads,
         "device": device,
         **_accelerator(device),
-        "libraries": {name: _version(name) for name in ("vprbench", *_LIBRARIES)},
+        "libraries": library_versions(),
         "git": _git_state(),
         "load_average": list(psutil.getloadavg()),
         "cpu_pressure_avg10": cpu_pressure(),
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "command": sys.argv,
     }
+
+
+def library_versions() -> dict[str, str | None]:
+    """Return the versions of this project and of the libraries that compute, None where not installed."""
+    return {name: _version(name) for name in ("vprbench", *_LIBRARIES)}
 
 
 def cores() -> list[int]:
@@ -68,9 +73,8 @@ def processor() -> str:
 
 def device_class(device: str) -> str:
     """Return the kind of device and its model, in which stored times are comparable."""
-    return (
-        f"cpu {processor()}" if device == "cpu" else f"{device} {_accelerator(device).get('accelerator', '')}".strip()
-    )
+    kind = device.partition(":")[0]
+    return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
 
 
 def cpu_pressure() -> float | None:

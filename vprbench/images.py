@@ -17,10 +17,11 @@ from PIL import Image as PillowImage
 
 from vprbench.interface import BadInput, Image
 
-_CHUNK = 8  # images a reading thread takes at a time
+_CHUNK = 4  # images a reading thread takes at a time
+_REPORT_EVERY = 50  # images
 _STAMP_BYTES = 4096
 _FINGERPRINT_SAMPLE = 16
-_READERS = min(8, os.cpu_count() or 1)
+_READERS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 class ReadingTime:
@@ -53,6 +54,7 @@ class Images(Sequence[Image]):
         self._read = read
         self._stamp = stamp
         self._in_memory = in_memory
+        self._report: Callable[[int], None] | None = None
         self.names = tuple(names)
         self.reading = ReadingTime()
 
@@ -104,6 +106,12 @@ class Images(Sequence[Image]):
 
     def __iter__(self) -> Iterator[Image]:
         """Yield the images in order, read ahead by threads."""
+        for number, image in enumerate(self._ahead()):
+            yield image
+            if self._report is not None and number % _REPORT_EVERY == 0:
+                self._report(number + 1)
+
+    def _ahead(self) -> Iterator[Image]:
         if self._in_memory or len(self) <= 1:
             yield from (self[i] for i in range(len(self)))
             return
@@ -130,6 +138,18 @@ class Images(Sequence[Image]):
                 yield Images.from_arrays(block, self.names[start : start + len(block)])
                 start += len(block)
                 block = []
+
+    def unnamed(self) -> Images:
+        """Return the same images under names that say nothing."""
+        view = self[:]
+        view.names = tuple(f"image {i}" for i in range(len(self)))
+        return view
+
+    def watched(self, report: Callable[[int], None]) -> Images:
+        """Return the same images; `report` is told now and then how many an iteration has handed out."""
+        view = self[:]
+        view._report = report
+        return view
 
     def in_memory(self) -> Images:
         """Return the same images, all decoded now."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -58,6 +59,12 @@ class Method(ABC):
     def match(self, codes: npt.NDArray[Any]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
 
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Keep `query` what it is: encode and match."""
+        super().__init_subclass__(**arguments)
+        if "query" in cls.__dict__:
+            raise TypeError(f"{cls.__name__} replaces query: write encode and match, which are timed apart")
+
     @final
     def query(self, images: Images) -> Scores:
         """Score every place for every image, (n_images, n_places)."""
@@ -113,6 +120,8 @@ class Dataset:
     def __post_init__(self) -> None:
         """Check that the parts fit one another."""
         object.__setattr__(self, "n_places", int(self.places.max()) + 1 if len(self.places) else 0)
+        if re.fullmatch(r"\w[\w.-]*", self.name) is None:
+            raise BadInput(f"dataset.name={self.name}: give letters, digits, '.', '_' and '-', for it names a folder")
         if not len(self.references):
             raise BadInput(f"dataset {self.name} has no reference images")
         if not len(self.queries):

@@ -45,11 +45,12 @@ class PatchNormalisation:
         """Return (n_images, height * width)."""
         ddof = 1 if self.variant == "C" else 0
         levels = np.empty((len(images), self.height * self.width), np.uint8)
-        done = 0
-        for block in images.blocks(_BLOCK):
-            grey = np.stack([self.shrink(image) for image in block])
-            levels[done : done + len(block)] = patch_normalise(grey, self.patch, ddof)
-            done += len(block)
+        small = np.empty((min(len(images), _BLOCK), self.height, self.width), np.float32)
+        for number, image in enumerate(images):
+            small[number % _BLOCK] = self.shrink(image)
+            if number % _BLOCK == _BLOCK - 1 or number == len(images) - 1:
+                start = number - number % _BLOCK
+                levels[start : number + 1] = patch_normalise(small[: number + 1 - start], self.patch, ddof)
         return levels
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:

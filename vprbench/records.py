@@ -156,12 +156,11 @@ class Store:
 
     def _load(self, folder: Path) -> Run | None:
         """Read a run; a damaged one is set aside, one that another process replaces meanwhile is read again."""
-        while folder.exists():
-            before = folder.stat().st_ino
+        while (before := _identity(folder)) is not None:
             try:
                 return load(folder)
             except DamagedRunError as error:
-                if folder.exists() and folder.stat().st_ino == before:
+                if _identity(folder) == before:
                     self._set_aside(folder, str(error))
                     return None
         return None
@@ -311,8 +310,19 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 def replace_text(path: Path, content: str) -> None:
     """Write a text file so that a reader sees the old or the new one, never a part."""
     partial = path.with_name(f"{_PARTIAL}{path.name}-{uuid.uuid4().hex[:8]}")
-    partial.write_text(content, encoding="utf-8")
-    partial.replace(path)
+    try:
+        partial.write_text(content, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _identity(folder: Path) -> int | None:
+    """Return what tells a folder from its replacement of the same name; None where there is none."""
+    try:
+        return folder.stat().st_ino
+    except FileNotFoundError:
+        return None
 
 
 def _digest(path: Path) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import inspect
+import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, get_type_hints
@@ -159,7 +160,8 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     target = _locate(config["_target_"])
     arguments = {name: value for name, value in config.items() if name != "_target_"}
     known = inspect.signature(target).parameters
-    hints = get_type_hints(target.__init__ if inspect.isclass(target) else target)
+    plain_class = inspect.isclass(target) and not is_dataclass(target)
+    hints = get_type_hints(target.__init__ if plain_class else target)
     for name, value in arguments.items():
         if name not in known:
             raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
@@ -173,7 +175,8 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
 def checked(option: str, value: Any, hint: Any) -> Any:
     """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
     try:
-        return TypeAdapter(hint, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
+        adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+        return adapter.validate_json(json.dumps(value), strict=True)  # in JSON a list may become a tuple, a text a path
     except ValidationError as error:
         wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
         raise BadInput(f"{option}={value}: {wanted}") from error
@@ -181,4 +184,6 @@ def checked(option: str, value: Any, hint: Any) -> Any:
 
 def _wanted(problem: Mapping[str, Any]) -> str:
     text = str(problem["msg"]).replace("Input should be", "wanted")
+    if problem["type"] in ("list_type", "sequence_str", "tuple_type"):
+        return "wanted a list, as in [first,second]"
     return text.replace("a valid integer", "an integer").replace("a valid ", "a ")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, images, interface, preprocess, progress
+from vprbench import environment, progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Method, Places, Scores
+from vprbench.preprocess import PatchNormalisation
 from vprbench.ranking import Outcome, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
+_BLOCK_BYTES = 1 << 28  # of decoded images in such a block
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -50,6 +52,7 @@ def run_key(
             "threads": threads,
             "depth": config["depth"],
             "timing": asdict(protocol),
+            "libraries": environment.library_versions(),
         }
     )
 
@@ -57,9 +60,9 @@ def run_key(
 def code_hash(method: type[Method]) -> str:
     """Return the hash of the source behind a method: its folder (in `methods/`, its file) and what all methods use."""
     own = Path(inspect.getfile(method))
-    one_file = method.__module__.startswith("vprbench.methods.") and method.__module__.count(".") == 2
-    sources = [own] if one_file else sorted(own.parent.rglob("*.py"))
-    sources += [Path(module.__file__) for module in (interface, images, preprocess) if module.__file__]
+    package = method.__module__.rpartition(".")[0]
+    sources = [own] if package in ("", "vprbench.methods") else sorted(own.parent.rglob("*.py"))
+    sources += [Path(inspect.getfile(part)) for part in (Method, Images, PatchNormalisation, Outcome, Stopwatch, run)]
     digest = hashlib.sha256()
     for source in sources:
         digest.update(source.read_bytes())
@@ -101,20 +104,19 @@ def run(
     before = dataset.references.reading.seconds
     progress.report("fit", 0.0)
     with stopwatch.lap() as fit:
-        method.fit(dataset.references, _read_only(dataset.places))
+        method.fit(dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places))
     fit_reading = dataset.references.reading.seconds - before
 
     before = dataset.queries.reading.seconds
     answers = _Answers(dataset, config["depth"])
     with stopwatch.lap() as querying:
-        for block in dataset.queries.blocks(_BLOCK):
+        for block in dataset.queries.unnamed().blocks(_block_size(dataset.queries)):
             answers.add(len(block), *_timed_scores(stopwatch, method, block))
             progress.report("query", answers.done / len(dataset.queries))
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
-    progress.report("timing", 0.0)
     with stopwatch.lap() as measuring:
-        timing = stopwatch.measure(method, dataset.queries)
+        timing = stopwatch.measure(method, dataset.queries.unnamed())
     progress.report("timing", 1.0)
 
     pressure = environment.cpu_pressure()
@@ -189,6 +191,16 @@ def _best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
     room = depth - np.count_nonzero(better, axis=1, keepdims=True)
     chosen = better | (equal & (np.cumsum(equal, axis=1) <= room))
     return np.nonzero(chosen)[1].reshape(len(scores), depth)
+
+
+def _reading(total: int) -> Callable[[int], None]:
+    """Return what reports how many references a fit has read, as a stage of its own."""
+    return lambda done: progress.report("fit, reading images", done / total)
+
+
+def _block_size(queries: Images) -> int:
+    """Return how many queries are decoded and scored together, fewer where they are large."""
+    return max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes))
 
 
 def _timed_scores(stopwatch: Stopwatch, method: Method, block: Images) -> tuple[Scores, float]:

@@ -13,12 +13,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import binom
 
+from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, Method, Scores
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
 
+_SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _STEADY_QUERIES = 10
 _STEADY_SPREAD = 0.1
 
@@ -125,17 +127,22 @@ class Stopwatch:
 
     def measure(self, method: Method, images: Images) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand."""
-        count = min(len(images), self._protocol.sample)
+        count = min(len(images), self._protocol.sample, max(1, _SAMPLE_BYTES // images[0].nbytes))
         chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
         sample = images[chosen].in_memory()
         singles = [sample[np.array([i])] for i in range(count)]
         with _garbage_kept():
+            progress.report("timing", 0.0)
             first, warmup = self._warm_up(method, singles)
             streaming, answers = self._stream(method, singles)
+            progress.report("timing", 0.2)
             repeated, unseen = self._caching(method, singles)
             sizes = sorted({min(size, count) for size in self._protocol.batch_sizes})
-            offline = tuple(self._batches(method, sample, size) for size in sizes)
-        return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
+            offline = []
+            for done, size in enumerate(sizes):
+                progress.report("timing", 0.3 + 0.7 * done / len(sizes))
+                offline.append(self._batches(method, sample, size))
+        return Timing(first, warmup, streaming, tuple(offline), chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
         """Return the seconds of encode and match, and the scores."""
@@ -165,7 +172,9 @@ class Stopwatch:
         matches: list[float] = []
         answers = np.full(len(singles), -1)
         started = self._clock()
-        while not (finished := self._finished(len(encodes), len(singles), started)) and not self._late(started):
+        while not (finished := self._finished(len(encodes), len(singles), started)) and not (
+            encodes and self._late(started)
+        ):
             order = self._generator.permutation(len(singles)).tolist()
             for query in order:
                 encode, match, scores = self._call(method, singles[query])
@@ -201,7 +210,9 @@ class Stopwatch:
         matches: list[float] = []
         self._call(method, batches[0])
         started = self._clock()
-        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not self._late(started):
+        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not (
+            encodes and self._late(started)
+        ):
             encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
             encodes.append(encode)
             matches.append(match)

@@ -17,7 +17,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from .layer import CLIP, LARGEST, SMALLEST, Layer
+from .layer import LARGEST, SMALLEST, Layer
 from .rules import Rules
 from .training import Schedule
 
@@ -27,6 +27,22 @@ _NEURONS_PER_TASK = 16
 _SPIKE, _AMPLITUDE, _DECAY = 0, 1, 2
 _THRESHOLD_RULES = {"spike": _SPIKE, "amplitude": _AMPLITUDE, "decay": _DECAY}
 _SMALL_SHARE = np.float32(SMALLEST / LARGEST)
+
+
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"reassoc", "contract", "arcp", "nsz"},  # sums may be reordered; infinities still count
+}
+
+
+def _compiled(function: Callable[..., None]) -> Callable[..., Any]:
+    """Compile `function`, and keep the result where a folder can be written."""
+    try:
+        compiled: Callable[..., Any] = njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:
+        compiled = njit(**_OPTIONS)(function)
+    return compiled
 
 
 def train_features(
@@ -42,15 +58,16 @@ def train_features(
     """Train a feature layer in place, as `training.train_features` does."""
     shown = spikes.numpy()
     for module in range(len(layer.thresholds)):
-        factor = schedule.factor[:, module].numpy()
+        factor = np.ascontiguousarray(schedule.factor[:, module])
         arguments = (
             *_rows(layer, module),
             shown,
-            schedule.image[:, module].numpy(),
+            np.ascontiguousarray(schedule.image[:, module]),
             np.float32(stdp) * factor,
             np.float32(itp) * factor,
             rates.numpy(),
             np.float32(rules.homeostasis_gain),
+            np.float32(rules.clip),
             _THRESHOLD_RULES[rules.threshold_rule],
             rules.stdp_divided_by_rate,
         )
@@ -72,15 +89,16 @@ def train_places(
     for module in range(len(layer.thresholds)):
         image, seen = np.unique(schedule.image[:, module].numpy(), return_inverse=True)
         net = torch.addmm(features.constant[module], spikes[image], features.weights[module].T)
-        shown = (net - features.thresholds[module]).clamp_(0, CLIP).numpy()
+        shown = (net - features.thresholds[module]).clamp_(0, rules.clip).numpy()
         arguments = (
             *_rows(layer, module),
             shown,
             seen,
-            schedule.neuron[:, module].numpy(),
-            np.float32(stdp) * schedule.factor[:, module].numpy(),
+            np.ascontiguousarray(schedule.neuron[:, module]),
+            np.float32(stdp) * np.ascontiguousarray(schedule.factor[:, module]),
             inverse_rates,
             np.float32(rules.homeostasis_gain),
+            np.float32(rules.clip),
             np.float32(1.0 if rules.error_to_each_sign else 0.5),
             rules.output_thresholds_learn,
         )
@@ -111,12 +129,15 @@ def _in_threads(
         tasks = [
             threads.submit(learn, *arguments, start, min(start + _NEURONS_PER_TASK, n_neurons)) for start in starts
         ]
-        for done, task in enumerate(tasks):
-            task.result()
-            report((done + 1) / len(tasks))
+        try:
+            for done, task in enumerate(tasks):
+                task.result()
+                report((done + 1) / len(tasks))
+        finally:
+            threads.shutdown(cancel_futures=True)
 
 
-@njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@_compiled
 def _net_input(excitation, inhibition, x):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(x)):
@@ -124,7 +145,7 @@ def _net_input(excitation, inhibition, x):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@_compiled
 def _learn_features(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
@@ -138,6 +159,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
     itp,
     rates,
     gain,
+    clip,
     threshold_rule,
     divided_by_rate,
     first,
@@ -153,7 +175,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
         for step in range(len(order)):
             x = spikes[order[step]]
             following = spikes[order[min(step + 1, len(order) - 1)]]
-            y = min(max(net - threshold, np.float32(0)), np.float32(CLIP))
+            y = min(max(net - threshold, np.float32(0)), clip)
             fired = y > 0
             post = stdp[step] * (np.float32(0.5) - y) if fired else np.float32(0)
             if divided_by_rate:
@@ -178,7 +200,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
         thresholds[neuron] = threshold
 
 
-@njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@_compiled
 def _learn_places(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
@@ -192,6 +214,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
     stdp,
     inverse_rates,
     gain,
+    clip,
     share,
     thresholds_learn,
     first,
@@ -208,7 +231,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
             x = spikes[order[step]]
             following = spikes[order[min(step + 1, len(order) - 1)]]
             target = np.float32(0.5) if forced[step] == neuron else np.float32(0)
-            error = target - min(max(net - threshold, np.float32(0)), np.float32(CLIP))
+            error = target - min(max(net - threshold, np.float32(0)), clip)
             if thresholds_learn:
                 threshold = max(threshold - np.sign(error) * stdp[step] / np.float32(5), np.float32(0))
             post = share * stdp[step] * error
@@ -223,3 +246,15 @@ def _learn_places(  # type: ignore[no-untyped-def]
                 total += (e - h) * following[i]
             net = total + constant
         thresholds[neuron] = threshold
+
+
+def _compile() -> None:
+    """Compile both kernels, or read them from the cache, so that no training waits for it."""
+    weights, row = np.ones((1, 1), np.float32), np.zeros(1, np.float32)
+    order, one = np.zeros(1, np.int64), np.float32(1)
+    layer = (weights, weights, weights, weights, row, row, weights, order)
+    _learn_features(*layer, row, row, row, one, one, _SPIKE, False, 0, 0)
+    _learn_places(*layer, order, row, row, one, one, one, False, 0, 0)
+
+
+_compile()

@@ -11,7 +11,6 @@ from torch import Tensor
 from .rules import Rules
 
 SMALLEST, LARGEST = 1e-6, 10.0  # limits of a weight's magnitude
-CLIP = 0.9  # limit of an activation
 
 
 @dataclass
@@ -60,9 +59,9 @@ class Layer:
         column = x[:, :, None]
         return (torch.bmm(self.excitation, column) - torch.bmm(self.inhibition, column))[:, :, 0] + self.constant
 
-    def spikes(self, net_input: Tensor) -> Tensor:
-        """Return the activation of Eq. 1, the net input above threshold, clipped."""
-        return (net_input - self.thresholds).clamp_(0, CLIP)
+    def spikes(self, net_input: Tensor, clip: float) -> Tensor:
+        """Return the activation of Eq. 1, the net input above threshold, from 0 to `clip`."""
+        return (net_input - self.thresholds).clamp_(0, clip)
 
 
 def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Tensor, rules: Rules) -> None:
@@ -72,7 +71,7 @@ def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Te
     (modules, 1) the learning rates now.
     """
     net = layer.net_input(x)
-    y = layer.spikes(net)
+    y = layer.spikes(net, rules.clip)
     fired = y > 0
     post = stdp * (0.5 - y) * fired
     if rules.stdp_divided_by_rate:
@@ -98,7 +97,7 @@ def learn_places(layer: Layer, x: Tensor, target: Tensor, pre_rates: Tensor, std
     that is forced to 0.5, `pre_rates` (n_pre,) the target rates of the feature neurons, `stdp` (modules, 1).
     """
     net = layer.net_input(x)
-    error = -layer.spikes(net)
+    error = -layer.spikes(net, rules.clip)
     error[torch.arange(len(target), device=target.device), target] += 0.5
     if rules.output_thresholds_learn:
         layer.thresholds.sub_(error.sign() * stdp / 5).clamp_(min=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import ModuleType
@@ -16,7 +17,7 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation, Variant
 
-from . import training
+from . import fused, training
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
@@ -57,6 +58,7 @@ class VPRTempo(Method):
     one_sign_per_synapse: bool | None = None
     normalise_by_last_neuron: bool | None = None
     constant_input: float | None = None
+    clip: float | None = None
     threshold_rule: ThresholdRule | None = None
     stdp_divided_by_rate: bool | None = None
     homeostasis_gain: float | None = None
@@ -144,10 +146,27 @@ class VPRTempo(Method):
         return replace(RULES[self.rules], **given)
 
     def _check_arguments(self, n_places: int) -> None:
-        if min(self.epochs, self.max_module) < 1:
-            raise BadInput(
-                f"method.epochs={self.epochs}, method.max_module={self.max_module}: both have to be at least 1"
-            )
+        """Raise BadInput for arguments under which there is no network."""
+        rules = self.chosen_rules()
+        wanted = {
+            "epochs": (self.epochs >= 1, "at least 1"),
+            "max_module": (self.max_module >= 1, "at least 1 place"),
+            "features_per_pixel": (0 < self.features_per_pixel < math.inf, "more than 0"),
+            "stdp_rate": (0 <= self.stdp_rate < math.inf, "0 or more"),
+            "itp_rate": (0 <= self.itp_rate < math.inf, "0 or more"),
+            "threshold_max": (0 <= self.threshold_max < math.inf, "0 or more"),
+            "rate_min": (0 < self.rate_min <= self.rate_max, "more than 0 and at most method.rate_max"),
+            "rate_max": (self.rate_max < math.inf, "a finite rate"),
+            "p_excitatory": (0 <= self.p_excitatory <= 1, "a probability"),
+            "p_inhibitory": (0 <= self.p_inhibitory <= 1, "a probability"),
+            "constant_input": (0 <= rules.constant_input < math.inf, "0 or more"),
+            "clip": (0 < rules.clip < math.inf, "more than 0"),
+            "homeostasis_gain": (0 <= rules.homeostasis_gain < math.inf, "0 or more"),
+            "annealing_interval": (rules.annealing_interval >= 1, "at least 1 step"),
+        }
+        for name, (fits, what) in wanted.items():
+            if not fits:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
         if n_places < self.max_module:
             raise BadInput(
                 f"{n_places} places are fewer than one module of method.max_module={self.max_module}: "
@@ -162,8 +181,6 @@ class VPRTempo(Method):
             raise BadInput(f"method.engine=fused runs on device=cpu, not on {self.device}: leave method.engine out")
         if engine == "readable":
             return training
-        from . import fused  # compiles when it is first imported
-
         return fused
 
     def _draw_layers(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .layer import CLIP, Layer
+from .layer import Layer
 from .rules import Rules
 
 _BLOCK = 256  # queries whose feature spikes are held together
@@ -48,9 +48,9 @@ class Network:
         if self.rules.query_rule == "linear":
             return self._places(torch.bmm(torch.bmm(x, self.features.mT), self.outputs.mT))
         net = torch.baddbmm(self.constant, x, self.features.mT)
-        features = (net - self.feature_thresholds).clamp_(0, CLIP)
+        features = (net - self.feature_thresholds).clamp_(0, self.rules.clip)
         above = torch.bmm(features, self.outputs.mT) - self.output_thresholds
-        scores = self._places(above.clamp(0, CLIP))
+        scores = self._places(above.clamp(0, self.rules.clip))
         if self.rules.silent_winner:
             silent = torch.nonzero((scores == 0).all(1))[:, 0]
             scores[silent, above[0, silent, : self.sizes[0]].argmax(1)] = 0.5

@@ -23,6 +23,8 @@ class Rules:
     """Initial weights are divided by the last neuron's L1 norm (public code), or each neuron's by its own."""
     constant_input: float
     """Upper end of the uniform constant input C of a feature neuron (paper, Table I)."""
+    clip: float
+    """Upper limit of an activation: 0.9 in all public versions, 1 as printed in the paper."""
     threshold_rule: ThresholdRule
     """Eq. 5 with Theta(x_j); with the amplitude x_j (v1.0.0); or with a spike that is never set (public code)."""
     stdp_divided_by_rate: bool
@@ -52,6 +54,7 @@ PAPER = Rules(
     one_sign_per_synapse=False,
     normalise_by_last_neuron=False,
     constant_input=0.1,
+    clip=0.9,
     threshold_rule="spike",
     stdp_divided_by_rate=False,
     homeostasis_gain=50.0,
@@ -68,6 +71,7 @@ REFERENCE = Rules(
     one_sign_per_synapse=True,
     normalise_by_last_neuron=True,
     constant_input=0.0,
+    clip=0.9,
     threshold_rule="decay",
     stdp_divided_by_rate=False,
     homeostasis_gain=50.0,
@@ -85,6 +89,7 @@ V1 = Rules(
     one_sign_per_synapse=False,
     normalise_by_last_neuron=False,
     constant_input=0.1,
+    clip=0.9,
     threshold_rule="amplitude",
     stdp_divided_by_rate=False,
     homeostasis_gain=50.0,

@@ -13,7 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from vprbench.interface import Scores, TrainingDivergedError
 
-from .layer import CLIP, LARGEST, SMALLEST, Layer, learn_features, learn_places
+from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
@@ -105,7 +105,7 @@ def train_places(
         steps = slice(start, min(start + _REPORT_EVERY, total))
         shown = spikes[schedule.image[steps].T]  # (modules, n_steps, n_pixels)
         net = torch.baddbmm(features.constant[:, None], shown, weights.transpose(1, 2))
-        x = (net - features.thresholds[:, None]).clamp_(0, CLIP).transpose(0, 1).contiguous()
+        x = (net - features.thresholds[:, None]).clamp_(0, rules.clip).transpose(0, 1).contiguous()
         for step in range(steps.start, steps.stop):
             factor = schedule.factor[step, :, None]
             learn_places(layer, x[step - start], schedule.neuron[step], rates, stdp * factor, rules)

@@ -1,0 +1,78 @@
+"""The options of a run that belong neither to its method nor to its dataset, checked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_type_hints
+
+from vprbench import environment, registry
+from vprbench.interface import BadInput
+from vprbench.stopwatch import Protocol
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How and where to run, and what to print."""
+
+    seed: int = 0
+    device: str = "cpu"
+    threads: int | None = None  # None: all cores this process may use
+    results: str = "results"
+    force: bool = False
+    output: Literal["row", "json"] = "row"
+    depth: int = 100
+    timing: Protocol = field(default_factory=Protocol)
+
+
+KNOWN = (*Settings.__dataclass_fields__, "method", "dataset")
+
+
+def checked_settings(config: Mapping[str, Any]) -> Settings:
+    """Return the settings of a configuration; raises BadInput that names the option that does not fit."""
+    for name in (*config, *KNOWN):
+        if name not in KNOWN:
+            raise BadInput(f"option {name} is unknown: {registry.near(name, KNOWN)}")
+        if name not in config:
+            raise BadInput(f"option {name} is missing: leave its default in place")
+    timing = _checked_timing(config["timing"])
+    hints = get_type_hints(Settings)
+    plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
+    settings = Settings(**plain, timing=timing)
+    if settings.depth < 1:
+        raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
+    if settings.seed < 0:
+        raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
+    available = len(environment.cores())
+    if settings.threads is not None and not 1 <= settings.threads <= available:
+        raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")
+    _check_device(settings.device, config["method"])
+    return settings
+
+
+def n_threads(settings: Settings) -> int:
+    """Return how many threads a run uses."""
+    return settings.threads or len(environment.cores())
+
+
+def _checked_timing(config: Any) -> Protocol:
+    if not isinstance(config, Mapping):
+        raise BadInput(f"timing={config}: set its options one by one, as in timing.minimum_seconds=10")
+    hints = get_type_hints(Protocol)
+    for name in config:
+        if name not in hints:
+            raise BadInput(f"option timing.{name} is unknown: {registry.near(name, hints)}")
+    return Protocol(**{name: registry.checked(f"timing.{name}", config[name], hints[name]) for name in config})
+
+
+def _check_device(device: str, method: Any) -> None:
+    if isinstance(method, Mapping) and method.get("device", device) != device:
+        raise BadInput(f"method.device={method['device']} differs from device={device}: set device alone, for both")
+    if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
+        raise BadInput(f"device={device} is unknown: give cpu, cuda or cuda:1")
+    if device != "cpu":
+        import torch
+
+        if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):
+            raise BadInput(f"device={device}: torch sees {torch.cuda.device_count()} GPUs here; use device=cpu")
