@@ -170,9 +170,12 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo?"),
         (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
         (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad?"),
-        (["method.pach=5"], "option method.pach is unknown: did you mean patch?"),
-        (["method=vprtempo", "method.max_modul=5"], "option method.max_modul is unknown: did you mean max_module?"),
-        (["dataset.placs=5"], "option dataset.placs is unknown: did you mean places"),
+        (["method.pach=5"], "option method.pach is unknown to sad: did you mean patch?"),
+        (
+            ["method=vprtempo", "method.max_modul=5"],
+            "method.max_modul is unknown to vprtempo: did you mean max_module?",
+        ),
+        (["dataset.placs=5"], "option dataset.placs is unknown to synthetic: did you mean places"),
         (["timing.minimum_second=5"], "option timing.minimum_second is unknown: did you mean minimum_seconds"),
         (["thread=1"], "option thread is unknown: did you mean threads?"),
         (["method.patch=seven"], "method.patch=seven: wanted an integer"),
@@ -205,6 +208,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
         (["dataset.references=spring"], "dataset.references=spring: wanted a list, as in [first,second]"),
         (["dataset.name=../out", *QUICK], "dataset.name=../out: give letters"),
+        (["-m", "method=vprtempo,sad", "method.rules=paper"], "option method.rules is unknown to sad"),
         (["lst"], "lst is no command: did you mean list?"),
         (["table", "-m"], "-m is no option here"),
         (["check"], "check needs method=NAME"),
@@ -342,3 +346,11 @@ def test_a_stored_run_is_shown_under_the_words_it_was_asked_with(capsys: pytest.
     assert "sad patch=7" in capsys.readouterr().out
     main(["method=sad", *QUICK])
     assert "patch=7" not in capsys.readouterr().out
+
+
+def test_a_table_that_no_row_can_run_for_leaves_the_old_one(capfd: pytest.CaptureFixture[str]) -> None:
+    Path("results").mkdir()
+    Path("results/table.md").write_text("the old table")
+    assert main(["table", "dataset=nordland", "dataset.root=/nowhere"]) == 2
+    assert capfd.readouterr().err.count("dataset.root=/nowhere is no folder") == 3
+    assert Path("results/table.md").read_text() == "the old table"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import torch
 import vprtempo_oracle as oracle
 
+from vprbench.methods.vprtempo import fused
 from vprbench.methods.vprtempo.layer import (
     LARGEST,
     Layer,
@@ -79,6 +81,7 @@ class Trained:
     thresholds: Floats  # (n_post,)
     expected_weights: Floats
     expected_thresholds: Floats
+    compiled_weights: Floats  # of the compiled training
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +95,10 @@ def reference_feature() -> Trained:
     layer = draw_layer(generators, [1568], 784, FEATURE_DRAW, 0.5, 0.0, REFERENCE)
     schedule = draw_schedule(generators, [100], np.arange(100), 2, REFERENCE)
     initial, thresholds = as_float64(layer.weights), as_float64(layer.thresholds)
+    twin = copy.deepcopy(layer)
+    fused.train_features(
+        twin, torch.from_numpy(spikes), schedule, feature_rates(1568, 0.2, 0.9), STDP, ITP, REFERENCE, quiet
+    )
     train_features(
         layer, torch.from_numpy(spikes), schedule, feature_rates(1568, 0.2, 0.9), STDP, ITP, REFERENCE, quiet
     )
@@ -99,7 +106,9 @@ def reference_feature() -> Trained:
     expected = oracle.train_reference_feature(
         initial, initial > 0, initial < 0, thresholds, rates, spikes, order, len(order), STDP, ITP
     )
-    return Trained(initial, as_float64(layer.weights), as_float64(layer.thresholds), *expected)
+    return Trained(
+        initial, as_float64(layer.weights), as_float64(layer.thresholds), *expected, as_float64(twin.weights)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +119,10 @@ def reference_output() -> Trained:
     layer = draw_layer(generators, [100], 1568, OUTPUT_DRAW, 0.0, 0.0, REFERENCE)
     schedule = draw_schedule(generators, [100], np.arange(100), 2, REFERENCE)
     initial = as_float64(layer.weights)
+    twin = copy.deepcopy(layer)
+    fused.train_places(
+        twin, features, torch.from_numpy(spikes), schedule, feature_rates(1568, 0.2, 0.9), STDP, REFERENCE, quiet
+    )
     train_places(
         layer, features, torch.from_numpy(spikes), schedule, feature_rates(1568, 0.2, 0.9), STDP, REFERENCE, quiet
     )
@@ -118,11 +131,20 @@ def reference_output() -> Trained:
     expected = oracle.train_reference_output(
         initial, initial > 0, initial < 0, rates, feature_spikes, np.arange(100), order, len(order), STDP
     )
-    return Trained(initial, as_float64(layer.weights), as_float64(layer.thresholds), expected, np.zeros(100))
+    learnt = (as_float64(layer.weights), as_float64(layer.thresholds))
+    return Trained(initial, *learnt, expected, np.zeros(100), as_float64(twin.weights))
 
 
 def test_reference_feature_weights_agree_with_the_oracle_after_200_steps(reference_feature: Trained) -> None:
     assert largest_difference(reference_feature.weights, reference_feature.expected_weights) < AGREEMENT
+
+
+@pytest.mark.parametrize("layer", ["reference_feature", "reference_output"])
+def test_compiled_reference_weights_agree_with_the_oracle_after_200_steps(
+    layer: str, request: pytest.FixtureRequest
+) -> None:
+    trained: Trained = request.getfixturevalue(layer)
+    assert largest_difference(trained.compiled_weights, trained.expected_weights) < AGREEMENT
 
 
 def test_reference_feature_thresholds_agree_with_the_oracle_after_200_steps(reference_feature: Trained) -> None:

@@ -228,7 +228,9 @@ def _table(options: list[str]) -> int:
     settings = checked_settings(_composed(options))
     results = Path(settings.results).expanduser()
     rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]
-    outcomes = [_table_cell(row, [*options, "output=json"]) for row in rows]
+    outcomes, codes = zip(*(_table_cell(row, [*options, "output=json"]) for row in rows), strict=True)
+    if set(codes) == {2}:
+        return 2  # what no row can run with is no result, and the old table stays
     text = tables.table_text(outcomes)
     results.mkdir(parents=True, exist_ok=True)
     for name, content in (("table.md", text), ("table.csv", tables.csv(outcomes))):
@@ -238,18 +240,19 @@ def _table(options: list[str]) -> int:
     return 1 if any(isinstance(outcome, Failure) for outcome in outcomes) else 0
 
 
-def _table_cell(row: Sequence[str], options: Sequence[str]) -> Run | Failure:
-    """Run one row of the table, or find it in the store; what ends without a result is a row too."""
+def _table_cell(row: Sequence[str], options: Sequence[str]) -> tuple[Run | Failure, int]:
+    """Run one row of the table, or find it in the store, and return it with the exit code; a failure is a row too."""
     from vprbench.records import Failure, load
 
     child = _child([*row, *options], stdout=subprocess.PIPE)
     answer = json.loads(child.stdout) if child.stdout.strip().startswith("{") else {}
     if child.returncode == 0:
         run = load(Path(answer["run_folder"]))
-        return dataclasses.replace(run, config={**run.config, "overrides": list(row)})
+        return dataclasses.replace(run, config={**run.config, "overrides": list(row)}), 0
     name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
     ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "the message is above"
-    return Failure(name, answer.get("dataset", ""), {"overrides": list(row)}, answer.get("error", ending))
+    error = answer.get("error", ending)
+    return Failure(name, answer.get("dataset", ""), {"overrides": list(row)}, error), child.returncode
 
 
 def _list(options: list[str]) -> int:
@@ -332,21 +335,24 @@ def _explained(error: Exception, arguments: Sequence[str]) -> str:
     if option is None:
         return text
     path = option.group(1)
-    group = path.split(".")[0]
-    if group in ("method", "dataset", "timing") and "." in path:
-        return f"option {path} is unknown: {registry.near(path.split('.', 1)[1], _known_options(group, arguments))}"
+    group, _, name = path.partition(".")
+    if group in ("method", "dataset") and name:
+        return _unfit("method" if group == "method" else "dataset", name, arguments)
+    if group == "timing" and name:
+        return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
     return f"option {path} is unknown: {registry.near(path, KNOWN)}"
 
 
-def _known_options(group: str, arguments: Sequence[str]) -> list[str]:
-    """Return the options of the chosen method or dataset, or of the timing."""
-    if group == "timing":
-        return list(Protocol.__dataclass_fields__)
-    default = {"method": "sad", "dataset": "synthetic"}[group]
-    chosen = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), default).split(",")[0]
-    entry = registry.entries("method" if group == "method" else "dataset").get(chosen.strip("'\""))
-    content = yaml.safe_load(entry.path.read_text(encoding="utf-8")) if entry else {}
-    return [name for name in content if name != "_target_"]
+def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
+    """Say which of the chosen methods or datasets lacks an option, and what it has."""
+    given = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), "")
+    entries = registry.entries(group)
+    for chosen in given.strip("'\"").split(",") if given else [{"method": "sad", "dataset": "synthetic"}[group]]:
+        content = yaml.safe_load(entries[chosen].path.read_text(encoding="utf-8")) if chosen in entries else {}
+        known = [name for name in content if name != "_target_"]
+        if option.split(".")[0] not in known:
+            return f"option {group}.{option} is unknown to {chosen}: {registry.near(option, known)}"
+    return f"option {group}.{option} is unknown"
 
 
 def _complain(message: str, code: int = 2) -> int:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binom
 
 from vprbench import progress
 from vprbench.images import Images
@@ -253,6 +252,8 @@ def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -
     At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at
     least one has to, so that a p90 needs 64 laps and a p99 662. Source: MLPerf LoadGen, sample counts.
     """
+    from scipy.stats import binom  # slow to import, and not needed to complain about an option
+
     allowed = int(binom.ppf(1 - confidence, len(seconds), 1 - share)) - 1 if len(seconds) else -1
     if allowed >= -1 and binom.cdf(allowed + 1, len(seconds), 1 - share) <= 1 - confidence:
         allowed += 1
