@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -30,8 +31,9 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
 
 class _Bar:
     def __init__(self, title: str, stream: TextIO) -> None:
+        columns = shutil.get_terminal_size().columns  # 80 where a terminal does not tell its width
         layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
-        self._bar = tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, dynamic_ncols=True)
+        self._bar = tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns)
         self._title = title
         self._stage = ""
 
