@@ -31,9 +31,11 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
 
 class _Bar:
     def __init__(self, title: str, stream: TextIO) -> None:
-        columns = shutil.get_terminal_size().columns  # 80 where a terminal does not tell its width
+        columns, rows = shutil.get_terminal_size()  # 80 and 24 where a terminal does not tell
         layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
-        self._bar = tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns)
+        self._bar = tqdm(
+            total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns, nrows=rows
+        )
         self._title = title
         self._stage = ""
 
