@@ -1,23 +1,15 @@
 """Preprocessing against cases worked by hand and a pixel-by-pixel float64 oracle."""
 
-import cv2
 import numpy as np
 import preprocess_oracle as oracle
 import pytest
+from preprocess_frames import smooth_frame
 
 from vprbench.images import Images
 from vprbench.interface import BadInput
 from vprbench.preprocess import PatchNormalisation, gamma_correct, patch_normalise
 
 VARIANTS = ("A", "B", "C")
-
-
-def smooth_frame(height, width, seed=0):
-    """A blurred random colour frame, 0..255."""
-    coarse = np.random.default_rng(seed).uniform(0, 255, (6, 8, 3))
-    frame = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    frame += np.random.default_rng(seed + 1).normal(0, 4, frame.shape)
-    return frame.clip(0, 255).round().astype(np.uint8)
 
 
 def grey_frame(levels):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,12 +14,16 @@ import numpy.typing as npt
 import torch
 from torch.nn import functional
 
+from vprbench import preprocess_compiled
 from vprbench.images import Images
 from vprbench.interface import BadInput, Image
 
 Variant = Literal["A", "B", "C"]
+Engine = Literal["fused", "readable"]
 
-_BLOCK = 64  # images whose windows are unfolded together
+_LEVELS = np.arange(256, dtype=np.float32)
+
+_BLOCK = 64  # images that are normalised together
 
 
 @dataclass(frozen=True)
@@ -26,13 +33,15 @@ class PatchNormalisation:
     A: VPRSNN (d38f30c): resize in colour, grey, no gamma, population standard deviation.
     B: VPRTempo v1.0.0 (a3b07b2): grey and gamma as uint8, resize, population standard deviation.
     C: VPRTempo 64154e5: grey and gamma in float32, resize, unbiased standard deviation.
-    No variant resizes with antialiasing. Raises BadInput for an even `patch` (pixels), which has no centre.
+    No variant resizes with antialiasing. The fused engine is compiled and takes all threads that PyTorch may use;
+    the readable one is what it is judged by. Raises BadInput for an even `patch` (pixels), which has no centre.
     """
 
     variant: Variant = "C"
     height: int = 28
     width: int = 28
     patch: int = 7
+    engine: Engine = "fused"
 
     def __post_init__(self) -> None:
         """Check the sizes."""
@@ -43,14 +52,21 @@ class PatchNormalisation:
 
     def __call__(self, images: Images) -> npt.NDArray[np.uint8]:
         """Return (n_images, height * width)."""
-        ddof = 1 if self.variant == "C" else 0
         levels = np.empty((len(images), self.height * self.width), np.uint8)
-        small = np.empty((min(len(images), _BLOCK), self.height, self.width), np.float32)
-        for number, image in enumerate(images):
-            small[number % _BLOCK] = self.shrink(image)
-            if number % _BLOCK == _BLOCK - 1 or number == len(images) - 1:
-                start = number - number % _BLOCK
-                levels[start : number + 1] = patch_normalise(small[: number + 1 - start], self.patch, ddof)
+        normalise = self._fused if self.engine == "fused" else self._readable
+        threads = torch.get_num_threads() if self.engine == "fused" else 1
+        if len(images) == 1 or threads == 1:
+            for start, block in _blocks(images):
+                normalise(block, levels[start : start + len(block)])
+            return levels
+        with ThreadPoolExecutor(threads) as pool:
+            running: deque[Future[None]] = deque()
+            for start, block in _blocks(images, -(-len(images) // threads)):
+                if len(running) > threads:  # images wait in memory, so only a few blocks of them do
+                    running.popleft().result()
+                running.append(pool.submit(normalise, block, levels[start : start + len(block)]))
+            for last in running:
+                last.result()
         return levels
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:
@@ -61,7 +77,7 @@ class PatchNormalisation:
             return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
         if self.variant == "B":
             grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-            levels = gamma_correct(grey.astype(np.float32)).astype(np.uint8)
+            levels = cv2.LUT(grey, _power(_LEVELS.copy(), float(grey.mean())).astype(np.uint8))
             return cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         red, green, blue = (image[:, :, c].astype(np.float32) for c in range(3))
         weighted = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
@@ -72,6 +88,42 @@ class PatchNormalisation:
         resized = functional.interpolate(pixels, (self.height, self.width), mode="bilinear", align_corners=False)
         return np.asarray(resized[0, 0], dtype=np.float32)
 
+    def _readable(self, block: Sequence[Image], levels: npt.NDArray[np.uint8]) -> None:
+        small = np.stack([self.shrink(image) for image in block])
+        levels[:] = patch_normalise(small, self.patch, self._ddof)
+
+    def _fused(self, block: Sequence[Image], levels: npt.NDArray[np.uint8]) -> None:
+        small = np.empty((len(block), self.height, self.width), np.float32)
+        if self.variant == "C":
+            self._shrink_fused(block, small)
+        else:
+            for number, image in enumerate(block):
+                small[number] = self.shrink(image)
+        preprocess_compiled.normalise_patches(small, self.patch, self._ddof, levels)
+
+    def _shrink_fused(self, block: Sequence[Image], small: npt.NDArray[np.float32]) -> None:
+        """Do what `shrink` does for variant C, but correct only those pixels that the resize reads."""
+        taps = np.empty((len(block), 2, 2, self.height, self.width), np.float32)
+        for image, own in zip(block, taps, strict=True):
+            _power(own, preprocess_compiled.take_taps(np.ascontiguousarray(image), own))
+        preprocess_compiled.blend_taps(taps, np.array([image.shape[:2] for image in block]), small)
+
+    @property
+    def _ddof(self) -> int:
+        """Return what is taken from the count of a window's pixels in its variance."""
+        return 1 if self.variant == "C" else 0
+
+
+def _blocks(images: Images, largest: int = _BLOCK) -> Iterator[tuple[int, list[Image]]]:
+    """Yield the images, read in order, in lists of a bounded length with the number of the first."""
+    size = min(largest, _BLOCK)
+    block: list[Image] = []
+    for number, image in enumerate(images):
+        block.append(image)
+        if len(block) == size or number == len(images) - 1:
+            yield number + 1 - len(block), block
+            block = []
+
 
 def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Map the mean of a grey image (height, width), levels 0..255, to 127.5 and clip to 0..255.
@@ -79,11 +131,16 @@ def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     The exponent is ln(0.5 * 255) / ln(mean) (VPRTempo 64154e5). An image whose mean is at most 1, where that
     has no finite positive value, is returned unchanged: a black frame stays black.
     """
-    mean = grey.mean()
-    if mean <= 1:
-        return grey
-    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
-        return np.clip(np.power(grey, np.float32(np.log(127.5) / np.log(mean))), 0, 255)
+    return _power(grey.copy(), float(grey.mean(dtype=np.float64)))
+
+
+def _power(grey: npt.NDArray[np.float32], mean: float) -> npt.NDArray[np.float32]:
+    """Apply the exponent that belongs to an image's mean level to `grey`, in place."""
+    if mean > 1:
+        with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
+            np.power(grey, np.float32(np.log(127.5) / np.log(mean)), out=grey)
+        np.clip(grey, 0, 255, out=grey)
+    return grey
 
 
 def patch_normalise(grey: npt.NDArray[np.float32], patch: int, ddof: int) -> npt.NDArray[np.uint8]:

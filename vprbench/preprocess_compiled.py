@@ -1,0 +1,193 @@
+"""The compiled half of `preprocess`: taps of the resize, their blend and patch normalisation, an image at a time.
+
+The float32 operations and their order are those of PyTorch, which the readable version calls: in windows that are
+flat but for rounding noise the noise decides the level, and methods of this kind see it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+
+_NEARLY_FLAT = np.float32(1e-4)  # deviation over mean, below which a window is looked at for being constant
+_CASCADE = 16  # terms that PyTorch adds up before it adds them to its sum
+
+
+_IMAGE = types.Array(types.uint8, 3, "C", readonly=True)
+_TAPS, _BLOCK_OF_TAPS = types.float32[:, :, :, ::1], types.float32[:, :, :, :, ::1]
+_SMALL, _LEVELS = types.float32[:, :, ::1], types.uint8[:, ::1]
+
+
+def _compiled(*arguments: Any, returns: Any = types.void) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile a function for these types, at the first call where none are given; kept where a folder can be written.
+
+    A type of its own for images keeps numba from compiling once more for those that may not be written to.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    signature: Any = [returns(*arguments)] if arguments else None
+
+    def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
+        try:
+            kernel: Callable[..., Any] = njit(signature, cache=True, **options)(function)
+        except RuntimeError:
+            kernel = njit(signature, **options)(function)
+        return kernel
+
+    return compile_it
+
+
+@_compiled()
+def _multiply_add(a, b, c):  # type: ignore[no-untyped-def]
+    """Return a * b + c in float32 with a single rounding, as processors with such an instruction do."""
+    return np.float32(np.float64(a) * np.float64(b) + np.float64(c))
+
+
+@_compiled()
+def _source(index, size, source_size):  # type: ignore[no-untyped-def]
+    """Return the first source pixel of a bilinear resize with half-pixel centres, and the share of the second."""
+    scale = np.float32(source_size) / np.float32(size)
+    position = max(_multiply_add(scale, np.float32(index) + np.float32(0.5), np.float32(-0.5)), np.float32(0))
+    first = min(np.int64(position), source_size - 1)
+    return first, min(max(position - np.float32(first), np.float32(0)), np.float32(1))
+
+
+@_compiled()
+def _grey(red, green, blue):  # type: ignore[no-untyped-def]
+    weighted = np.float32(0.299) * np.float32(red) + np.float32(0.587) * np.float32(green)
+    return weighted + np.float32(0.114) * np.float32(blue)
+
+
+@_compiled()
+def _constant(small, row, column, half):  # type: ignore[no-untyped-def]
+    """Tell whether a window, cut at the border, holds one level only."""
+    height, width = small.shape
+    for y in range(max(row - half, 0), min(row + half + 1, height)):
+        for x in range(max(column - half, 0), min(column + half + 1, width)):
+            if small[y, x] != small[row, column]:
+                return False
+    return True
+
+
+@_compiled()
+def _window_means(grey, patch, stride, count, part, mean):  # type: ignore[no-untyped-def]
+    part[:] = mean[:] = 0
+    for dy in range(patch):
+        for dx in range(patch):
+            window = grey[dy * stride + dx :]
+            for k in range(len(mean)):
+                part[k] += window[k]
+            if (dy * patch + dx) % _CASCADE == _CASCADE - 1:
+                for k in range(len(mean)):
+                    mean[k] += part[k]
+                    part[k] = 0
+    for k in range(len(mean)):
+        mean[k] = (part[k] + mean[k]) / count[k]
+
+
+@_compiled()
+def _window_deviations(grey, inside, patch, stride, mean, part, deviation):  # type: ignore[no-untyped-def]
+    part[:] = deviation[:] = 0
+    for dy in range(patch):
+        for dx in range(patch):
+            window, exists = grey[dy * stride + dx :], inside[dy * stride + dx :]
+            for k in range(len(mean)):
+                away = (window[k] - mean[k]) * exists[k]
+                part[k] += away * away
+            if (dy * patch + dx) % _CASCADE == _CASCADE - 1:
+                for k in range(len(mean)):
+                    deviation[k] += part[k]
+                    part[k] = 0
+    for k in range(len(mean)):
+        deviation[k] += part[k]
+
+
+@_compiled(_IMAGE, _TAPS, returns=types.float64)
+def take_taps(image, taps):  # type: ignore[no-untyped-def]
+    """Write the grey levels that a resize reads of `image` (h, w, 3) to `taps` (2, 2, height, width).
+
+    Returns the mean grey level of the whole image.
+    """
+    height, width = taps.shape[2:]
+    for row in range(height):
+        above, _ = _source(row, height, image.shape[0])
+        below = min(above + 1, image.shape[0] - 1)
+        for column in range(width):
+            left, _ = _source(column, width, image.shape[1])
+            right = min(left + 1, image.shape[1] - 1)
+            taps[0, 0, row, column] = _grey(image[above, left, 0], image[above, left, 1], image[above, left, 2])
+            taps[0, 1, row, column] = _grey(image[above, right, 0], image[above, right, 1], image[above, right, 2])
+            taps[1, 0, row, column] = _grey(image[below, left, 0], image[below, left, 1], image[below, left, 2])
+            taps[1, 1, row, column] = _grey(image[below, right, 0], image[below, right, 1], image[below, right, 2])
+    sums = np.zeros(3)
+    for row in range(image.shape[0]):
+        red = green = blue = np.int32(0)
+        for column in range(image.shape[1]):
+            red += np.int32(image[row, column, 0])
+            green += np.int32(image[row, column, 1])
+            blue += np.int32(image[row, column, 2])
+        sums[0] += red
+        sums[1] += green
+        sums[2] += blue
+    return (0.299 * sums[0] + 0.587 * sums[1] + 0.114 * sums[2]) / (image.shape[0] * image.shape[1])
+
+
+@_compiled(_BLOCK_OF_TAPS, types.int64[:, ::1], _SMALL)
+def blend_taps(taps, sizes, small):  # type: ignore[no-untyped-def]
+    """Blend `taps` (n, 2, 2, height, width) of images of `sizes` (n, 2), h and w, to `small` (n, height, width)."""
+    n, height, width = small.shape
+    for image in range(n):
+        least = most = taps[image, 0, 0, 0, 0]
+        for tap in taps[image].flat:
+            least, most = min(least, tap), max(most, tap)
+        if least == most:  # the weights would leave rounding noise
+            small[image] = least
+            continue
+        for row in range(height):
+            _, down = _source(row, height, sizes[image, 0])
+            up = np.float32(1) - down
+            for column in range(width):
+                _, right = _source(column, width, sizes[image, 1])
+                left = np.float32(1) - right
+                level = taps[image, 0, 1, row, column] * (up * right)
+                level = _multiply_add(taps[image, 0, 0, row, column], up * left, level)
+                level = _multiply_add(taps[image, 1, 0, row, column], down * left, level)
+                small[image, row, column] = _multiply_add(taps[image, 1, 1, row, column], down * right, level)
+
+
+@_compiled(_SMALL, types.int64, types.int64, _LEVELS)
+def normalise_patches(small, patch, ddof, levels):  # type: ignore[no-untyped-def]
+    """Write the patch-normalised `small` (n, height, width) to `levels` (n, height * width)."""
+    n, height, width = small.shape
+    half = patch // 2
+    stride = width + 2 * half
+    # Flat, with a border of zeros on every side: a shift of the window is a shift of the index.
+    length = height * stride
+    grey = np.zeros(length + 2 * half * stride + 2 * half, np.float32)
+    inside = np.zeros(len(grey), np.float32)
+    mean, deviation = np.empty(length, np.float32), np.empty(length, np.float32)
+    part, count = np.empty(length, np.float32), np.zeros(length, np.float32)
+    for row in range(height):
+        start = (row + half) * stride + half
+        inside[start : start + width] = np.float32(1)
+    for dy in range(patch):
+        for dx in range(patch):
+            exists = inside[dy * stride + dx :]
+            for k in range(length):
+                count[k] += exists[k]
+    for image in range(n):
+        for row in range(height):
+            start = (row + half) * stride + half
+            grey[start : start + width] = small[image, row]
+        _window_means(grey, patch, stride, count, part, mean)
+        _window_deviations(grey, inside, patch, stride, mean, part, deviation)
+        for row in range(height):
+            for column in range(width):
+                k = row * stride + column
+                spread = np.sqrt(deviation[k] / (count[k] - np.float32(ddof)))
+                z = (small[image, row, column] - mean[k]) / spread
+                flat = spread <= _NEARLY_FLAT * mean[k] and _constant(small[image], row, column, half)
+                z = np.float32(0) if flat or np.isnan(z) else min(max(z, np.float32(-1)), np.float32(1))
+                levels[image, row * width + column] = np.uint8(np.float32(255) * (np.float32(1) + z) / np.float32(2))
