@@ -20,6 +20,7 @@ from vprbench.interface import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer, draw_layer
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
+from vprbench.methods.vprtempo.query import Query, asking
 from vprbench.methods.vprtempo.rules import (
     PAPER,
     REFERENCE,
@@ -63,7 +64,7 @@ class Untrained:
 
     features: Layer
     outputs: Layer
-    network: Network
+    query: Query
     spikes: torch.Tensor  # (n_queries, 40)
 
     @classmethod
@@ -76,7 +77,7 @@ class Untrained:
         outputs.excitation *= 1.1
         levels = np.random.default_rng(0).integers(0, 256, (7, 40))
         spikes = torch.from_numpy((levels / 255).astype(np.float32))
-        return cls(features, outputs, Network.of(features, outputs, SIZES, rules), spikes)
+        return cls(features, outputs, asking([Network.of(features, outputs, SIZES)], rules), spikes)
 
     def expected_spiking(self) -> Floats:
         """Return the oracle's answers, place by place of module by module."""
@@ -106,7 +107,7 @@ class Untrained:
 
 def test_a_reference_query_is_the_product_of_both_weight_matrices() -> None:
     case = Untrained.draw(REFERENCE)
-    assert case.network.scores(case.spikes).numpy() == pytest.approx(case.expected_linear(), abs=1e-6)
+    assert case.query.scores(case.spikes.numpy()) == pytest.approx(case.expected_linear(), abs=1e-6)
 
 
 @pytest.mark.parametrize("rules", [PAPER, V1], ids=["paper", "v1"])
@@ -114,73 +115,67 @@ def test_a_spiking_query_passes_constant_thresholds_and_clip(rules: Rules) -> No
     case = Untrained.draw(rules)
     expected = case.expected_spiking()
     assert 0.2 < np.mean(expected > 0) < 0.98  # neither silent nor all above their thresholds
-    assert case.network.scores(case.spikes).numpy() == pytest.approx(expected, abs=1e-6)
+    assert case.query.scores(case.spikes.numpy()) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_spiking_query_is_clipped_at_0_9() -> None:
     case = Untrained.draw(PAPER)
     case.outputs.excitation *= 100
-    network = Network.of(case.features, case.outputs, SIZES, PAPER)
-    assert float(network.scores(case.spikes).max()) == pytest.approx(0.9)
+    query = asking([Network.of(case.features, case.outputs, SIZES)], PAPER)
+    assert float(query.scores(case.spikes.numpy()).max()) == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["reference", "paper", "v1"])
 def test_one_query_scores_as_in_a_batch(rules: Rules) -> None:
     case = Untrained.draw(rules)
-    batch = case.network.scores(case.spikes)
-    singles = torch.cat([case.network.scores(one[None]) for one in case.spikes])
-    assert batch.numpy() == pytest.approx(singles.numpy(), abs=1e-6)
+    batch = case.query.scores(case.spikes.numpy())
+    singles = np.concatenate([case.query.scores(one[None].numpy()) for one in case.spikes])
+    assert batch == pytest.approx(singles, abs=1e-6)
 
 
 def test_more_queries_than_a_block_score_as_one_by_one() -> None:
     case = Untrained.draw(PAPER)
     many = case.spikes.repeat(100, 1)  # 700
-    assert case.network.scores(many)[693:].numpy() == pytest.approx(case.expected_spiking(), abs=1e-6)
+    assert case.query.scores(many.numpy())[693:] == pytest.approx(case.expected_spiking(), abs=1e-6)
 
 
 @pytest.mark.parametrize("query_rule", get_args(QueryRule))
 def test_places_come_module_by_module_and_without_the_padding_of_the_last(query_rule: QueryRule) -> None:
     # One pixel, one feature neuron; the weight of place p is (p + 1) / 10, the padded neuron's 0.9.
-    outputs = torch.tensor([[[0.1], [0.2], [0.3]], [[0.4], [0.5], [0.9]]])
-    network = Network(
-        features=torch.ones(2, 1, 1),
-        constant=torch.zeros(2, 1, 1),
-        feature_thresholds=torch.zeros(2, 1, 1),
-        outputs=outputs,
-        output_thresholds=torch.zeros(2, 1, 3),
-        sizes=[3, 2],
-        rules=replace(PAPER, query_rule=query_rule),
-    )
-    found = network.scores(torch.tensor([[0.5]]))[0].tolist()
+    rest = (torch.zeros(2, 3), torch.zeros(2, 3))
+    features = Layer(torch.ones(2, 1, 1), torch.zeros(2, 1, 1), None, None, torch.zeros(2, 1), torch.zeros(2, 1))
+    excitation = torch.tensor([[[0.1], [0.2], [0.3]], [[0.4], [0.5], [0.9]]])
+    outputs = Layer(excitation, torch.zeros(2, 3, 1), None, None, *rest)
+    query = asking([Network.of(features, outputs, [3, 2])], replace(PAPER, query_rule=query_rule))
+    found = query.scores(np.array([[0.5]], np.float32))[0].tolist()
     assert found == pytest.approx([0.05, 0.1, 0.15, 0.2, 0.25])
 
 
-def inhibited(rules: Rules) -> Network:
+def inhibited(rules: Rules) -> Query:
     """Two modules of two places and of one, which only the second of two pixels excites."""
-    return Network(
+    # Under 0.5 on the first pixel module 0 has net inputs -0.15, -0.05 and, less its thresholds, -0.15 and -0.35;
+    # place 2, in module 1, has -0.005.
+    network = Network(
         features=torch.eye(2).repeat(2, 1, 1),
-        constant=torch.zeros(2, 1, 2),
-        feature_thresholds=torch.zeros(2, 1, 2),
-        # Under 0.5 on the first pixel module 0 has net inputs -0.15, -0.05 and, less its thresholds, -0.15 and
-        # -0.35; place 2, in module 1, has -0.005; module 1 is padded by a neuron that would have 0.
-        outputs=torch.tensor([[[-0.3, 0.0], [-0.1, 0.0]], [[-0.01, 1.0], [0.0, 0.0]]]),
-        output_thresholds=torch.tensor([[[0.0, 0.3]], [[0.0, 0.0]]]),
-        sizes=[2, 1],
-        rules=rules,
+        constant=torch.zeros(2, 2),
+        feature_thresholds=torch.zeros(2, 2),
+        outputs=(torch.tensor([[-0.3, -0.1], [0.0, 0.0]]), torch.tensor([[-0.01], [1.0]])),
+        output_thresholds=(torch.tensor([0.0, 0.3]), torch.tensor([0.0])),
     )
+    return asking([network], rules)
 
 
 def test_v1_lets_the_least_inhibited_place_of_module_0_answer_with_a_half_where_all_are_silent() -> None:
-    assert inhibited(V1).scores(torch.tensor([[0.5, 0.0]])).tolist() == [[0.5, 0.0, 0.0]]
+    assert inhibited(V1).scores(np.array([[0.5, 0.0]], np.float32)).tolist() == [[0.5, 0.0, 0.0]]
 
 
 def test_v1_leaves_queries_alone_that_some_place_answers() -> None:
-    scores = inhibited(V1).scores(torch.tensor([[0.0, 0.2], [0.5, 0.0]]))
+    scores = inhibited(V1).scores(np.array([[0.0, 0.2], [0.5, 0.0]], np.float32))
     assert scores[0].tolist() == pytest.approx([0.0, 0.0, 0.2])
 
 
 def test_paper_leaves_a_silent_query_silent() -> None:
-    assert not inhibited(PAPER).scores(torch.tensor([[0.5, 0.0]])).any()
+    assert not inhibited(PAPER).scores(np.array([[0.5, 0.0]], np.float32)).any()
 
 
 # --- seeds and modules ------------------------------------------------------------------------------------------

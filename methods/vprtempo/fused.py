@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from numba import njit
 from torch import Tensor
 
+from .compiled import compiled
 from .layer import LARGEST, SMALLEST, Layer
 from .rules import Rules
 from .training import Schedule
@@ -31,22 +31,6 @@ _THRESHOLD_RULES = {"spike": _SPIKE, "amplitude": _AMPLITUDE, "decay": _DECAY}
 _LEAST, _MOST = np.float32(SMALLEST), np.float32(LARGEST)
 # Stands for a synapse that exists with weight 0, until the next limit lifts it: 0 is a synapse that does not exist.
 _NEARLY_NOTHING = 1e-30
-
-
-_OPTIONS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"reassoc", "contract", "arcp", "nsz"},  # sums may be reordered; infinities still count
-}
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `function`, and keep the result where a folder can be written."""
-    try:
-        compiled: Callable[..., Any] = njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:
-        compiled = njit(**_OPTIONS)(function)
-    return compiled
 
 
 def train_features(
@@ -151,7 +135,7 @@ def _in_threads(
 # `signed` holds W+ - W- of synapses that have one sign each.
 
 
-@_compiled
+@compiled
 def _net_input(excitation, inhibition, one_sign, x):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     if one_sign:
@@ -163,7 +147,7 @@ def _net_input(excitation, inhibition, one_sign, x):  # type: ignore[no-untyped-
     return total
 
 
-@_compiled
+@compiled
 def _balance(excitation, inhibition, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -174,7 +158,7 @@ def _balance(excitation, inhibition, scale, following):  # type: ignore[no-untyp
     return total
 
 
-@_compiled
+@compiled
 def _balance_signed(signed, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -185,7 +169,7 @@ def _balance_signed(signed, scale, following):  # type: ignore[no-untyped-def]
     return total
 
 
-@_compiled
+@compiled
 def _stdp(excitation, inhibition, x, post, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -199,7 +183,7 @@ def _stdp(excitation, inhibition, x, post, scale, following):  # type: ignore[no
     return total
 
 
-@_compiled
+@compiled
 def _stdp_signed(signed, x, post, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -212,7 +196,7 @@ def _stdp_signed(signed, x, post, scale, following):  # type: ignore[no-untyped-
     return total
 
 
-@_compiled
+@compiled
 def _force(excitation, inhibition, x, inverse_rates, post, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -225,7 +209,7 @@ def _force(excitation, inhibition, x, inverse_rates, post, scale, following):  #
     return total
 
 
-@_compiled
+@compiled
 def _force_signed(signed, x, inverse_rates, post, scale, following):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for i in range(len(following)):
@@ -239,7 +223,16 @@ def _force_signed(signed, x, inverse_rates, post, scale, following):  # type: ig
     return total
 
 
-@_compiled
+@compiled
+def _mark_diverged(excitations, inhibitions, net, first):  # type: ignore[no-untyped-def]
+    """Show in its weights that a neuron's net input is no number, for limits and masks hide it there."""
+    for number in range(len(net)):
+        if not np.isfinite(net[number]):
+            excitations[first + number] = np.nan
+            inhibitions[first + number] = np.nan
+
+
+@compiled
 def _learn_features(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
@@ -294,9 +287,10 @@ def _learn_features(  # type: ignore[no-untyped-def]
             else:
                 own = _balance(excitation, inhibition, scale, following)
             net[neuron - first] = own + constants[neuron]
+    _mark_diverged(excitations, inhibitions, net, first)
 
 
-@_compiled
+@compiled
 def _learn_places(  # type: ignore[no-untyped-def]
     excitations,
     inhibitions,
@@ -344,6 +338,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
             else:
                 own = _balance(excitation, inhibition, scale, following)
             net[neuron - first] = own + constants[neuron]
+    _mark_diverged(excitations, inhibitions, net, first)
 
 
 def _compile() -> None:

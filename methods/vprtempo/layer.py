@@ -38,6 +38,26 @@ class Layer:
             self.constant[modules],
         )
 
+    @classmethod
+    def side_by_side(cls, layers: Sequence[Layer]) -> Layer:
+        """Join layers of the same width, all with synaptic limits or none, along the axis of the modules."""
+        if len(layers) == 1:
+            return layers[0]
+        excitation_limits, inhibition_limits = (
+            None
+            if limits[0] is None
+            else (torch.cat([pair[0] for pair in limits if pair]), torch.cat([pair[1] for pair in limits if pair]))
+            for limits in zip(*((layer.excitation_limits, layer.inhibition_limits) for layer in layers), strict=True)
+        )
+        excitation, inhibition, thresholds, constant = (
+            torch.cat(parts)
+            for parts in zip(
+                *((layer.excitation, layer.inhibition, layer.thresholds, layer.constant) for layer in layers),
+                strict=True,
+            )
+        )
+        return cls(excitation, inhibition, excitation_limits, inhibition_limits, thresholds, constant)
+
     def to(self, device: str) -> Layer:
         """Return the layer on another device."""
         return Layer(

@@ -1,4 +1,4 @@
-"""VPRTempo, a temporally encoded spiking network: the readable version that faster ones are judged by."""
+"""VPRTempo, a temporally encoded spiking network, as a method."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from vprbench import progress
 from vprbench.images import Images
@@ -18,10 +19,12 @@ from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation, Variant
 
 from . import fused, training
+from .encoding import spikes_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network
+from .query import Query, asking
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
-from .training import check_weights, check_winners, draw_schedule, module_sizes
+from .training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
 
 Engine = Literal["fused", "readable"]
 
@@ -34,7 +37,7 @@ class VPRTempo(Method):
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
     one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
-    `engine` is fused (compiled, the default on a CPU) or readable (PyTorch; the same results, slower).
+    `engine` is fused (compiled, the default) or readable (PyTorch; the same results, slower).
     A network whose training diverged raises TrainingDivergedError.
     """
 
@@ -47,6 +50,7 @@ class VPRTempo(Method):
     features_per_pixel: float = 2.0
     epochs: int = 4
     stdp_rate: float = 0.005
+    output_stdp_rate: float | None = None  # None: stdp_rate
     itp_rate: float = 0.15
     threshold_max: float = 0.5
     rate_min: float = 0.2
@@ -73,71 +77,136 @@ class VPRTempo(Method):
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
 
-    _network: Network | None = field(default=None, init=False, repr=False, compare=False)
+    stored_as: ClassVar[str] = "vprtempo"
+    query_arguments: ClassVar[frozenset[str]] = frozenset({"query_rule", "silent_winner", "engine"})
+
+    _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
+    _query: Query | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Train the feature layer, then the output layer; every module learns from random draws of its own."""
-        self._check_arguments(int(places.max()) + 1)
-        self._network = None
+        n_places = int(places.max()) + 1
+        self._check_arguments(n_places)
+        self._query = None
         rules = self.chosen_rules()
-        sizes = module_sizes(int(places.max()) + 1, self.max_module)
-        seeds = np.random.SeedSequence(self.seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
-        generators = [torch.Generator().manual_seed(int(seed)) for seed in seeds]
         spikes = torch.from_numpy(self.encode(references)).to(self.device)
-        features, outputs = self._draw_layers(generators, sizes, spikes.shape[1], rules)
-        rates = feature_rates(features.thresholds.shape[1], self.rate_min, self.rate_max).to(self.device)
+        sizes = module_sizes(n_places, self.max_module)
+        self._members = self._train(sizes, spikes, places, rules)
+        query = self._asking()
+        _, first_image = np.unique(places, return_index=True)
+        probes = first_image[np.linspace(0, n_places - 1, min(_PROBES, n_places)).astype(int)]
+        check_winners(query.scores(spikes[probes].cpu().numpy()), np.repeat(np.arange(len(sizes)), sizes))
+        self._query = query
+        return self
+
+    def _seeds(self) -> list[int]:
+        """Return the seed of each network that is trained."""
+        return [self.seed]
+
+    def _asking(self) -> Query:
+        """Return what answers queries with the trained networks."""
+        return asking(self._members, self.chosen_rules())
+
+    def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
+        """Train one network a seed: the modules of all of them lie side by side."""
+        drawn = [self._draw(seed, sizes, spikes.shape[1], places, rules) for seed in self._seeds()]
+        features, outputs = (
+            Layer.side_by_side(layers).to(self.device) for layers in zip(*(layers for layers, _ in drawn), strict=True)
+        )
         schedules = [
-            draw_schedule(generators, sizes, places, self.epochs, rules).to(self.device) for _ in ("features", "places")
+            Schedule.side_by_side(orders).to(self.device)
+            for orders in zip(*(orders for _, orders in drawn), strict=True)
         ]
+        del drawn
+        rates = feature_rates(features.thresholds.shape[1], self.rate_min, self.rate_max).to(self.device)
+        output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
         engine = self._engine()
-        # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
-        together = 1 if torch.device(self.device).type == "cpu" else len(sizes)
-        groups = [slice(start, start + together) for start in range(0, len(sizes), together)]
+        groups = self._groups(len(features.thresholds))
         for number, group in enumerate(groups):
+            report = _reporting("training features", number, len(groups))
             engine.train_features(
-                features[group],
-                spikes,
-                schedules[0][group],
-                rates,
-                self.stdp_rate,
-                self.itp_rate,
-                rules,
-                _reporting("training features", number, len(groups)),
+                features[group], spikes, schedules[0][group], rates, self.stdp_rate, self.itp_rate, rules, report
             )
         check_weights(features, "feature")
         for number, group in enumerate(groups):
+            report = _reporting("training places", number, len(groups))
             engine.train_places(
-                outputs[group],
-                features[group],
-                spikes,
-                schedules[1][group],
-                rates,
-                self.stdp_rate,
-                rules,
-                _reporting("training places", number, len(groups)),
+                outputs[group], features[group], spikes, schedules[1][group], rates, output_stdp, rules, report
             )
         check_weights(outputs, "output")
-        network = Network.of(features, outputs, sizes, rules)
-        _, first_image = np.unique(places, return_index=True)
-        probes = first_image[np.linspace(0, len(first_image) - 1, min(_PROBES, len(first_image))).astype(int)]
-        check_winners(network.scores(spikes[probes]).cpu().numpy(), np.repeat(np.arange(len(sizes)), sizes))
-        self._network = network
-        return self
+        members = range(0, len(features.thresholds), len(sizes))
+        return [
+            Network.of(features[first : first + len(sizes)], outputs[first : first + len(sizes)], sizes)
+            for first in members
+        ]
+
+    def _draw(
+        self, seed: int, sizes: list[int], n_pixels: int, places: Places, rules: Rules
+    ) -> tuple[tuple[Layer, Layer], tuple[Schedule, Schedule]]:
+        """Draw both layers of a network and what each of them will see."""
+        seeds = np.random.SeedSequence(seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
+        generators = [torch.Generator().manual_seed(int(seed)) for seed in seeds]
+        n_features = round(self.features_per_pixel * n_pixels)
+        features = draw_layer(
+            generators,
+            [n_features] * len(sizes),
+            n_pixels,
+            (self.p_excitatory, self.p_inhibitory),
+            self.threshold_max,
+            rules.constant_input,
+            rules,
+        )
+        outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
+        order = draw_schedule(generators, sizes, places, self.epochs, rules)
+        return (features, outputs), (order, draw_schedule(generators, sizes, places, self.epochs, rules))
+
+    def _groups(self, n_modules: int) -> list[slice]:
+        """Return which modules are trained together."""
+        # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
+        together = 1 if torch.device(self.device).type == "cpu" else n_modules
+        return [slice(start, start + together) for start in range(0, n_modules, together)]
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the input spikes, (n_images, height * width), amplitudes 0 to 1."""
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
-        spikes = levels.astype(np.float32) / 255
-        if self.preprocessing == "C":  # the public code's 8-bit step: a grid of 256 levels up to the image's maximum
-            scale = np.maximum(spikes.max(1, keepdims=True), np.float32(1 / 255)) / 255
-            spikes = np.round(spikes / scale) * scale
-        return np.asarray(spikes, dtype=np.float32)
+        return spikes_of(levels, fake_quantised=self.preprocessing == "C")
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
-        if self._network is None:
+        if self._query is None:
             raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
-        return self._network.scores(torch.tensor(codes, device=self.device)).cpu().numpy()
+        return self._query.scores(codes)
+
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        """Return the arrays of the trained network, those of several numbered."""
+        if self._query is None:
+            raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
+        if len(self._members) == 1:
+            return self._members[0].state()
+        states = [member.state() for member in self._members]
+        return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take over a stored network, or the arrays of a published checkpoint (QVPR/VPRTempo 64154e5)."""
+        self._query = None
+        states: dict[str, dict[str, npt.NDArray[Any]]] = {}
+        for name, array in state.items():
+            member, dot, own = name.partition(".")
+            of_member = dot and member.startswith("member_")
+            states.setdefault(member if of_member else "", {})[own if of_member else name] = array
+        if len(states) != len(self._seeds()):
+            raise BadInput(f"the stored network has {len(states)} members; wanted {len(self._seeds())}")
+        self._members = [Network.from_state(states[member], self.device) for member in sorted(states)]
+        pixels = {member.features.shape[2] for member in self._members}
+        if pixels != {self.height * self.width}:
+            raise BadInput(
+                f"the stored network reads {pixels.pop()} pixels, not method.height={self.height} x "
+                f"method.width={self.width}: give the size that it was trained on"
+            )
+        if len({member.n_places for member in self._members}) > 1:
+            raise BadInput("the members of the stored network know different numbers of places")
+        self._query = self._asking()
+        return self
 
     def chosen_rules(self) -> Rules:
         """Return the rules after the arguments that replace single choices."""
@@ -153,6 +222,7 @@ class VPRTempo(Method):
             "max_module": (self.max_module >= 1, "at least 1 place"),
             "features_per_pixel": (0 < self.features_per_pixel < math.inf, "more than 0"),
             "stdp_rate": (0 <= self.stdp_rate < math.inf, "0 or more"),
+            "output_stdp_rate": (0 <= (self.output_stdp_rate or 0) < math.inf, "0 or more"),
             "itp_rate": (0 <= self.itp_rate < math.inf, "0 or more"),
             "threshold_max": (0 <= self.threshold_max < math.inf, "0 or more"),
             "rate_min": (0 < self.rate_min <= self.rate_max, "more than 0 and at most method.rate_max"),
@@ -174,30 +244,18 @@ class VPRTempo(Method):
             )
 
     def _engine(self) -> ModuleType:
-        """Return the module that trains: compiled on a CPU, readable elsewhere, or what was asked for."""
-        on_cpu = torch.device(self.device).type == "cpu"
-        engine = self.engine or ("fused" if on_cpu else "readable")
-        if engine == "fused" and not on_cpu:
-            raise BadInput(f"method.engine=fused runs on device=cpu, not on {self.device}: leave method.engine out")
-        if engine == "readable":
+        """Return the module that trains, compiled or readable, for the device."""
+        if self.engine == "readable":
             return training
-        return fused
-
-    def _draw_layers(
-        self, generators: list[torch.Generator], sizes: list[int], n_pixels: int, rules: Rules
-    ) -> tuple[Layer, Layer]:
-        n_features = round(self.features_per_pixel * n_pixels)
-        features = draw_layer(
-            generators,
-            [n_features] * len(sizes),
-            n_pixels,
-            (self.p_excitatory, self.p_inhibitory),
-            self.threshold_max,
-            rules.constant_input,
-            rules,
-        )
-        outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
-        return features.to(self.device), outputs.to(self.device)
+        if torch.device(self.device).type == "cpu":
+            return fused
+        try:
+            from . import fused_cuda
+        except ImportError as error:
+            if self.engine == "fused":
+                raise BadInput(f"method.engine=fused needs triton on {self.device} ({error}): install it") from error
+            return training
+        return fused_cuda
 
 
 def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:

@@ -1,61 +1,117 @@
-"""A trained VPRTempo network: the scores of all places for input spikes."""
+"""A trained VPRTempo network: what its modules have learnt, taken from training or from stored arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from .layer import Layer
-from .rules import Rules
+from vprbench.interface import BadInput
 
-_BLOCK = 256  # queries whose feature spikes are held together
+from .layer import Layer
+
+_PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
 @dataclass(frozen=True)
 class Network:
-    """Signed weights of both layers and what Eq. 1 adds to them; the first axis is the module."""
+    """Signed weights of both layers and what Eq. 1 adds to them; modules lie side by side, places in their order."""
 
     features: Tensor  # (modules, n_features, n_pixels)
-    constant: Tensor  # (modules, 1, n_features)
-    feature_thresholds: Tensor  # (modules, 1, n_features)
-    outputs: Tensor  # (modules, n_outputs, n_features)
-    output_thresholds: Tensor  # (modules, 1, n_outputs)
-    sizes: Sequence[int]  # places of each module
-    rules: Rules
+    constant: Tensor  # (modules, n_features)
+    feature_thresholds: Tensor  # (modules, n_features)
+    outputs: tuple[Tensor, ...]  # per module (n_features, n_places of the module)
+    output_thresholds: tuple[Tensor, ...]  # per module (n_places of the module,)
+
+    @property
+    def n_places(self) -> int:
+        """The places of all modules."""
+        return sum(len(thresholds) for thresholds in self.output_thresholds)
 
     @classmethod
-    def of(cls, features: Layer, outputs: Layer, sizes: Sequence[int], rules: Rules) -> Network:
-        """Take over trained layers."""
+    def of(cls, features: Layer, outputs: Layer, sizes: Sequence[int]) -> Self:
+        """Take over trained layers without the padding of modules smaller than others; `sizes` in places."""
+        weights = outputs.weights
         return cls(
             features.weights,
-            features.constant[:, None],
-            features.thresholds[:, None],
-            outputs.weights,
-            outputs.thresholds[:, None],
-            sizes,
-            rules,
+            features.constant,
+            features.thresholds,
+            tuple(weights[module, :size].T.contiguous() for module, size in enumerate(sizes)),
+            tuple(outputs.thresholds[module, :size].clone() for module, size in enumerate(sizes)),
         )
 
-    def scores(self, spikes: Tensor) -> Tensor:
-        """Return the state of every place's output neuron, (n_queries, n_places), for spikes (n_queries, n_pixels)."""
-        return torch.cat([self._block(block) for block in torch.split(spikes, _BLOCK)])
+    def state(self) -> dict[str, npt.NDArray[np.float32]]:
+        """Return the arrays to be stored, the output layers as (n_places, n_features)."""
+        arrays = {
+            "features": self.features,
+            "constant": self.constant,
+            "feature_thresholds": self.feature_thresholds,
+            **{f"outputs_{module}": weights.T for module, weights in enumerate(self.outputs)},
+            **{f"output_thresholds_{module}": thresholds for module, thresholds in enumerate(self.output_thresholds)},
+        }
+        return {name: np.ascontiguousarray(tensor.cpu().numpy()) for name, tensor in arrays.items()}
 
-    def _block(self, spikes: Tensor) -> Tensor:
-        x = spikes.expand(len(self.sizes), *spikes.shape)  # (modules, n_queries, n_pixels)
-        if self.rules.query_rule == "linear":
-            return self._places(torch.bmm(torch.bmm(x, self.features.mT), self.outputs.mT))
-        net = torch.baddbmm(self.constant, x, self.features.mT)
-        features = (net - self.feature_thresholds).clamp_(0, self.rules.clip)
-        above = torch.bmm(features, self.outputs.mT) - self.output_thresholds
-        scores = self._places(above.clamp(0, self.rules.clip))
-        if self.rules.silent_winner:
-            silent = torch.nonzero((scores == 0).all(1))[:, 0]
-            scores[silent, above[0, silent, : self.sizes[0]].argmax(1)] = 0.5
-        return scores
+    @classmethod
+    def from_state(cls, state: Mapping[str, npt.NDArray[Any]], device: str) -> Self:
+        """Read what `state` returned, or the layout of the published checkpoints (QVPR/VPRTempo 64154e5).
 
-    def _places(self, outputs: Tensor) -> Tensor:
-        """Bring (modules, n_queries, n_outputs) into the order of places, without the padding of small modules."""
-        return torch.cat([outputs[module, :, :size] for module, size in enumerate(self.sizes)], dim=1)
+        Raises BadInput where an array is missing, too many, or of a shape that does not fit the others.
+        """
+        if any(name.startswith("model_") for name in state):
+            state = _from_published(state)
+        modules = sum(name.startswith("outputs_") for name in state)
+        wanted = ["features", "constant", "feature_thresholds"]
+        wanted += [f"{part}_{module}" for part in ("outputs", "output_thresholds") for module in range(modules)]
+        if set(state) != set(wanted) or not modules:
+            differing = sorted(set(state) ^ set(wanted)) or ["outputs_0"]
+            raise BadInput(f"the stored network holds other arrays than VPRTempo's, see {differing[0]}")
+        shapes = {name: np.shape(array) for name, array in state.items()}
+        n_features = shapes["features"][1] if len(shapes["features"]) == 3 else 0
+        expected = {
+            "features": (modules, n_features, shapes["features"][-1] if shapes["features"] else 0),
+            "constant": (modules, n_features),
+            "feature_thresholds": (modules, n_features),
+        }
+        for module in range(modules):
+            size = shapes[f"outputs_{module}"][0] if shapes[f"outputs_{module}"] else 0
+            expected |= {f"outputs_{module}": (size, n_features), f"output_thresholds_{module}": (size,)}
+        for name, shape in expected.items():
+            if shapes[name] != shape:
+                raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}")
+        tensors = {name: torch.tensor(array, dtype=torch.float32, device=device) for name, array in state.items()}
+        return cls(
+            tensors["features"],
+            tensors["constant"],
+            tensors["feature_thresholds"],
+            tuple(tensors[f"outputs_{module}"].T.contiguous() for module in range(modules)),
+            tuple(tensors[f"output_thresholds_{module}"] for module in range(modules)),
+        )
+
+
+def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Rename and stack the arrays `model_<module>.<layer>` of a published checkpoint; it has no constant input."""
+    modules = 1 + max((int(number) for name in state if (number := name[6:].partition(".")[0]).isdigit()), default=0)
+    wanted = {f"model_{module}.{name}" for module in range(modules) for name in _PUBLISHED}
+    if differing := sorted(wanted ^ set(state)):
+        raise BadInput(
+            f"the checkpoint {'lacks' if differing[0] in wanted else 'has an unexpected'} {differing[0]}: "
+            f"published ones hold model_0 to model_N with {', '.join(_PUBLISHED)}"
+        )
+    features, thresholds, outputs, output_thresholds = (
+        [state[f"model_{module}.{name}"] for module in range(modules)] for name in _PUBLISHED
+    )
+    if len({np.shape(weights) for weights in features}) > 1:
+        raise BadInput("the checkpoint's modules have feature layers of different shapes; wanted the same in each")
+    found = {"features": np.stack(features), "feature_thresholds": np.stack([np.ravel(row) for row in thresholds])}
+    found["constant"] = np.zeros_like(found["feature_thresholds"])
+    for module in range(modules):
+        found |= {
+            f"outputs_{module}": outputs[module],
+            f"output_thresholds_{module}": np.ravel(output_thresholds[module]),
+        }
+    return found

@@ -35,6 +35,12 @@ class Schedule:
         """Return the schedule of some modules."""
         return Schedule(self.image[:, modules], self.neuron[:, modules], self.factor[:, modules])
 
+    @classmethod
+    def side_by_side(cls, schedules: Sequence[Schedule]) -> Schedule:
+        """Join schedules of the same number of steps along the axis of the modules."""
+        parts = zip(*((one.image, one.neuron, one.factor) for one in schedules), strict=True)
+        return cls(*(torch.cat(part, dim=1) for part in parts))
+
     def to(self, device: str) -> Schedule:
         """Return the schedule on another device."""
         return Schedule(self.image.to(device), self.neuron.to(device), self.factor.to(device))

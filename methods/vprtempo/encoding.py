@@ -1,0 +1,31 @@
+"""Grey levels as input spikes of VPRTempo."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .compiled import compiled
+
+
+def spikes_of(levels: npt.NDArray[np.uint8], fake_quantised: bool) -> npt.NDArray[np.float32]:
+    """Return amplitudes 0 to 1 of levels 0 to 255, both (n_images, n_pixels).
+
+    `fake_quantised` adds the public code's 8-bit step (64154e5): a grid of 256 levels up to the image's maximum.
+    """
+    spikes = np.empty(levels.shape, np.float32)
+    _write_spikes(levels, fake_quantised, spikes)
+    return spikes
+
+
+@compiled
+def _write_spikes(levels, fake_quantised, spikes):  # type: ignore[no-untyped-def]
+    for image in range(len(levels)):
+        most = np.float32(0)
+        for i in range(levels.shape[1]):
+            spikes[image, i] = np.float32(levels[image, i]) / np.float32(255)
+            most = max(most, spikes[image, i])
+        if fake_quantised:
+            scale = max(most, np.float32(1) / np.float32(255)) / np.float32(255)
+            for i in range(levels.shape[1]):
+                spikes[image, i] = np.rint(spikes[image, i] / scale) * scale

@@ -1,0 +1,171 @@
+"""Asking a trained VPRTempo network: one query at a time at the speed of memory, many at once as matrix products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from vprbench.interface import Scores
+
+from .compiled import compiled
+from .network import Network
+from .rules import Rules
+
+_BLOCK = 256  # queries whose feature spikes are held together
+_SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
+
+
+class Query(Protocol):
+    """What answers input spikes (n_queries, n_pixels) with the scores of all places (n_queries, n_places)."""
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the state of every place's output neuron."""
+
+
+def asking(members: Sequence[Network], rules: Rules) -> Query:
+    """Return what asks networks of the same places by the query rule; the scores of several are averaged."""
+    if rules.query_rule == "linear":
+        return LinearQuery(members)
+    queries = [SpikingQuery(member, rules) for member in members]
+    return queries[0] if len(queries) == 1 else MeanQuery(queries)
+
+
+class LinearQuery:
+    """The public code's query: without thresholds a network, or the mean of several, is a single matrix."""
+
+    def __init__(self, members: Sequence[Network]) -> None:
+        """Multiply the layers of every module."""
+        # (n_places, n_pixels)
+        self._matrix = torch.stack([_matrix(member) for member in members]).mean(0)
+        self._layer = _layer(self._matrix, self._matrix.new_zeros(len(self._matrix)))
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the state of every place's output neuron."""
+        x = torch.tensor(spikes, device=self._matrix.device)
+        scores = torch.mv(self._matrix, x[0])[None] if len(x) == 1 else self._layer(x)
+        return np.asarray(scores.cpu().numpy(), np.float32)
+
+
+class MeanQuery:
+    """The mean score of several networks of the same places."""
+
+    def __init__(self, members: Sequence[Query]) -> None:
+        """Ask these networks."""
+        self._members = members
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the mean state of every place's output neurons."""
+        total = self._members[0].scores(spikes)
+        for member in self._members[1:]:
+            total += member.scores(spikes)
+        return total / np.float32(len(self._members))
+
+
+class SpikingQuery:
+    """The paper's query: both layers as in Eq. 1.
+
+    A single query is bound by reading the weights, so the output weights of silent features are never read.
+    """
+
+    def __init__(self, network: Network, rules: Rules) -> None:
+        """Lay the weights out for both ways of asking."""
+        self._rules = rules
+        features = network.features.flatten(0, 1)  # (modules * n_features, n_pixels)
+        bias = (network.constant - network.feature_thresholds).flatten()
+        self._device = features.device
+        self._feature_layer = _layer(features, bias)
+        self._output_layers = [
+            _layer(weights.T, -thresholds)
+            for weights, thresholds in zip(network.outputs, network.output_thresholds, strict=True)
+        ]
+        self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
+        if self._device.type == "cpu":
+            self._rows = features.numpy(), bias.numpy()
+            self._columns = [weights.numpy() for weights in network.outputs]
+            self._thresholds = torch.cat(network.output_thresholds).numpy()
+            self._spikes = np.empty(len(bias), np.float32)
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the state of every place's output neuron."""
+        above = np.empty((len(spikes), self._ends[-1]), np.float32)
+        if len(spikes) == 1 and self._device.type == "cpu":
+            self._one(np.ascontiguousarray(spikes[0]), above[0])
+        else:
+            for start in range(0, len(spikes), _BLOCK):
+                block = torch.tensor(spikes[start : start + _BLOCK], device=self._device)
+                self._many(block, above[start : start + _BLOCK])
+        scores = np.clip(above, 0, np.float32(self._rules.clip))
+        if self._rules.silent_winner:
+            silent = np.flatnonzero((scores == 0).all(1))
+            scores[silent, above[silent, : self._ends[1]].argmax(1)] = 0.5
+        return scores
+
+    def _one(self, x: npt.NDArray[np.float32], above: npt.NDArray[np.float32]) -> None:
+        _feature_spikes(*self._rows, x, np.float32(self._rules.clip), self._spikes)
+        n_features = len(self._spikes) // len(self._columns)
+        for module, columns in enumerate(self._columns):
+            own = slice(self._ends[module], self._ends[module + 1])
+            active = self._spikes[module * n_features : (module + 1) * n_features]
+            _add_active(columns, active, above[own])
+        above -= self._thresholds
+
+    def _many(self, x: Tensor, above: npt.NDArray[np.float32]) -> None:
+        features = self._feature_layer(x).clamp_(0, self._rules.clip).view(len(x), len(self._output_layers), -1)
+        parts = [layer(features[:, module].contiguous()) for module, layer in enumerate(self._output_layers)]
+        above[:] = torch.cat(parts, dim=1).cpu().numpy()
+
+
+def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return the affine map of inputs (n, n_in) by `weights` (n_out, n_in) and `bias` (n_out,)."""
+    packable = weights.device.type == "cpu" and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
+    if not packable:
+        return lambda x: functional.linear(x, weights, bias)
+    # oneDNN's own format: twice as fast on processors with AVX-512 that are not Intel's
+    packed = weights.to_mkldnn(), bias.to_mkldnn()
+    return lambda x: functional.linear(x.to_mkldnn(), *packed).to_dense()
+
+
+def _matrix(network: Network) -> Tensor:
+    """Return the product of both layers, (n_places, n_pixels)."""
+    return torch.cat([outputs.T @ network.features[module] for module, outputs in enumerate(network.outputs)])
+
+
+@compiled
+def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
+    """Write the spikes of feature neurons (n,) for one input (n_pixels,), `weights` (n, n_pixels)."""
+    for neuron in range(len(spikes)):
+        net = np.float32(0)
+        row = weights[neuron]
+        for i in range(len(x)):
+            net += row[i] * x[i]
+        spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
+
+
+@compiled
+def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
+    """Write the net input of output neurons (n_places,), `weights` (n_features, n_places), reading active rows only."""
+    net[:] = 0
+    active = np.flatnonzero(spikes)
+    whole = len(active) - len(active) % _SIDE_BY_SIDE
+    for start in range(0, whole, _SIDE_BY_SIDE):
+        a, b, c, d, e, f, g, h = active[start : start + _SIDE_BY_SIDE]
+        for place in range(len(net)):
+            net[place] += (
+                spikes[a] * weights[a, place]
+                + spikes[b] * weights[b, place]
+                + spikes[c] * weights[c, place]
+                + spikes[d] * weights[d, place]
+                + spikes[e] * weights[e, place]
+                + spikes[f] * weights[f, place]
+                + spikes[g] * weights[g, place]
+                + spikes[h] * weights[h, place]
+            )
+    for feature in active[whole:]:
+        for place in range(len(net)):
+            net[place] += spikes[feature] * weights[feature, place]
