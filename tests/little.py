@@ -6,17 +6,18 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, cycle
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from vprbench import networks
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Image, Method, Places, Scores
+from vprbench.interface import BadInput, Dataset, Image, Method, NotFittedError, Places, Scores
 from vprbench.ranking import Outcome
 from vprbench.records import Run, Store
 from vprbench.stopwatch import Laps, Timing
@@ -58,6 +59,44 @@ class Lookup(Method):
 
     def match(self, codes: npt.NDArray[np.int64]) -> Scores:
         return self.table[codes]
+
+
+@dataclass
+class Prototypes(Method):
+    """Learns of each place the mean of its images, disturbed by noise from the seed; `contrast` acts at the query."""
+
+    noise: float = 0.5
+    contrast: float = 1.0
+    seed: int = 0
+    device: str = "cpu"
+
+    query_arguments: ClassVar[frozenset[str]] = frozenset({"contrast"})
+
+    _means: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        codes = self.encode(references)
+        means = np.stack([codes[places == place].mean(0) for place in range(int(places.max()) + 1)])
+        noise = np.random.default_rng(self.seed).normal(size=means.shape).astype(np.float32)
+        self._means = means + np.float32(self.noise) * noise
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        return np.array([[*image[0, 0, :2], image.mean(), image.std()] for image in images], np.float32)
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return -np.float32(self.contrast) * np.abs(codes[:, None] - self.state()["means"]).mean(2)
+
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        if self._means is None:
+            raise NotFittedError("Prototypes has learnt nothing yet")
+        return {"means": self._means}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        if set(state) != {"means"}:
+            raise BadInput(f"{', '.join(sorted(state))} came; wanted means")
+        self._means = state["means"]
+        return self
 
 
 def journey(n_queries: int, n_places: int, positives: Sequence[Sequence[int]] | None = None) -> Dataset:
@@ -120,6 +159,8 @@ def a_run(**changes: Any) -> Run:
         n_references=20,
         fit_seconds=12.34,
         fit_compute_seconds=11.5,
+        load_seconds=None,
+        network=None,
         peak_memory_bytes=512_000_000,
         harness_seconds=0.125,
         method_seconds=11.75,
@@ -194,6 +235,45 @@ def replace_and_die(root: Path, step: int) -> None:
     store.save(a_run(n_references=1))
     sys.addaudithook(die)
     store.save(a_run(n_references=2))
+
+
+def destination(path: Path, method: Method, dataset: Dataset, replace: bool = False) -> networks.Destination:
+    """Return where a network goes that `method` learns on `dataset` under the arguments it has."""
+    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    found = networks.prepare(networks.Files(save=path, replace=replace), method, arguments, dataset)
+    assert found is not None
+    return found
+
+
+def replace_network_and_die(path: Path, step: int) -> None:
+    """Replace a stored network, killed right before so many steps that change or open something on disk are done."""
+    steps = count()
+
+    def die(event: str, _: object) -> None:
+        if event in ("open", "os.rename", "os.remove") and next(steps) == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    dataset = journey(4, 4)
+    method = Prototypes(seed=1).fit(dataset.references, dataset.places)
+    where = destination(path, method, dataset, replace=True)
+    sys.addaudithook(die)
+    networks.save(where, method, "new", 1.0, 1.0)
+
+
+def store_network_where_no_file_may_exceed(path: Path, limit_bytes: int) -> str:
+    """Try to replace a stored network where the system refuses longer files; returns the complaint."""
+    dataset = journey(4, 4)
+    method = Prototypes(seed=1).fit(dataset.references, dataset.places)
+    where = destination(path, method, dataset, replace=True)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        networks.save(where, method, "new", 1.0, 1.0)
+    except BadInput as error:
+        return str(error)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    return ""
 
 
 def save_where_no_file_may_exceed(root: Path, limit_bytes: int) -> str:

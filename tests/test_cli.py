@@ -155,7 +155,7 @@ def test_list_shows_a_broken_method_with_its_reason(
 
 def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "method=sad"]) == 0
-    assert "12 rules: 12 kept, 0 excepted, 0 broken" in capsys.readouterr().out
+    assert "13 rules: 12 kept, 1 excepted, 0 broken" in capsys.readouterr().out
 
 
 def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,6 +187,13 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["output=xml"], "output=xml: wanted 'row' or 'json'"),
         (["device=tpu"], "device=tpu is unknown: give cpu, cuda or cuda:1"),
         (["threads=9999"], "threads=9999: this process may use 1 to"),
+        (["save=a.safetensors", "load=b.safetensors"], "save=a.safetensors and load=b.safetensors: what is loaded"),
+        (["save=a.pth", *QUICK], "SAD keeps no network that could be stored: leave save= and load= out"),
+        (["load=a.safetensors", *QUICK], "load=a.safetensors is no file"),
+        (
+            ["load=network.bin", *QUICK],
+            "load=network.bin: give a stored network (.safetensors) or a published one (.pth)",
+        ),
         (["depth=0"], "depth=0: keep at least the best place"),
         (["timing.sample=0"], "timing.sample=0: all have to be at least 1"),
         (["dataset=nordland"], "dataset.root is not set: nordland needs the folder that holds the seasons"),
@@ -214,7 +221,8 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["check"], "check needs method=NAME"),
         (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),
         (["list", "everything"], "list takes no options"),
-        (["table", "method=sad"], "the table chooses method and output itself"),
+        (["table", "method=sad"], "the table chooses method, output, save and load itself"),
+        (["table", "load=a.safetensors"], "the table chooses method, output, save and load itself"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
 )
@@ -294,7 +302,7 @@ def test_a_damaged_record_is_named_set_aside_and_run_again(
     (folder / "arrays.npz").write_bytes(b"damaged")
     assert main(["method=sad", *QUICK, "output=json"]) == 0
     assert json.loads(capsys.readouterr().out)["from_store"] is False
-    assert f"{folder} is damaged" in caplog.text
+    assert f"{folder} cannot be used" in caplog.text
     assert len(list(folder.parent.glob(f".damaged-{folder.name}-*"))) == 1
 
 

@@ -13,7 +13,7 @@ import pytest
 from vprbench import registry
 from vprbench.conformance import RULES, Journey, check
 from vprbench.images import Images
-from vprbench.interface import Method, NotFittedError, Places, Scores
+from vprbench.interface import DescriptorMethod, Method, NotFittedError, Places, Scores
 
 METHODS = sorted(registry.entries("method"))
 
@@ -73,6 +73,15 @@ class Pixels(Method):
         if self._references is None:
             raise NotFittedError("not fitted")
         return -np.abs(codes[:, None] - self._references).mean(2)
+
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        if self._references is None:
+            raise NotFittedError("not fitted")
+        return {"references": self._references}
+
+    def restore(self, state: Mapping[str, npt.NDArray[np.float32]]) -> Self:
+        self._references = state["references"]
+        return self
 
 
 class ChangesArguments(Pixels):
@@ -161,6 +170,35 @@ class FailsOnBlack(Pixels):
         return codes
 
 
+class StoresRounded(Pixels):
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        return {name: array.round() for name, array in super().state().items()}
+
+
+class KeepsTheEarlierFit(Pixels):
+    def restore(self, state: Mapping[str, npt.NDArray[np.float32]]) -> Self:
+        return super().restore(state) if self._references is None else self
+
+
+class LosesWhatItStores(Pixels):
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        state = {"references": super().state()["references"].copy()}
+        assert self._references is not None
+        self._references[:] = 0
+        return state
+
+
+class StoresUnfitted(Pixels):
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        return {} if self._references is None else super().state()
+
+
+class KeepsNoNetwork(DescriptorMethod):
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        colours = np.array([image.mean(axis=(0, 1)) for image in images], np.float32).reshape(-1, 3)
+        return colours / np.maximum(np.linalg.norm(colours, axis=1, keepdims=True), 1e-12)
+
+
 WRONG = {
     "the constructor only stores its arguments": ChangesArguments,
     "fit returns the method": ReturnsNothing,
@@ -174,6 +212,7 @@ WRONG = {
     "higher scores mean more alike": Distance,
     "the names of images do not matter": ReadsNames,
     "black images and images of other sizes are accepted": FailsOnBlack,
+    "a stored network answers as the trained one": StoresRounded,
 }
 
 
@@ -184,7 +223,8 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     import types
 
     module = types.ModuleType("wrong_methods")
-    for wrong in (Pixels, WritesOnCodes, NotFinite, Excused, ExcusedForNothing, *WRONG.values()):
+    others = (WritesOnCodes, NotFinite, KeepsTheEarlierFit, LosesWhatItStores, StoresUnfitted, KeepsNoNetwork)
+    for wrong in (Pixels, Excused, ExcusedForNothing, *others, *WRONG.values()):
         setattr(module, wrong.__name__, wrong)
     monkeypatch.setitem(sys.modules, "wrong_methods", module)
 
@@ -196,6 +236,7 @@ class Excused(Random):
         "a batch gives what its single images give": "it draws",
         "the order of queries does not matter": "it draws",
         "the names of images do not matter": "it draws",
+        "a stored network answers as the trained one": "it draws",
     }
 
 
@@ -234,7 +275,19 @@ def test_changed_codes_break_the_rule_on_inputs() -> None:
 def test_a_declared_exception_is_counted_with_its_reason() -> None:
     excepted = [r for r in check({"_target_": "wrong_methods.Excused"}) if r.state == "excepted"]
     assert {r.reason for r in excepted} == {"it draws"}
-    assert len(excepted) == 5
+    assert len(excepted) == 6
+
+
+@pytest.mark.parametrize("method", [KeepsTheEarlierFit, LosesWhatItStores, StoresUnfitted])
+def test_the_rule_on_stored_networks_catches_a_method_that(method: type[Method]) -> None:
+    assert broken(method) == ["a stored network answers as the trained one"]
+
+
+def test_a_method_that_keeps_no_network_is_excepted_from_the_rule_on_stored_ones() -> None:
+    excepted = [r for r in check({"_target_": "wrong_methods.KeepsNoNetwork"}) if r.state == "excepted"]
+    assert [(r.rule, r.reason) for r in excepted] == [
+        ("a stored network answers as the trained one", "it keeps no network")
+    ]
 
 
 def test_an_exception_from_a_rule_that_does_not_exist_is_broken() -> None:

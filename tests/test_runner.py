@@ -471,6 +471,15 @@ def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any])
     assert key(**changes) != key()
 
 
+def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_training() -> None:
+    dataset = journey(6, 4)
+    keys = [
+        runner.run_key(METHOD, CONFIG, dataset, "f", QUICK, 1, network) for network in (None, "a" * 64, "b" * 64, None)
+    ]
+    assert len(set(keys)) == 3
+    assert keys[0] == keys[3]
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -31,6 +31,11 @@ def tied_run() -> Run:
     return a_run(outcome=replace(a_run().outcome, top_tied=two, tied=two, tied_correct=one))
 
 
+def loaded_run() -> Run:
+    """Return the run with a stored network in place of a training."""
+    return a_run(fit_seconds=None, fit_compute_seconds=None, load_seconds=0.25, network="a" * 64)
+
+
 def csv_rows(*results: Run | Failure) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(tables.csv(results))))
 
@@ -142,6 +147,14 @@ def test_without_a_right_place_every_recall_is_undefined_and_not_zero() -> None:
 )
 def test_a_row_shows(head: str, cell: str) -> None:
     assert readable_row(a_run())[head] == cell
+
+
+def test_a_row_of_a_loaded_network_says_so_where_the_time_of_its_fit_would_stand() -> None:
+    assert readable_row(loaded_run())["fit s"] == "loaded"
+
+
+def test_a_table_explains_what_loaded_means() -> None:
+    assert "loaded: a stored network was used" in table_text([loaded_run()])
 
 
 def test_a_row_says_when_its_recall_hangs_on_ties() -> None:
@@ -304,6 +317,19 @@ def test_csv_holds_the_error_of_a_failed_run() -> None:
 def test_csv_holds_no_number_of_a_failed_run() -> None:
     line = csv_rows(a_run(), FAILURE)[1]
     assert {line[name] for name in tables.numbers(a_run())} == {""}
+
+
+def test_csv_holds_no_time_of_the_fit_that_a_loaded_network_did_not_need() -> None:
+    line = csv_rows(a_run(), loaded_run())[1]
+    assert [line[name] for name in ("fit_seconds", "fit_compute_seconds", "load_seconds")] == ["", "", "0.25"]
+
+
+def test_csv_names_the_network_that_was_loaded() -> None:
+    assert [line["network"] for line in csv_rows(a_run(), loaded_run())] == ["", "a" * 64]
+
+
+def test_the_numbers_of_a_loaded_network_are_null_where_nothing_was_measured() -> None:
+    assert [tables.numbers(loaded_run())[name] for name in ("fit_seconds", "fit_compute_seconds")] == [None, None]
 
 
 def test_csv_holds_nothing_where_a_measure_is_undefined() -> None:

@@ -46,7 +46,7 @@ python -m vprbench table [option=value ...]                      run the rows of
 python -m vprbench list                                          show the methods and datasets
 python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
 
-Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, ...
+Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, save, load, ...
 and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show all: python -m vprbench --cfg job
 """
 
@@ -112,7 +112,7 @@ def _run(config: DictConfig) -> int:
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     settings = checked_settings(plain)
     choices = HydraConfig.get().runtime.choices
-    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth")}
+    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
     asked["overrides"] = list(HydraConfig.get().overrides.task)
     from vprbench.records import Failure, Store
 
@@ -146,23 +146,27 @@ def _record(failure: Failure, store: Store, output: str) -> None:
 
 def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
     """Find the run in the store or make it, and print it."""
-    from vprbench import environment, runner
+    from vprbench import environment, networks, runner
     from vprbench.console import progress_shown
 
     threads = n_threads(settings)
     store.prepare()
     environment.pin_threads(threads)
+    files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = registry.make_method(asked["method"])
     dataset = registry.make_dataset(asked["dataset"])
     fingerprint = runner.fingerprint(dataset)
-    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads)
+    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
     run = None if settings.force else store.find(dataset.name, name, key)
+    if run is not None and files.save is not None and networks.made_by(files.save) != key:
+        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+        run = None
     from_store = run is not None
     if run is not None:  # whoever stored it may have asked in other words
         run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
     else:
         with progress_shown(f"{name} on {dataset.name}"):
-            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads)
+            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files)
     try:
         folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
     except BadInput:
@@ -182,6 +186,7 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
                     "method": run.method,
                     "dataset": run.dataset,
                     **tables.numbers(run),
+                    "network": run.network,
                     "notes": list(run.notes),
                     "from_store": from_store,
                     "run_folder": None if folder is None else str(folder),
@@ -223,8 +228,8 @@ def _table(options: list[str]) -> int:
     from vprbench.records import Failure, replace_text
 
     _check_names(options)
-    if any(option.split("=")[0] in ("output", "method") for option in options):
-        raise BadInput("the table chooses method and output itself: change conf/table.yaml for other rows")
+    if any(option.split("=")[0] in ("output", "method", "save", "load") for option in options):
+        raise BadInput("the table chooses method, output, save and load itself: change conf/table.yaml for other rows")
     settings = checked_settings(_composed(options))
     results = Path(settings.results).expanduser()
     rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vprbench import networks
 from vprbench.images import Images
-from vprbench.interface import Image, Method, NotFittedError, Places
+from vprbench.interface import Dataset, Image, Method, NotFittedError, Places
 from vprbench.registry import make_method
 
 N_PLACES = 20
@@ -71,12 +74,15 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     """Put the method of a configuration to every rule.
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
-    A rule that it names in `conformance_exceptions` is not put to it, and its reason is given.
+    A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
+    stored networks to a method that keeps none.
     """
     method = make_method(config)
     arguments = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
     config = {**config, **arguments}
     exceptions = dict(method.conformance_exceptions)
+    if not networks.keeps_a_network(method):
+        exceptions.setdefault(_STORED_RULE, "it keeps no network")
     for rule, test in RULES.items():
         if rule in exceptions:
             yield Result(rule, "excepted", exceptions.pop(rule))
@@ -200,6 +206,34 @@ def _any_image(make: Make, _: Mapping[str, Any]) -> None:
         _broken("a black image or one of another size gives scores that are not finite")
 
 
+def _stored(make: Make, config: Mapping[str, Any]) -> None:
+    try:
+        make().state()
+    except NotFittedError:
+        pass
+    else:
+        _broken("state before fit raised no NotFittedError")
+    world = Journey.draw(0)
+    trained = _fitted(make, world)
+    answers = _scores(trained, world)
+    references = Images.from_arrays(world.references)
+    right = tuple(np.array([place]) for place in world.right.tolist())
+    dataset = Dataset("check", references, world.places, Images.from_arrays(world.queries), right, {})
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "network.safetensors"
+        destination = networks.prepare(networks.Files(save=path), trained, config, dataset)
+        assert destination is not None
+        networks.save(destination, trained, "", 0.0, 0.0)
+        if not np.array_equal(_scores(trained, world), answers):
+            _broken("storing a network changes its scores")
+        for restored, state in ((make(), "new"), (_fitted(make, Journey.draw(1)), "fitted elsewhere before")):
+            networks.load(path, restored, destination.origin)
+            if not np.array_equal(_scores(restored, world), answers):
+                _broken(f"restored into a method {state} it gives other scores")
+
+
+_STORED_RULE = "a stored network answers as the trained one"
+
 RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "the constructor only stores its arguments": _constructor,
     "fit returns the method": _returns_itself,
@@ -213,6 +247,7 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "higher scores mean more alike": _higher_is_alike,
     "the names of images do not matter": _names,
     "black images and images of other sizes are accepted": _any_image,
+    _STORED_RULE: _stored,
 }
 
 

@@ -43,6 +43,10 @@ class Method(ABC):
     conformance_exceptions: ClassVar[Mapping[str, str]] = {}
     #: Arguments under which the conformance suite builds the method, where its defaults do not fit 20 places.
     conformance_arguments: ClassVar[Mapping[str, Any]] = {}
+    #: The kind of network that `state` gives, named where classes share it; empty: the class's own.
+    stored_as: ClassVar[str] = ""
+    #: Arguments that act at the query alone, or choose how something is computed: a network fits any value of them.
+    query_arguments: ClassVar[frozenset[str]] = frozenset()
 
     @abstractmethod
     def fit(self, references: Images, places: Places) -> Self:
@@ -58,6 +62,20 @@ class Method(ABC):
     @abstractmethod
     def match(self, codes: npt.NDArray[Any]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return what `fit` has learnt, as named arrays of numbers; raises NotFittedError before `fit`.
+
+        A method that can store it has `restore` as well; for the others this raises BadInput.
+        """
+        raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take what `state` of the same arguments gave, and forget any earlier fit.
+
+        Raises BadInput for arrays that are not this method's; a published file may hold any.
+        """
+        raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Keep `query` what it is: encode and match."""

@@ -23,6 +23,8 @@ class Settings:
     force: bool = False
     output: Literal["row", "json"] = "row"
     depth: int = 100
+    save: str | None = None  # file for the trained network
+    load: str | None = None  # file of a trained network; nothing is trained then
     timing: Protocol = field(default_factory=Protocol)
 
 
@@ -47,6 +49,10 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     available = len(environment.cores())
     if settings.threads is not None and not 1 <= settings.threads <= available:
         raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")
+    if settings.save is not None and settings.load is not None:
+        raise BadInput(
+            f"save={settings.save} and load={settings.load}: what is loaded is stored already, give one of them"
+        )
     _check_device(settings.device, config["method"])
     return settings
 

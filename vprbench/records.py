@@ -26,7 +26,7 @@ from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 1
+SCHEMA = 2
 _SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _PARTIAL = ".partial-"
 _DAMAGED = ".damaged"
@@ -49,8 +49,10 @@ class Run:
     environment: Mapping[str, Any]
     notes: tuple[str, ...]  # what a reader of the numbers has to know: a noisy machine, an audit that failed
     n_references: int
-    fit_seconds: float  # wall time, reading the images included
-    fit_compute_seconds: float  # without the time that the method waited for images
+    fit_seconds: float | None  # wall time, reading the images included; None: a stored network was loaded
+    fit_compute_seconds: float | None  # without the time that the method waited for images
+    load_seconds: float | None  # wall time of reading, checking and restoring a stored network
+    network: str | None  # SHA-256 of the file that was loaded
     peak_memory_bytes: int
     harness_seconds: float  # spent neither in the method nor in reading images
     method_seconds: float  # spent in the method
@@ -166,7 +168,7 @@ class Store:
         return None
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
-        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device")}
+        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
         return self.root / dataset / f"{method}-failed-{content_key(asked)}"
 
     def _partial(self) -> Path:
@@ -196,9 +198,9 @@ class Store:
         try:
             folder.rename(aside)
         except OSError:
-            logger.warning("%s is damaged (%s) and could not be set aside", folder, reason)
+            logger.warning("%s cannot be used (%s) and could not be set aside", folder, reason)
         else:
-            logger.warning("%s is damaged (%s): set aside as %s", folder, reason, aside.name)
+            logger.warning("%s cannot be used (%s): set aside as %s", folder, reason, aside.name)
 
 
 def load(folder: Path) -> Run:
@@ -234,6 +236,8 @@ _PLAIN = (
     "n_references",
     "fit_seconds",
     "fit_compute_seconds",
+    "load_seconds",
+    "network",
     "peak_memory_bytes",
     "harness_seconds",
     "method_seconds",

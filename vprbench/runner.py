@@ -6,14 +6,14 @@ import hashlib
 import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress
+from vprbench import environment, networks, progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Method, Places, Scores
 from vprbench.preprocess import PatchNormalisation
@@ -27,6 +27,7 @@ _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
 _CACHING = 0.75  # known images that need less than this share of the time of new ones are suspicious
+_NO_FILES = networks.Files()  # a run that neither loads nor stores a network
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
@@ -37,8 +38,12 @@ def run_key(
     fingerprint: str,
     protocol: Protocol,
     threads: int,
+    network: str | None = None,
 ) -> str:
-    """Return the hash of all that can change the outcome of a run or the times it measures."""
+    """Return the hash of all that can change the outcome of a run or the times it measures.
+
+    `network` is the hash of the file that the run loads; a run that trains has another key.
+    """
     arguments = {name: value for name, value in config["method"].items() if name != "device"}
     return content_key(
         {
@@ -53,6 +58,7 @@ def run_key(
             "depth": config["depth"],
             "timing": asdict(protocol),
             "libraries": environment.library_versions(),
+            "network": network,
         }
     )
 
@@ -62,7 +68,8 @@ def code_hash(method: type[Method]) -> str:
     own = Path(inspect.getfile(method))
     package = method.__module__.rpartition(".")[0]
     sources = [own] if package in ("", "vprbench.methods") else sorted(own.parent.rglob("*.py"))
-    sources += [Path(inspect.getfile(part)) for part in (Method, Images, PatchNormalisation, Outcome, Stopwatch, run)]
+    parts = (Method, Images, PatchNormalisation, Outcome, Stopwatch, networks.load, run)
+    sources += [Path(inspect.getfile(part)) for part in parts]
     digest = hashlib.sha256()
     for source in sources:
         digest.update(source.read_bytes())
@@ -89,10 +96,12 @@ def run(
     dataset_fingerprint: str,
     protocol: Protocol,
     threads: int,
+    files: networks.Files = _NO_FILES,
 ) -> Run:
-    """Fit a method, score every query and measure its rates.
+    """Fit a method or load its network, score every query and measure its rates.
 
     `config` holds what was asked for (method, dataset, seed, device, depth); raises whatever the method raises.
+    A network is stored before the first query; whether it can be is seen before it is trained.
     """
     device = config["device"]
     started = time.perf_counter()
@@ -101,11 +110,7 @@ def run(
     stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
     environment.reset_peak_memory()
 
-    before = dataset.references.reading.seconds
-    progress.report("fit", 0.0)
-    with stopwatch.lap() as fit:
-        method.fit(dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places))
-    fit_reading = dataset.references.reading.seconds - before
+    learnt = _learn(stopwatch, method, dataset, config["method"], key, files)
 
     before = dataset.queries.reading.seconds
     answers = _Answers(dataset, config["depth"])
@@ -135,13 +140,15 @@ def run(
             "cpu_pressure_avg10_after": pressure,
             "device_memory_bytes": environment.peak_device_memory_bytes(device),
         },
-        notes=tuple(_notes(slowdown, pressure, timing, answers)),
+        notes=(*learnt.notes, *_notes(slowdown, pressure, timing, answers)),
         n_references=len(dataset.references),
-        fit_seconds=fit[0],
-        fit_compute_seconds=fit[0] - fit_reading,
+        fit_seconds=learnt.fit_seconds,
+        fit_compute_seconds=learnt.fit_compute_seconds,
+        load_seconds=learnt.load_seconds,
+        network=files.sha256,
         peak_memory_bytes=environment.peak_memory_bytes(),
-        harness_seconds=time.perf_counter() - started - fit[0] - querying[0] - measuring[0] + harness,
-        method_seconds=fit[0] - fit_reading + answers.method_seconds,
+        harness_seconds=time.perf_counter() - started - learnt.seconds - querying[0] - measuring[0] + harness,
+        method_seconds=learnt.method_seconds + answers.method_seconds,
         timing=timing,
         outcome=result,
         positives=dataset.positives,
@@ -149,6 +156,52 @@ def run(
         top_scores=np.concatenate(answers.top_scores),
         scores=np.concatenate(answers.kept) if answers.kept else None,
     )
+
+
+@dataclass(frozen=True)
+class _Learnt:
+    """How a method came to its map, and how long that took."""
+
+    fit_seconds: float | None = None
+    fit_compute_seconds: float | None = None
+    load_seconds: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Return the wall time."""
+        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0)
+
+    @property
+    def method_seconds(self) -> float:
+        """Return the time that went into the method."""
+        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0)
+
+
+def _learn(
+    stopwatch: Stopwatch,
+    method: Method,
+    dataset: Dataset,
+    arguments: Mapping[str, Any],
+    key: str,
+    files: networks.Files,
+) -> _Learnt:
+    """Load the method's network, or fit the method and store its network where that was asked for."""
+    if files.load is not None:
+        progress.report("load", 0.0)
+        wanted = networks.origin(method, arguments, dataset)
+        with stopwatch.lap() as load:
+            notes = networks.load(files.load, method, wanted, files.sha256)
+        return _Learnt(load_seconds=load[0], notes=notes)
+    destination = networks.prepare(files, method, arguments, dataset)
+    before = dataset.references.reading.seconds
+    progress.report("fit", 0.0)
+    with stopwatch.lap() as fit:
+        method.fit(dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places))
+    computing = fit[0] - (dataset.references.reading.seconds - before)
+    if destination is not None:
+        networks.save(destination, method, key, fit[0], computing)
+    return _Learnt(fit_seconds=fit[0], fit_compute_seconds=computing)
 
 
 class _Answers:

@@ -17,7 +17,7 @@ _LEGEND = (
     "R@N: share of all queries with a right place among the best N, expected value under ties; interval: Wilson, 95 %. "
     "AUC-PR (A): recall over all answerable queries, trapezoid. Rates: images in memory; streaming is one image at a "
     "time (1 / median), offline the best batch size (images / time); enc needs no map, match scores all places. "
-    "fit: wall time, reading the images included."
+    "fit: wall time, reading the images included; loaded: a stored network was used and nothing trained."
 )
 
 
@@ -35,7 +35,7 @@ def readable_row(run: Run) -> dict[str, str]:
         "R@1 % [95 %]": _recall_with_interval(summary),
         **{f"R@{n} %": _percent(summary.recalls[n]) for n in RECALLS[1:]},
         "AUC-PR (A)": _number(summary.auc_pr),
-        "fit s": f"{run.fit_seconds:.1f}",
+        "fit s": "loaded" if run.fit_seconds is None else f"{run.fit_seconds:.1f}",
         "streaming Hz enc/match/total": _rates(summary.streaming),
         "offline Hz enc/match/total": f"{_rates(summary.offline)} (batch {summary.offline_batch})",
         "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
@@ -74,6 +74,7 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "average_precision_a": summary.average_precision,
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
+        "load_seconds": run.load_seconds,
         **_named_rates("streaming", summary.streaming),
         "streaming_p90_seconds": summary.streaming_p90_seconds,
         "streaming_p99_seconds": summary.streaming_p99_seconds,
@@ -92,7 +93,10 @@ def csv(results: Sequence[Run | Failure]) -> str:
     lines = []
     for result in results:
         line: dict[str, object] = {"method": label(result), "dataset": result.dataset}
-        line |= {"error": result.error} if isinstance(result, Failure) else {"error": "", **numbers(result)}
+        if isinstance(result, Failure):
+            line |= {"error": result.error}
+        else:
+            line |= {"error": "", **numbers(result), "network": result.network}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 

@@ -1,0 +1,315 @@
+"""Trained networks as files: written whole or not at all, read without running anything out of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+import uuid
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from vprbench.interface import BadInput, Dataset, Method
+
+if TYPE_CHECKING:
+    import torch
+
+FORMAT = 1
+_OURS, _PUBLISHED = ".safetensors", ".pth"
+_DESCRIPTION, _DIGEST = "vprbench", "vprbench_sha256"  # the keys of a file's metadata
+_PARTIAL = ".partial-"
+_UNCHECKED = "published network: neither its arguments nor its training images could be checked"
+
+State = Mapping[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Files:
+    """Where a run takes its network from, and where it leaves the one that it trained."""
+
+    load: Path | None = None
+    sha256: str | None = None  # of the file to load
+    save: Path | None = None
+    replace: bool = False  # a file that is there already
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a network was trained with and on."""
+
+    kind: str  # what `stored_as` names
+    arguments: Mapping[str, Any]  # of the method, but for its device
+    dataset: str
+    n_places: int
+    references: str  # hash of the reference images and their places
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where the network of a run goes, with what it is trained with and on."""
+
+    path: Path
+    replace: bool
+    origin: Origin
+
+
+def chosen_files(save: str | None, load: str | None, replace: bool) -> Files:
+    """Return the files that a run was asked to use; raises BadInput where the one to load cannot be read."""
+    source = None if load is None else Path(load).expanduser()
+    return Files(
+        load=source,
+        sha256=None if source is None else _file_digest(source),
+        save=None if save is None else Path(save).expanduser(),
+        replace=replace,
+    )
+
+
+def keeps_a_network(method: Method) -> bool:
+    """Tell whether what a method learns can be stored: whether its class has `state` and `restore` of its own."""
+    return type(method).state is not Method.state and type(method).restore is not Method.restore
+
+
+def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
+    """Return what the network of a method is trained with and on, where `arguments` configure the method."""
+    digest = hashlib.sha256(dataset.references.fingerprint().encode())
+    digest.update(dataset.places.tobytes())
+    kept = {name: value for name, value in arguments.items() if name not in ("_target_", "device")}
+    return Origin(
+        kind=method.stored_as or f"{type(method).__module__}.{type(method).__qualname__}",
+        arguments=json.loads(json.dumps(kept)),  # as it will be read: a tuple is a list
+        dataset=dataset.name,
+        n_places=dataset.n_places,
+        references=digest.hexdigest(),
+    )
+
+
+def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Destination | None:
+    """Return where the network that is about to be trained goes, None for nowhere, and make the folder.
+
+    Raises BadInput where it could not be stored: before the hour that the training may take.
+    """
+    path = files.save
+    if path is None:
+        return None
+    _insist_on_a_network(method)
+    if path.suffix != _OURS:
+        raise BadInput(f"save={path}: give a file that ends in {_OURS}")
+    try:
+        _refuse_to_replace(path, files.replace)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        probe = _partial(path)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
+    return Destination(path, files.replace, origin(method, arguments, dataset))
+
+
+def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
+    """Store what a method has learnt; a reader sees the old file or the whole new one, never a part.
+
+    Raises BadInput where the disk refuses, or where another run has stored its network there meanwhile.
+    """
+    description = {
+        "format": FORMAT,
+        "run": run_key,
+        **asdict(to.origin),
+        "fit_seconds": fit_seconds,
+        "fit_compute_seconds": fit_compute_seconds,
+    }
+    text = json.dumps(description, sort_keys=True)
+    state = {name: _plain(array, name, method) for name, array in method.state().items()}
+    partial = _partial(to.path)
+    try:
+        save_file(state, partial, {_DESCRIPTION: text, _DIGEST: _content_digest(text, state)})
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        _refuse_to_replace(to.path, to.replace)
+        partial.replace(to.path)
+    except (OSError, SafetensorError) as error:
+        raise BadInput(f"the network could not be stored in {to.path} ({error}): nothing was changed there") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def made_by(path: Path) -> str | None:
+    """Return the key of the run that trained the network in a file, None where there is no whole one."""
+    try:
+        description, _ = _read(path)
+    except BadInput:
+        return None
+    return str(description["run"])
+
+
+def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) -> tuple[str, ...]:
+    """Give a method what a file holds; returns what a reader of its numbers has to know.
+
+    Raises BadInput for a file that is damaged, that changed since `sha256`, or that does not fit `wanted`.
+    """
+    _insist_on_a_network(method)
+    if sha256 not in (None, _file_digest(path)):
+        raise BadInput(f"{path} changed while the run was prepared: run again")
+    if path.suffix == _PUBLISHED:
+        state, note = _published(path), _UNCHECKED
+    else:
+        description, state = _read(path)
+        differences = [*_differences(description, wanted, method.query_arguments)]
+        if differences:
+            raise BadInput(
+                f"{path} holds another network than this run needs: {'; '.join(differences)}; "
+                "give what it was trained with and on, or train anew without load="
+            )
+        note = f"loaded network: run {description['run']} trained it in {description['fit_seconds']:.1f} s"
+    try:
+        method.restore(state)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+    return (note,)
+
+
+def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str]) -> Iterator[str]:
+    """Yield each difference between what a network was trained with and on and what is wanted."""
+    if there["kind"] != wanted.kind:
+        yield f"it is one of {there['kind']}, not of {wanted.kind}"
+        return  # the arguments of another method say nothing
+    given, missing = there["arguments"], object()
+    for name in sorted({*given, *wanted.arguments} - free):
+        before, now = given.get(name, missing), wanted.arguments.get(name, missing)
+        if before != now:
+            yield f"method.{name} is {_shown(before, missing)} there and {_shown(now, missing)} here"
+    if there["n_places"] != wanted.n_places:
+        yield f"{there['n_places']} places there (dataset {there['dataset']}) and {wanted.n_places} here"
+    elif there["references"] != wanted.references:
+        yield f"other reference images or places (dataset {there['dataset']} there and {wanted.dataset} here)"
+
+
+def _shown(value: Any, missing: object) -> str:
+    if value is missing:
+        return "unknown"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], State]:
+    """Return description and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
+    except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type numpy lacks
+        reason = str(error).splitlines()[0]
+        raise BadInput(
+            f"{path} cannot be read as a stored network ({reason}): restore the file or train anew"
+        ) from error
+    if _DESCRIPTION not in metadata:
+        raise BadInput(f"{path} was not stored by vprbench: it does not say what its network was trained with")
+    text = metadata[_DESCRIPTION]
+    try:
+        description: dict[str, Any] = json.loads(text)
+        layout = description["format"]
+    except (ValueError, KeyError, TypeError):
+        layout = FORMAT  # the digest tells that it is damaged
+    if layout != FORMAT:
+        raise BadInput(f"{path} has layout {layout}, this program reads {FORMAT}: train anew")
+    if metadata.get(_DIGEST) != _content_digest(text, state):
+        raise BadInput(f"{path} is not what was written: restore the file or train anew")
+    return description, state
+
+
+def _published(path: Path) -> State:
+    """Return the tensors of a file in the authors' layout, a dictionary of state dictionaries, under dotted names.
+
+    Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save.
+    """
+    import torch
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about what was written by an older torch
+            content = torch.load(path, weights_only=True, map_location="cpu")
+    except pickle.UnpicklingError as error:
+        raise BadInput(
+            f"{path} is damaged, or would have to run code of its own to be read, which is never done: "
+            "give a file that holds tensors alone"
+        ) from error
+    except Exception as error:  # torch raises whatever a damaged file leads it to
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path} cannot be read as a file of torch ({reason}): restore the file") from error
+    if not isinstance(content, dict):
+        raise BadInput(f"{path} holds one {type(content).__name__}; wanted a dictionary of state dictionaries")
+    return dict(_flattened(path, "", content))
+
+
+def _flattened(path: Path, prefix: str, content: Mapping[Any, Any]) -> Iterator[tuple[str, npt.NDArray[np.float32]]]:
+    import torch
+
+    for name, value in content.items():
+        if isinstance(value, dict) and not prefix:
+            yield from _flattened(path, f"{prefix}{name}.", value)
+        elif isinstance(value, torch.Tensor) and _is_plain(value):
+            yield f"{prefix}{name}", value.detach().to(torch.float32).numpy()
+        else:
+            kind = type(value).__name__
+            if isinstance(value, torch.Tensor):
+                kind = f"{value.layout} of {value.dtype}"
+            raise BadInput(f"{path}: {prefix}{name} is of type {kind}; wanted plain tensors in state dictionaries")
+
+
+def _is_plain(tensor: torch.Tensor) -> bool:
+    return str(tensor.layout) == "torch.strided" and not tensor.is_quantized and not tensor.is_complex()
+
+
+def _content_digest(text: str, state: State) -> str:
+    """Return the hash of a description and of every array, its name, type and shape."""
+    digest = hashlib.sha256(text.encode())
+    for name, array in sorted(state.items()):
+        digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
+        digest.update(array.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def _file_digest(path: Path) -> str:
+    if path.suffix not in (_OURS, _PUBLISHED):
+        raise BadInput(f"load={path}: give a stored network ({_OURS}) or a published one ({_PUBLISHED})")
+    try:
+        if not path.is_file():
+            raise BadInput(f"load={path} is no file: give one that save= wrote, or a published {_PUBLISHED}")
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise BadInput(f"load={path} cannot be read ({error.strerror})") from error
+
+
+def _insist_on_a_network(method: Method) -> None:
+    if not keeps_a_network(method):
+        Method.state(method)  # which says so
+
+
+def _plain(array: npt.NDArray[Any], name: str, method: Method) -> npt.NDArray[Any]:
+    """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        raise TypeError(f"{type(method).__name__}.state() gave {name} as {kind}; wanted numpy arrays of numbers")
+    return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
+
+
+def _refuse_to_replace(path: Path, replace: bool) -> None:
+    if path.is_dir():
+        raise BadInput(f"save={path} is a folder: give the name of a file in it")
+    if path.exists() and not replace:
+        raise BadInput(
+            f"save={path} is there already: give another name (in a sweep one for each cell, as in "
+            f"save='nets/vprtempo-${{seed}}{_OURS}'), or force=true to replace it"
+        )
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f"{_PARTIAL}{uuid.uuid4().hex[:8]}-{path.name}")
