@@ -167,7 +167,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "wanted"),
     [
-        (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo?"),
+        (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
         (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
         (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad?"),
         (["method.pach=5"], "option method.pach is unknown to sad: did you mean patch?"),

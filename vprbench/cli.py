@@ -267,14 +267,16 @@ def _list(options: list[str]) -> int:
     groups: tuple[registry.Group, ...] = ("method", "dataset")
     for group in groups:
         print(f"{group}s")
-        for name, entry in registry.entries(group).items():
+        known = registry.entries(group)
+        width = max(map(len, known))
+        for name, entry in known.items():
             try:
                 entry.target()
                 line = entry.description
             except BadInput as error:
                 line = f"BROKEN: {error}"
             origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
-            print(f"  {name:<16} {line}{origin}")
+            print(f"  {name:<{width}}  {line}{origin}")
     for provider, reason in registry.broken_plugins().items():
         print(f"plug-in {provider} BROKEN: {reason}")
     return 0
@@ -353,8 +355,7 @@ def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
     given = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), "")
     entries = registry.entries(group)
     for chosen in given.strip("'\"").split(",") if given else [{"method": "sad", "dataset": "synthetic"}[group]]:
-        content = yaml.safe_load(entries[chosen].path.read_text(encoding="utf-8")) if chosen in entries else {}
-        known = [name for name in content if name != "_target_"]
+        known = entries[chosen].options if chosen in entries else []
         if option.split(".")[0] not in known:
             return f"option {group}.{option} is unknown to {chosen}: {registry.near(option, known)}"
     return f"option {group}.{option} is unknown"

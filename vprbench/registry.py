@@ -41,6 +41,16 @@ class Entry:
         first = self.path.read_text(encoding="utf-8").splitlines()[:1]
         return first[0].lstrip("# ").strip() if first and first[0].startswith("#") else ""
 
+    @property
+    def options(self) -> list[str]:
+        """The names of the arguments that the yaml holds, those of the one it builds on included."""
+        content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
+        names = [name for name in content if name not in ("_target_", "defaults")]
+        for base in content.get("defaults", []):
+            if base in (known := entries(self.group)) and base != self.name:
+                names += known[base].options
+        return list(dict.fromkeys(names))
+
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function; raises BadInput with the reason where that fails."""
         try:

@@ -41,8 +41,7 @@ class LinearQuery:
 
     def __init__(self, members: Sequence[Network]) -> None:
         """Multiply the layers of every module."""
-        # (n_places, n_pixels)
-        self._matrix = torch.stack([_matrix(member) for member in members]).mean(0)
+        self._matrix = linear_matrix(members)
         self._layer = _layer(self._matrix, self._matrix.new_zeros(len(self._matrix)))
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
@@ -131,9 +130,13 @@ def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
     return lambda x: functional.linear(x.to_mkldnn(), *packed).to_dense()
 
 
-def _matrix(network: Network) -> Tensor:
-    """Return the product of both layers, (n_places, n_pixels)."""
-    return torch.cat([outputs.T @ network.features[module] for module, outputs in enumerate(network.outputs)])
+def linear_matrix(members: Sequence[Network]) -> Tensor:
+    """Return the product of both layers, (n_places, n_pixels), the mean over several networks."""
+    products = (
+        torch.cat([outputs.T @ member.features[module] for module, outputs in enumerate(member.outputs)])
+        for member in members
+    )
+    return sum(products, torch.zeros(())) / len(members)
 
 
 @compiled
