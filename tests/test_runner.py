@@ -546,6 +546,15 @@ def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Met
     assert runner.code_hash(given) == before
 
 
+@pytest.mark.parametrize("name", ["interface", "images", "preprocess", "preprocess_compiled", "stopwatch", "runner"])
+def test_a_change_in_what_all_methods_use_changes_their_hash(
+    given: type[Method], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    before, read = runner.code_hash(given), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path.name == f"{name}.py"))
+    assert runner.code_hash(given) != before
+
+
 def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:
     named = Images.from_arrays([picture(0), picture(1)], ["a.png", "b.png"])
     renamed = Images.from_arrays([picture(0), picture(1)], ["a.png", "c.png"])

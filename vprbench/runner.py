@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, networks, progress
+from vprbench import environment, networks, preprocess_compiled, progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Method, Places, Scores
 from vprbench.preprocess import PatchNormalisation
@@ -70,6 +70,7 @@ def code_hash(method: type[Method]) -> str:
     sources = [own] if package in ("", "vprbench.methods") else sorted(own.parent.rglob("*.py"))
     parts = (Method, Images, PatchNormalisation, Outcome, Stopwatch, networks.load, run)
     sources += [Path(inspect.getfile(part)) for part in parts]
+    sources.append(Path(preprocess_compiled.__file__))
     digest = hashlib.sha256()
     for source in sources:
         digest.update(source.read_bytes())

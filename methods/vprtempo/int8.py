@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from .method import VPRTempo
 from .quantised import Int8LinearQuery, Int8SpikingQuery
-from .query import MeanQuery, Query
+from .query import Query, calibrated, together
 
 
 @dataclass
@@ -21,4 +21,4 @@ class VPRTempoInt8(VPRTempo):
         rules = self.chosen_rules()
         if rules.query_rule == "linear":
             return Int8LinearQuery(self._members)
-        return MeanQuery([Int8SpikingQuery(member, rules) for member in self._members])
+        return together([calibrated(Int8SpikingQuery(member, rules), member) for member in self._members])

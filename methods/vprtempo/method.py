@@ -28,6 +28,7 @@ from .training import Schedule, check_weights, check_winners, draw_schedule, mod
 
 Engine = Literal["fused", "readable"]
 
+_CALIBRATED_TOGETHER = 256  # references
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
@@ -59,6 +60,7 @@ class VPRTempo(Method):
     p_inhibitory: float = 0.5
     silent_winner: bool | None = None
     query_rule: QueryRule | None = None
+    calibrated_scores: bool | None = None
     one_sign_per_synapse: bool | None = None
     normalise_by_last_neuron: bool | None = None
     constant_input: float | None = None
@@ -92,6 +94,8 @@ class VPRTempo(Method):
         spikes = torch.from_numpy(self.encode(references)).to(self.device)
         sizes = module_sizes(n_places, self.max_module)
         self._members = self._train(sizes, spikes, places, rules)
+        if rules.calibrated_scores:
+            self._members = [_calibrated(member, spikes, rules) for member in self._members]
         query = self._asking()
         _, first_image = np.unique(places, return_index=True)
         probes = first_image[np.linspace(0, n_places - 1, min(_PROBES, n_places)).astype(int)]
@@ -256,6 +260,17 @@ class VPRTempo(Method):
                 raise BadInput(f"method.engine=fused needs triton on {self.device} ({error}): install it") from error
             return training
         return fused_cuda
+
+
+def _calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:
+    """Return the network with the mean and the spread of the scores that the references give each place."""
+    query = asking([network], rules)
+    total = total_of_squares = torch.zeros(network.n_places, dtype=torch.float64)
+    for block in torch.split(spikes, _CALIBRATED_TOGETHER):
+        scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
+        total = total + scores.sum(0)
+        total_of_squares = total_of_squares + scores.square().sum(0)
+    return network.calibrated(total, total_of_squares, len(spikes))
 
 
 def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -15,6 +15,8 @@ from vprbench.interface import BadInput
 
 from .layer import Layer
 
+_CALIBRATION = ["score_mean", "score_spread"]
+_LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
@@ -27,6 +29,8 @@ class Network:
     feature_thresholds: Tensor  # (modules, n_features)
     outputs: tuple[Tensor, ...]  # per module (n_features, n_places of the module)
     output_thresholds: tuple[Tensor, ...]  # per module (n_places of the module,)
+    score_mean: Tensor | None = None  # (n_places,), over the references, where scores are calibrated
+    score_spread: Tensor | None = None
 
     @property
     def n_places(self) -> int:
@@ -47,13 +51,15 @@ class Network:
 
     def state(self) -> dict[str, npt.NDArray[np.float32]]:
         """Return the arrays to be stored, the output layers as (n_places, n_features)."""
-        arrays = {
+        arrays: dict[str, Tensor] = {
             "features": self.features,
             "constant": self.constant,
             "feature_thresholds": self.feature_thresholds,
             **{f"outputs_{module}": weights.T for module, weights in enumerate(self.outputs)},
             **{f"output_thresholds_{module}": thresholds for module, thresholds in enumerate(self.output_thresholds)},
         }
+        if self.score_mean is not None and self.score_spread is not None:
+            arrays |= {"score_mean": self.score_mean, "score_spread": self.score_spread}
         return {name: np.ascontiguousarray(tensor.cpu().numpy()) for name, tensor in arrays.items()}
 
     @classmethod
@@ -67,6 +73,8 @@ class Network:
         modules = sum(name.startswith("outputs_") for name in state)
         wanted = ["features", "constant", "feature_thresholds"]
         wanted += [f"{part}_{module}" for part in ("outputs", "output_thresholds") for module in range(modules)]
+        if any(name in _CALIBRATION for name in state):
+            wanted += _CALIBRATION
         if set(state) != set(wanted) or not modules:
             differing = sorted(set(state) ^ set(wanted)) or ["outputs_0"]
             raise BadInput(f"the stored network holds other arrays than VPRTempo's, see {differing[0]}")
@@ -80,6 +88,8 @@ class Network:
         for module in range(modules):
             size = shapes[f"outputs_{module}"][0] if shapes[f"outputs_{module}"] else 0
             expected |= {f"outputs_{module}": (size, n_features), f"output_thresholds_{module}": (size,)}
+        n_places = sum(expected[f"output_thresholds_{module}"][0] for module in range(modules))
+        expected |= {name: (n_places,) for name in _CALIBRATION if name in state}
         for name, shape in expected.items():
             if shapes[name] != shape:
                 raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}")
@@ -90,7 +100,18 @@ class Network:
             tensors["feature_thresholds"],
             tuple(tensors[f"outputs_{module}"].T.contiguous() for module in range(modules)),
             tuple(tensors[f"output_thresholds_{module}"] for module in range(modules)),
+            tensors.get("score_mean"),
+            tensors.get("score_spread"),
         )
+
+    def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
+        """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""
+        mean = total / count
+        spread = (total_of_squares / count - mean.square()).clamp(min=0).sqrt()
+        # A place that hardly answers to any reference must not shout at the first query that it answers to.
+        spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
+        device = self.features.device
+        return replace(self, score_mean=mean.float().to(device), score_spread=spread.float().to(device))
 
 
 def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

@@ -12,7 +12,7 @@ from vprbench.interface import Scores
 
 from .compiled import compiled
 from .network import Network
-from .query import linear_matrix
+from .query import linear_layer
 from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
@@ -49,8 +49,8 @@ class Int8LinearQuery:
 
     def __init__(self, members: Sequence[Network]) -> None:
         """Quantise the product of both layers, or the mean of several."""
-        matrix = linear_matrix(members).cpu().numpy()
-        self._layer = _Layer(matrix, np.zeros(len(matrix), np.float32), np.float32(1))
+        weights, bias = linear_layer(members)
+        self._layer = _Layer(weights.cpu().numpy(), bias.cpu().numpy(), np.float32(1))
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""

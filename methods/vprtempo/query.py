@@ -32,8 +32,19 @@ def asking(members: Sequence[Network], rules: Rules) -> Query:
     """Return what asks networks of the same places by the query rule; the scores of several are averaged."""
     if rules.query_rule == "linear":
         return LinearQuery(members)
-    queries = [SpikingQuery(member, rules) for member in members]
+    return together([calibrated(SpikingQuery(member, rules), member) for member in members])
+
+
+def together(queries: Sequence[Query]) -> Query:
+    """Return what answers with the mean score of several networks of the same places."""
     return queries[0] if len(queries) == 1 else MeanQuery(queries)
+
+
+def calibrated(query: Query, network: Network) -> Query:
+    """Return what answers with calibrated scores, where the network is calibrated."""
+    if network.score_mean is None or network.score_spread is None:
+        return query
+    return CalibratedQuery(query, network.score_mean.cpu().numpy(), network.score_spread.cpu().numpy())
 
 
 class LinearQuery:
@@ -41,14 +52,29 @@ class LinearQuery:
 
     def __init__(self, members: Sequence[Network]) -> None:
         """Multiply the layers of every module."""
-        self._matrix = linear_matrix(members)
-        self._layer = _layer(self._matrix, self._matrix.new_zeros(len(self._matrix)))
+        self._matrix, self._bias = linear_layer(members)
+        self._layer = _layer(self._matrix, self._bias)
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         x = torch.tensor(spikes, device=self._matrix.device)
-        scores = torch.mv(self._matrix, x[0])[None] if len(x) == 1 else self._layer(x)
+        scores = torch.addmv(self._bias, self._matrix, x[0])[None] if len(x) == 1 else self._layer(x)
         return np.asarray(scores.cpu().numpy(), np.float32)
+
+
+class CalibratedQuery:
+    """Scores in spreads above the mean that the references gave each place."""
+
+    def __init__(self, query: Query, mean: npt.NDArray[np.float32], spread: npt.NDArray[np.float32]) -> None:
+        """Standardise the scores of `query` by `mean` and `spread` (n_places,)."""
+        self._query, self._mean, self._spread = query, mean, spread
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the standardised state of every place's output neuron."""
+        scores = self._query.scores(spikes)
+        scores -= self._mean
+        scores /= self._spread
+        return scores
 
 
 class MeanQuery:
@@ -130,13 +156,18 @@ def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
     return lambda x: functional.linear(x.to_mkldnn(), *packed).to_dense()
 
 
-def linear_matrix(members: Sequence[Network]) -> Tensor:
-    """Return the product of both layers, (n_places, n_pixels), the mean over several networks."""
-    products = (
-        torch.cat([outputs.T @ member.features[module] for module, outputs in enumerate(member.outputs)])
-        for member in members
-    )
-    return sum(products, torch.zeros(())) / len(members)
+def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
+    """Return the product of both layers, (n_places, n_pixels), and what it adds; the mean over several networks."""
+    weights, biases = [], []
+    for member in members:
+        product = torch.cat([outputs.T @ member.features[module] for module, outputs in enumerate(member.outputs)])
+        bias = product.new_zeros(len(product))
+        if member.score_mean is not None and member.score_spread is not None:
+            product /= member.score_spread[:, None]
+            bias -= member.score_mean / member.score_spread
+        weights.append(product)
+        biases.append(bias)
+    return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
 
 
 @compiled

@@ -43,6 +43,9 @@ class Rules:
     """Steps between two changes of the learning rates."""
     silent_winner: bool
     """Where a query leaves all outputs silent, the first module's least inhibited neuron answers (v1.0.0)."""
+    calibrated_scores: bool
+    """A place's score is standardised by those that the reference images give it, so that no place is louder than
+    others (no public version)."""
     query_rule: QueryRule
     """A query passes thresholds, clip and C as in Eq. 1, or the two weight matrices alone (public code)."""
 
@@ -64,6 +67,7 @@ PAPER = Rules(
     annealing_restarts=False,
     annealing_interval=100,
     silent_winner=False,
+    calibrated_scores=False,
     query_rule="spiking",
 )
 # QVPR/VPRTempo 64154e5
@@ -81,6 +85,7 @@ REFERENCE = Rules(
     annealing_restarts=False,
     annealing_interval=100,
     silent_winner=False,
+    calibrated_scores=False,
     query_rule="linear",
 )
 # QVPR/VPRTempo a3b07b2, without its two slips in the output layer (spikes thresholded twice, the second
@@ -99,6 +104,7 @@ V1 = Rules(
     annealing_restarts=True,
     annealing_interval=10,
     silent_winner=True,
+    calibrated_scores=False,
     query_rule="spiking",
 )
 RULES: dict[RuleSet, Rules] = {"paper": PAPER, "reference": REFERENCE, "v1": V1}

@@ -1,0 +1,118 @@
+"""Calibrated scores: every place is judged by the scores that the references give it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from vprbench.images import Images
+from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.methods.vprtempo.int8 import VPRTempoInt8
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.methods.vprtempo.network import Network
+from vprbench.methods.vprtempo.query import asking
+from vprbench.methods.vprtempo.rules import PAPER, RULES
+
+N_PLACES = 24
+PLACES = np.arange(N_PLACES)
+
+
+def frames(seed: int) -> Images:
+    """One smooth frame a place; frames of other seeds show the same places with other noise."""
+    scenes = np.cumsum(np.random.default_rng(0).normal(size=(N_PLACES, 12, 12)), axis=2)
+    scenes = 128 + 20 * scenes + 8 * np.random.default_rng(seed).normal(size=scenes.shape)
+    return Images.from_arrays(list(scenes.clip(0, 255).astype(np.uint8)))
+
+
+def small(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> VPRTempo:
+    return kind(**{"height": 12, "width": 12, "max_module": 10, **arguments}).fit(frames(1), PLACES)
+
+
+def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.float32]:
+    return small(kind, **arguments).query(frames(2))
+
+
+@pytest.mark.parametrize("rules", RULES)
+def test_no_rule_set_calibrates_on_its_own(rules: str) -> None:
+    assert not RULES[rules].calibrated_scores  # type: ignore[index]
+
+
+@pytest.mark.parametrize("rules", RULES)
+def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(rules: str) -> None:
+    plain = small(rules=rules)
+    over_references = plain.query(frames(1)).astype(np.float64)
+    mean, spread = over_references.mean(0), over_references.std(0)
+    expected = (plain.query(frames(2)) - mean) / np.maximum(spread, 0.01 * spread.mean())
+    assert scores(rules=rules, calibrated_scores=True) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_over_the_references_every_place_has_mean_0_and_spread_1() -> None:
+    found = small(rules="reference", calibrated_scores=True).query(frames(1)).astype(np.float64)
+    assert found.mean(0) == pytest.approx(np.zeros(N_PLACES), abs=1e-3)
+    assert found.std(0) == pytest.approx(np.ones(N_PLACES), abs=1e-3)
+
+
+def test_several_blocks_of_references_count_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = scores(calibrated_scores=True)
+    monkeypatch.setattr("vprbench.methods.vprtempo.method._CALIBRATED_TOGETHER", 7)
+    assert scores(calibrated_scores=True) == pytest.approx(whole, rel=1e-4, abs=1e-4)
+
+
+def test_a_place_louder_than_others_no_longer_wins_every_query() -> None:
+    # One pixel, one feature; place 0 answers with 0.8 x, place 1 with 0.1 x but is the better match of the second
+    # query, where place 0 stays below its own mean.
+    network = Network(
+        torch.tensor([[[1.0, 0.0], [0.0, 1.0]]]),
+        torch.zeros(1, 2),
+        torch.zeros(1, 2),
+        (torch.tensor([[0.8, 0.0], [0.5, 0.1]]),),
+        (torch.zeros(2),),
+    )
+    references = np.array([[0.8, 0.0], [0.2, 0.6]], np.float32)
+    plain = asking([network], PAPER).scores(references).astype(np.float64)
+    assert plain.argmax(1).tolist() == [0, 0]
+    calibrated = network.calibrated(torch.tensor(plain.sum(0)), torch.tensor((plain**2).sum(0)), 2)
+    assert asking([calibrated], PAPER).scores(references).argmax(1).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+def test_places_that_never_answer_are_divided_by_no_zero(silent: int) -> None:
+    network = Network(
+        torch.ones(1, 1, 1), torch.zeros(1, 1), torch.zeros(1, 1), (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),)
+    )
+    sums = torch.tensor([0.0, 0.0 if silent == 2 else 4.0], dtype=torch.float64)
+    calibrated = network.calibrated(sums, 2 * sums, 4)
+    assert np.isfinite(asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))).all()
+
+
+def test_an_ensemble_averages_scores_calibrated_member_by_member() -> None:
+    members = [scores(calibrated_scores=True, seed=seed) for seed in (3, 4)]
+    found = scores(VPRTempoEnsemble, members=2, seed=3, calibrated_scores=True)
+    assert found == pytest.approx((members[0] + members[1]) / 2, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("rules", ["paper", "reference"])
+def test_int8_scores_are_calibrated_as_those_of_the_float_network(rules: str) -> None:
+    exact = scores(rules=rules, calibrated_scores=True)
+    assert np.abs(scores(VPRTempoInt8, rules=rules, calibrated_scores=True) - exact).max() < 0.25
+    assert np.corrcoef(scores(VPRTempoInt8, rules=rules, calibrated_scores=True).ravel(), exact.ravel())[0, 1] > 0.999
+
+
+def test_the_calibration_is_stored_with_the_network() -> None:
+    trained = small(calibrated_scores=True)
+    restored = VPRTempo(height=12, width=12, max_module=10, calibrated_scores=True).restore(trained.state())
+    assert np.array_equal(restored.query(frames(2)), trained.query(frames(2)))
+    assert set(trained.state()) - set(small().state()) == {"score_mean", "score_spread"}
+
+
+def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
+    rules = replace(PAPER, query_rule="linear")
+    members = [small(calibrated_scores=True, query_rule="linear", seed=seed)._members[0] for seed in (0, 1)]
+    codes = small().encode(frames(2))
+    apart = [asking([member], rules).scores(codes) for member in members]
+    assert asking(members, rules).scores(codes) == pytest.approx((apart[0] + apart[1]) / 2, rel=1e-4, abs=1e-4)
