@@ -421,3 +421,27 @@ def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules:
     on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
     in_order_of_cuda = np.take_along_axis(on_cpu, on_cuda.argsort(1), axis=1)
     assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
+
+
+# --- initial output weights -------------------------------------------------------------------------------------
+
+
+def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for() -> None:
+    # Nothing is learnt at rate 0, so equal weights of both signs cancel and leave no score at all; drawn ones scale.
+    still = {"stdp_rate": 0.0, "itp_rate": 0.0, "rules": "paper", "query_rule": "linear"}
+    unit, double = (untested(**still, output_norm=norm).state()["outputs_0"] for norm in (1.0, 2.0))
+    assert double == pytest.approx(2 * unit, rel=1e-5, abs=2.1e-6)  # the smallest weight is 1e-6
+    assert np.abs(unit).sum(1).max() <= 2.0
+    assert not untested(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()
+
+
+def untested(**arguments: Any) -> VPRTempo:
+    """Train without asking whether the result can be trusted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
+        return fitted(**arguments)
+
+
+def test_equal_output_weights_need_two_weights_a_synapse() -> None:
+    with pytest.raises(BadInput, match="equal_output_weights"):
+        fitted(rules="reference", equal_output_weights=True)

@@ -58,6 +58,8 @@ class VPRTempo(Method):
     rate_max: float = 0.9
     p_excitatory: float = 0.1
     p_inhibitory: float = 0.5
+    output_norm: float = 1.0  # of an output neuron's initial weights of each sign (L1)
+    equal_output_weights: bool = False  # initially, instead of random ones
     silent_winner: bool | None = None
     query_rule: QueryRule | None = None
     calibrated_scores: bool | None = None
@@ -161,6 +163,11 @@ class VPRTempo(Method):
             rules,
         )
         outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
+        for weights in (outputs.excitation, outputs.inhibition):
+            if self.equal_output_weights:
+                weights.fill_(1 / n_features)
+            if self.output_norm != 1:
+                weights *= self.output_norm
         order = draw_schedule(generators, sizes, places, self.epochs, rules)
         return (features, outputs), (order, draw_schedule(generators, sizes, places, self.epochs, rules))
 
@@ -233,6 +240,7 @@ class VPRTempo(Method):
             "rate_max": (self.rate_max < math.inf, "a finite rate"),
             "p_excitatory": (0 <= self.p_excitatory <= 1, "a probability"),
             "p_inhibitory": (0 <= self.p_inhibitory <= 1, "a probability"),
+            "output_norm": (0 < self.output_norm < math.inf, "more than 0"),
             "constant_input": (0 <= rules.constant_input < math.inf, "0 or more"),
             "clip": (0 < rules.clip < math.inf, "more than 0"),
             "homeostasis_gain": (0 <= rules.homeostasis_gain < math.inf, "0 or more"),
@@ -241,6 +249,11 @@ class VPRTempo(Method):
         for name, (fits, what) in wanted.items():
             if not fits:
                 raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        if self.equal_output_weights and rules.one_sign_per_synapse:
+            raise BadInput(
+                "method.equal_output_weights=true leaves nothing where excitation and inhibition are one weight: "
+                "set method.one_sign_per_synapse=false"
+            )
         if n_places < self.max_module:
             raise BadInput(
                 f"{n_places} places are fewer than one module of method.max_module={self.max_module}: "
