@@ -47,7 +47,7 @@ class Entry:
         content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
         names = [name for name in content if name not in ("_target_", "defaults")]
         for base in content.get("defaults", []):
-            if base in (known := entries(self.group)) and base != self.name:
+            if isinstance(base, str) and base in (known := entries(self.group)) and base != self.name:
                 names += known[base].options
         return list(dict.fromkeys(names))
 

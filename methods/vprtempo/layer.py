@@ -40,15 +40,12 @@ class Layer:
 
     @classmethod
     def side_by_side(cls, layers: Sequence[Layer]) -> Layer:
-        """Join layers of the same width, all with synaptic limits or none, along the axis of the modules."""
+        """Join layers of the same width along the axis of the modules."""
         if len(layers) == 1:
             return layers[0]
-        excitation_limits, inhibition_limits = (
-            None
-            if limits[0] is None
-            else (torch.cat([pair[0] for pair in limits if pair]), torch.cat([pair[1] for pair in limits if pair]))
-            for limits in zip(*((layer.excitation_limits, layer.inhibition_limits) for layer in layers), strict=True)
-        )
+        shapes = [layer.excitation.shape for layer in layers]
+        excitation_limits = _limits_side_by_side([layer.excitation_limits for layer in layers], shapes)
+        inhibition_limits = _limits_side_by_side([layer.inhibition_limits for layer in layers], shapes)
         excitation, inhibition, thresholds, constant = (
             torch.cat(parts)
             for parts in zip(
@@ -82,6 +79,18 @@ class Layer:
     def spikes(self, net_input: Tensor, clip: float) -> Tensor:
         """Return the activation of Eq. 1, the net input above threshold, from 0 to `clip`."""
         return (net_input - self.thresholds).clamp_(0, clip)
+
+
+def _limits_side_by_side(
+    limits: Sequence[tuple[Tensor, Tensor] | None], shapes: Sequence[torch.Size]
+) -> tuple[Tensor, Tensor] | None:
+    if all(pair is None for pair in limits):
+        return None
+    pairs = [
+        pair or (torch.full(shape, SMALLEST), torch.full(shape, LARGEST))
+        for pair, shape in zip(limits, shapes, strict=True)
+    ]
+    return torch.cat([smallest for smallest, _ in pairs]), torch.cat([largest for _, largest in pairs])
 
 
 def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Tensor, rules: Rules) -> None:

@@ -200,20 +200,15 @@ class VPRTempo(Method):
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network, or the arrays of a published checkpoint (QVPR/VPRTempo 64154e5)."""
         self._query = None
-        states: dict[str, dict[str, npt.NDArray[Any]]] = {}
-        for name, array in state.items():
-            member, dot, own = name.partition(".")
-            of_member = dot and member.startswith("member_")
-            states.setdefault(member if of_member else "", {})[own if of_member else name] = array
-        if len(states) != len(self._seeds()):
-            raise BadInput(f"the stored network has {len(states)} members; wanted {len(self._seeds())}")
-        self._members = [Network.from_state(states[member], self.device) for member in sorted(states)]
-        pixels = {member.features.shape[2] for member in self._members}
-        if pixels != {self.height * self.width}:
-            raise BadInput(
-                f"the stored network reads {pixels.pop()} pixels, not method.height={self.height} x "
-                f"method.width={self.width}: give the size that it was trained on"
-            )
+        self._members = [Network.from_state(own, self.device) for own in _by_member(state, len(self._seeds()))]
+        for member in self._members:
+            if member.features.shape[2] != self.height * self.width:
+                raise BadInput(
+                    f"the stored network reads {member.features.shape[2]} pixels, not method.height={self.height} x "
+                    f"method.width={self.width}: give the size that it was trained on"
+                )
+            if self.chosen_rules().calibrated_scores and member.score_mean is None:
+                raise BadInput("the stored network holds no calibration: set method.calibrated_scores=false")
         if len({member.n_places for member in self._members}) > 1:
             raise BadInput("the members of the stored network know different numbers of places")
         self._query = self._asking()
@@ -273,6 +268,20 @@ class VPRTempo(Method):
                 raise BadInput(f"method.engine=fused needs triton on {self.device} ({error}): install it") from error
             return training
         return fused_cuda
+
+
+def _by_member(state: Mapping[str, npt.NDArray[Any]], n_members: int) -> list[dict[str, npt.NDArray[Any]]]:
+    """Return the arrays of each member in the order of their numbers; those of a single network have none."""
+    own: dict[str, dict[str, npt.NDArray[Any]]] = {}
+    for name, array in state.items():
+        prefix, dot, rest = name.partition(".")
+        numbered = bool(dot) and prefix.startswith("member_")
+        own.setdefault(prefix if numbered else "", {})[rest if numbered else name] = array
+    wanted = [f"member_{number}" for number in range(n_members)] if n_members > 1 else [""]
+    if set(own) != set(wanted):
+        found = len(own) if state else 0
+        raise BadInput(f"the stored network has {found} members; wanted {n_members}, numbered from 0 where several")
+    return [own[member] for member in wanted]
 
 
 def _calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -70,14 +71,15 @@ class Network:
         """
         if any(name.startswith("model_") for name in state):
             state = _from_published(state)
-        modules = sum(name.startswith("outputs_") for name in state)
+        modules = max(sum(name.startswith(part) for name in state) for part in ("outputs_", "output_thresholds_"))
         wanted = ["features", "constant", "feature_thresholds"]
         wanted += [f"{part}_{module}" for part in ("outputs", "output_thresholds") for module in range(modules)]
         if any(name in _CALIBRATION for name in state):
             wanted += _CALIBRATION
         if set(state) != set(wanted) or not modules:
-            differing = sorted(set(state) ^ set(wanted)) or ["outputs_0"]
-            raise BadInput(f"the stored network holds other arrays than VPRTempo's, see {differing[0]}")
+            missing, unexpected = sorted(set(wanted) - set(state)), sorted(set(state) - set(wanted))
+            what = f"lacks {missing[0]}" if missing else f"has an unexpected {(unexpected or ['nothing'])[0]}"
+            raise BadInput(f"the arrays of a VPRTempo network are wanted, but the stored one {what}")
         shapes = {name: np.shape(array) for name, array in state.items()}
         n_features = shapes["features"][1] if len(shapes["features"]) == 3 else 0
         expected = {
@@ -91,8 +93,8 @@ class Network:
         n_places = sum(expected[f"output_thresholds_{module}"][0] for module in range(modules))
         expected |= {name: (n_places,) for name in _CALIBRATION if name in state}
         for name, shape in expected.items():
-            if shapes[name] != shape:
-                raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}")
+            if shapes[name] != shape or 0 in shape:
+                raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}, without a 0")
         tensors = {name: torch.tensor(array, dtype=torch.float32, device=device) for name, array in state.items()}
         return cls(
             tensors["features"],
@@ -116,7 +118,7 @@ class Network:
 
 def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
     """Rename and stack the arrays `model_<module>.<layer>` of a published checkpoint; it has no constant input."""
-    modules = 1 + max((int(number) for name in state if (number := name[6:].partition(".")[0]).isdigit()), default=0)
+    modules = len({found[1] for name in state if (found := re.match(r"model_([0-9]+)\.", name))})
     wanted = {f"model_{module}.{name}" for module in range(modules) for name in _PUBLISHED}
     if differing := sorted(wanted ^ set(state)):
         raise BadInput(
@@ -128,6 +130,8 @@ def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDAr
     )
     if len({np.shape(weights) for weights in features}) > 1:
         raise BadInput("the checkpoint's modules have feature layers of different shapes; wanted the same in each")
+    if len({np.size(row) for row in thresholds}) > 1:
+        raise BadInput("the checkpoint's feature_layer.thr has different lengths in its modules; wanted one a feature")
     found = {"features": np.stack(features), "feature_thresholds": np.stack([np.ravel(row) for row in thresholds])}
     found["constant"] = np.zeros_like(found["feature_thresholds"])
     for module in range(modules):

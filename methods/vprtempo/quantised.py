@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.interface import Scores
+from vprbench.interface import BadInput, Scores
 
 from .compiled import compiled
 from .network import Network
@@ -17,6 +18,8 @@ from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
 _STEPS = np.float32(127)  # of a weight to either side of 0
+_MOST_INPUTS = 2**31 // (255 * 127)
+_FEWEST_INPUTS = 16  # below which PyTorch's 8-bit product is not to be trusted
 _MANY = 8  # queries that are answered as a matrix product
 
 
@@ -29,19 +32,30 @@ class _Layer:
         self._steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
         self._factor = step * (most / _LEVELS)  # of a sum of steps times levels
         self._bias = bias
+        if weights.shape[1] > _MOST_INPUTS:
+            raise BadInput(
+                f"{weights.shape[1]} inputs of a neuron are more than 32 bits can sum: give at most {_MOST_INPUTS}"
+            )
         self._right = torch.from_numpy(self._steps).T
         # Many inputs are shifted to int8; this is what the shift takes from the sums.
         self._shift = 128 * self._steps.sum(1, dtype=np.int32)
 
     def __call__(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return (n_queries, n_out) of the input's levels (n_queries, n_in)."""
-        if len(levels) < _MANY:
+        if len(levels) < _MANY or self._steps.shape[1] < _FEWEST_INPUTS or not _sums_are_exact():
             sums = np.empty((len(levels), len(self._bias)), np.int32)
             _multiply(self._steps, levels, sums)
         else:
             shifted = torch.from_numpy((levels ^ np.uint8(128)).view(np.int8))
             sums = torch._int_mm(shifted, self._right).numpy() + self._shift
         return np.asarray(sums * self._factor + self._bias, np.float32)
+
+
+@cache
+def _sums_are_exact() -> bool:
+    """Tell whether PyTorch's 8-bit product is exact here: on x86 without VNNI it saturates in 16 bits on the way."""
+    left, right = (torch.tensor([[-128], [127]], dtype=torch.int8).repeat(8, 64) for _ in range(2))
+    return torch.equal(torch._int_mm(left, right.T), (left.int() @ right.T.int()))
 
 
 class Int8LinearQuery:
@@ -70,12 +84,13 @@ class Int8SpikingQuery:
             _Layer(weights.T.cpu().numpy(), -thresholds.cpu().numpy(), self._clip)
             for weights, thresholds in zip(network.outputs, network.output_thresholds, strict=True)
         ]
+        self._n_features = network.features.shape[1]
         self._first_module = len(network.output_thresholds[0])
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
         features = _levels(self._features(_levels(spikes, np.float32(1))), self._clip)
-        features = features.reshape(len(spikes), len(self._outputs), -1)
+        features = features.reshape(len(spikes), len(self._outputs), self._n_features)
         parts = [layer(np.ascontiguousarray(features[:, module])) for module, layer in enumerate(self._outputs)]
         above = np.concatenate(parts, axis=1)
         scores = np.clip(above, 0, self._clip)
