@@ -5,7 +5,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
 
-.PHONY: help install table test check clean
+.PHONY: help install table bench gpu-check test check clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -14,6 +14,12 @@ install: $(READY) ## Make .venv and install the pinned packages (PIP_ARGS passes
 
 table: $(READY) ## Run SAD and VPRTempo on the embedded journey and write results/table.md and .csv (ARGS passes options).
 	$(RUN) -m vprbench table $(ARGS)
+
+bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json (ARGS passes options).
+	$(RUN) -m vprbench bench $(ARGS)
+
+gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
+	$(RUN) -m vprbench gpu-check $(ARGS)
 
 test: $(READY) ## Run all tests.
 	$(RUN) -m pytest $(ARGS)

@@ -161,7 +161,10 @@ def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
 def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     printed = capsys.readouterr().out
-    assert all(f"vprbench {command}" in printed for command in ("method=", "-m", "table", "list", "check"))
+    assert all(
+        f"vprbench {command}" in printed
+        for command in ("method=", "-m", "table", "list", "check", "bench", "gpu-check")
+    )
 
 
 @pytest.mark.parametrize(
@@ -217,6 +220,8 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["dataset.name=../out", *QUICK], "dataset.name=../out: give letters"),
         (["-m", "method=vprtempo,sad", "method.rules=paper"], "option method.rules is unknown to sad"),
         (["lst"], "lst is no command: did you mean list?"),
+        (["gpu-chek"], "gpu-chek is no command: did you mean gpu-check"),
+        (["bench", "--cfg"], "option --cfg is unknown"),
         (["table", "-m"], "-m is no option here"),
         (["check"], "check needs method=NAME"),
         (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),

@@ -1,24 +1,22 @@
-"""The command line: one run, a sweep, the table, the list of plug-ins and the conformance check."""
+"""The command line: one run, a sweep, the table, the list of plug-ins, the conformance check and the benchmarks."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import functools
 import json
 import logging
 import os
 import re
 import signal
-import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import hydra
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -26,16 +24,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-import vprbench
 from vprbench import registry
-from vprbench.interface import BadInput, TrainingDivergedError
-from vprbench.options import KNOWN, Settings, checked_settings, n_threads
+from vprbench.interface import BadInput, Method, TrainingDivergedError
+from vprbench.options import KNOWN, checked_settings, n_threads
 from vprbench.stopwatch import Protocol
 
 if TYPE_CHECKING:
-    from vprbench.records import Failure, Run, Store
-
-_IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
+    from vprbench.records import Failure, Store
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
@@ -45,6 +40,8 @@ python -m vprbench -m method=NAME,NAME dataset=NAME,NAME ...     run all combina
 python -m vprbench table [option=value ...]                      run the rows of the table, write table.md and .csv
 python -m vprbench list                                          show the methods and datasets
 python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
+python -m vprbench bench [option=value ...]                      measure the speed here, write bench.md and .json
+python -m vprbench gpu-check [option=value ...]                  compare a GPU with the CPU, write gpu.md
 
 Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, save, load, ...
 and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show all: python -m vprbench --cfg job
@@ -55,7 +52,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
     logging.basicConfig(format="%(message)s", level=logging.INFO)
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    commands: dict[str, Callable[[list[str]], int]] = {"list": _list, "check": _check, "table": _table}
+    commands: dict[str, Callable[[list[str]], int]] = {
+        "list": _list,
+        "check": _check,
+        "table": _table,
+        "bench": _bench,
+        "gpu-check": _gpu_check,
+    }
     try:
         if arguments and arguments[0] in ("--help", "-h", "help"):
             print(_USAGE, end="")
@@ -65,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if "--help" in arguments or "-h" in arguments:
                 print(_USAGE, end="")
                 return 0
-            return commands[arguments[0]](_readable(arguments[1:]))
-        if arguments and re.fullmatch(r"\w+", arguments[0]):
+            return commands[arguments[0]](arguments[1:])
+        if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], commands)}")
         return _run_or_sweep(_readable(arguments))
     except BadInput as error:
@@ -89,7 +92,7 @@ def _run_or_sweep(arguments: list[str]) -> int:
     def task(config: DictConfig) -> None:
         try:
             sweeping = HydraConfig.get().mode == RunMode.MULTIRUN
-            codes.append(_run_in_process(HydraConfig.get().overrides.task) if sweeping else _run(config))
+            codes.append(_run_apart() if sweeping else _run(config))
         except Exception as error:  # Hydra would print lines of its own; it is raised again below
             errors.append(error)
 
@@ -107,6 +110,13 @@ def _run_or_sweep(arguments: list[str]) -> int:
     return max(codes, default=0)
 
 
+def _run_apart() -> int:
+    """Run one configuration of a sweep in a process of its own."""
+    from vprbench.sweep import run_apart
+
+    return run_apart(HydraConfig.get().overrides.task).returncode
+
+
 def _run(config: DictConfig) -> int:
     """Run one configuration, or answer it from the store."""
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
@@ -114,23 +124,26 @@ def _run(config: DictConfig) -> int:
     choices = HydraConfig.get().runtime.choices
     asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
     asked["overrides"] = list(HydraConfig.get().overrides.task)
+    from vprbench.answer import answer
     from vprbench.records import Failure, Store
 
     store = Store(Path(settings.results).expanduser())
     try:
-        return _answer(choices["method"], asked, settings, store)
+        return answer(choices["method"], asked, settings, store)
     except Exception as error:
+        from vprbench.sweep import IN_SWEEP
+
         text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
         failure = Failure(
             choices["method"], asked["dataset"].get("name", choices["dataset"]), asked, text.splitlines()[0]
         )
-        if os.environ.get(_IN_SWEEP):
+        if os.environ.get(IN_SWEEP):
             _record(failure, store, settings.output)
         if isinstance(error, BadInput):
             raise
         if not isinstance(error, TrainingDivergedError):
             traceback.print_exc()
-        if not os.environ.get(_IN_SWEEP):
+        if not os.environ.get(IN_SWEEP):
             _record(failure, store, "row")
         return _complain(f"{failure.method} failed: {failure.error}", 1)
 
@@ -144,120 +157,69 @@ def _record(failure: Failure, store: Store, output: str) -> None:
         print(json.dumps({"method": failure.method, "dataset": failure.dataset, "error": failure.error}))
 
 
-def _answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
-    """Find the run in the store or make it, and print it."""
-    from vprbench import environment, networks, runner
-    from vprbench.console import progress_shown
-
-    threads = n_threads(settings)
-    store.prepare()
-    environment.pin_threads(threads)
-    files = networks.chosen_files(settings.save, settings.load, settings.force)
-    method = registry.make_method(asked["method"])
-    dataset = registry.make_dataset(asked["dataset"])
-    fingerprint = runner.fingerprint(dataset)
-    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
-    run = None if settings.force else store.find(dataset.name, name, key)
-    if run is not None and files.save is not None and networks.made_by(files.save) != key:
-        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
-        run = None
-    from_store = run is not None
-    if run is not None:  # whoever stored it may have asked in other words
-        run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
-    else:
-        with progress_shown(f"{name} on {dataset.name}"):
-            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files)
-    try:
-        folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
-    except BadInput:
-        _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
-        raise
-    _print(run, folder, from_store, settings.output)
-    return 0
-
-
-def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
-    from vprbench import tables
-
-    if output == "json":
-        print(
-            json.dumps(
-                {
-                    "method": run.method,
-                    "dataset": run.dataset,
-                    **tables.numbers(run),
-                    "network": run.network,
-                    "notes": list(run.notes),
-                    "from_store": from_store,
-                    "run_folder": None if folder is None else str(folder),
-                },
-                allow_nan=False,
-            )
-        )
-        return
-    print(tables.protocol_line(run))
-    print(tables.plain_row(tables.readable_row(run)))
-    for note in run.notes:
-        print(f"note: {note}")
-    if from_store:
-        print(f"from the store: {folder} (force=true runs again)")
-    elif folder is not None:
-        print(f"stored in {folder}")
-
-
-def _run_in_process(overrides: Sequence[str]) -> int:
-    """Run one configuration of a sweep in a process of its own, so that nothing of it can reach the next."""
-    return _child(overrides).returncode
-
-
-def _child(overrides: Sequence[str], stdout: int | None = None) -> subprocess.CompletedProcess[str]:
-    home = str(Path(vprbench.__file__).resolve().parents[1])
-    path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    return subprocess.run(
-        [sys.executable, "-m", "vprbench", *overrides],
-        env={**os.environ, _IN_SWEEP: "1", "PYTHONPATH": path},
-        stdout=stdout,
-        text=True,
-        check=False,
-    )
-
-
 def _table(options: list[str]) -> int:
-    """Run the rows of conf/table.yaml, each in a process of its own, and write the table."""
-    from vprbench import tables
-    from vprbench.records import Failure, replace_text
+    """Run the rows of conf/table.yaml and write the table."""
+    from vprbench.sweep import make_table
 
+    options = _readable(options)
     _check_names(options)
     if any(option.split("=")[0] in ("output", "method", "save", "load") for option in options):
         raise BadInput("the table chooses method, output, save and load itself: change conf/table.yaml for other rows")
-    settings = checked_settings(_composed(options))
-    results = Path(settings.results).expanduser()
-    rows = yaml.safe_load((registry.conf_folders()["vprbench"] / "table.yaml").read_text(encoding="utf-8"))["rows"]
-    outcomes, codes = zip(*(_table_cell(row, [*options, "output=json"]) for row in rows), strict=True)
-    if set(codes) == {2}:
-        return 2  # what no row can run with is no result, and the old table stays
-    text = tables.table_text(outcomes)
-    results.mkdir(parents=True, exist_ok=True)
-    for name, content in (("table.md", text), ("table.csv", tables.csv(outcomes))):
-        replace_text(results / name, content)
-    print(text, end="")
-    print(f"\nwritten to {results / 'table.md'} and {results / 'table.csv'}")
-    return 1 if any(isinstance(outcome, Failure) for outcome in outcomes) else 0
+    return make_table(options, Path(checked_settings(_composed(options)).results).expanduser())
 
 
-def _table_cell(row: Sequence[str], options: Sequence[str]) -> tuple[Run | Failure, int]:
-    """Run one row of the table, or find it in the store, and return it with the exit code; a failure is a row too."""
-    from vprbench.records import Failure, load
+def _bench(options: list[str]) -> int:
+    """Measure how fast training, preprocessing and queries are, and write the numbers."""
+    from vprbench import bench, bench_text
+    from vprbench.bench_report import QUICK, Settings, chosen
 
-    child = _child([*row, *options], stdout=subprocess.PIPE)
-    answer = json.loads(child.stdout) if child.stdout.strip().startswith("{") else {}
-    if child.returncode == 0:
-        run = load(Path(answer["run_folder"]))
-        return dataclasses.replace(run, config={**run.config, "overrides": list(row)}), 0
-    name = next(option.split("=", 1)[1] for option in row if option.startswith("method="))
-    ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "the message is above"
-    error = answer.get("error", ending)
-    return Failure(name, answer.get("dataset", ""), {"overrides": list(row)}, error), child.returncode
+    settings = chosen(Settings, options, QUICK)
+    with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
+        report = bench.measure(settings, _maker(settings.seed))
+    bench_text.write(report, results)
+    return 1 if report.failures else 0
+
+
+def _gpu_check(options: list[str]) -> int:
+    """Compare the GPU with the CPU, time it, and write both."""
+    from vprbench import gpu_check
+    from vprbench.bench_report import chosen
+
+    settings = chosen(gpu_check.Settings, options, gpu_check.QUICK)
+    gpu_check.require_gpu(settings.device)
+    with _prepared("gpu-check", settings.device, settings.threads, settings.results, settings.seed) as results:
+        report = gpu_check.measure(settings, _maker(settings.seed))
+    gpu_check.write(report, results)
+    return 0 if report.correct else 1
+
+
+@contextlib.contextmanager
+def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
+    """Check what all commands share, pin the threads and show the progress; yields the results folder."""
+    from vprbench import environment
+    from vprbench.console import progress_shown
+    from vprbench.records import Store
+
+    run = {**_composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
+    settings = checked_settings(run)
+    folder = Path(settings.results).expanduser()
+    Store(folder).prepare()
+    environment.pin_threads(n_threads(settings))
+    with progress_shown(title):
+        yield folder
+
+
+def _maker(seed: int) -> Callable[..., Method]:
+    """Return what builds a method by its name for a device, with arguments that replace those of its yaml."""
+
+    @functools.cache
+    def config(name: str, device: str) -> dict[str, Any]:
+        return cast(dict[str, Any], _composed([f"method={name}", f"device={device}", f"seed={seed}"])["method"])
+
+    def make(name: str, device: str, **arguments: Any) -> Method:
+        return registry.make_method({**config(name, device), **arguments})
+
+    return make
 
 
 def _list(options: list[str]) -> int:
@@ -289,6 +251,7 @@ def _check(options: list[str]) -> int:
     if not any(option.startswith("method=") for option in options):
         raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
     _check_names(options)
+    options = _readable(options)
     config = _composed(options)
     environment.pin_threads(n_threads(checked_settings(config)))
     asked = {option.split("=")[0].removeprefix("method.") for option in options}

@@ -16,7 +16,17 @@ from typing import Any
 import numpy as np
 import psutil
 
-_LIBRARIES = ("torch", "numpy", "scipy", "numba", "opencv-python-headless", "pillow", "scikit-learn", "faiss-cpu")
+_LIBRARIES = (
+    "torch",
+    "numpy",
+    "scipy",
+    "numba",
+    "triton",
+    "opencv-python-headless",
+    "pillow",
+    "scikit-learn",
+    "faiss-cpu",
+)
 
 
 def capture(device: str, threads: int) -> dict[str, Any]:

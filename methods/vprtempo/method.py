@@ -130,12 +130,14 @@ class VPRTempo(Method):
         groups = self._groups(len(features.thresholds))
         for number, group in enumerate(groups):
             report = _reporting("training features", number, len(groups))
+            report(0.0)
             engine.train_features(
                 features[group], spikes, schedules[0][group], rates, self.stdp_rate, self.itp_rate, rules, report
             )
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
+            report(0.0)
             engine.train_places(
                 outputs[group], features[group], spikes, schedules[1][group], rates, output_stdp, rules, report
             )

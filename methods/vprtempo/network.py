@@ -118,7 +118,7 @@ class Network:
 
 def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
     """Rename and stack the arrays `model_<module>.<layer>` of a published checkpoint; it has no constant input."""
-    modules = len({found[1] for name in state if (found := re.match(r"model_([0-9]+)\.", name))})
+    modules = len({number[1] for name in state if (number := re.match(r"model_([0-9]+)\.", name))})
     wanted = {f"model_{module}.{name}" for module in range(modules) for name in _PUBLISHED}
     if differing := sorted(wanted ^ set(state)):
         raise BadInput(

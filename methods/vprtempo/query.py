@@ -17,7 +17,7 @@ from .compiled import compiled
 from .network import Network
 from .rules import Rules
 
-_BLOCK = 256  # queries whose feature spikes are held together
+_BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
 
 
@@ -118,32 +118,38 @@ class SpikingQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        above = np.empty((len(spikes), self._ends[-1]), np.float32)
         if len(spikes) == 1 and self._device.type == "cpu":
-            self._one(np.ascontiguousarray(spikes[0]), above[0])
-        else:
-            for start in range(0, len(spikes), _BLOCK):
-                block = torch.tensor(spikes[start : start + _BLOCK], device=self._device)
-                self._many(block, above[start : start + _BLOCK])
-        scores = np.clip(above, 0, np.float32(self._rules.clip))
-        if self._rules.silent_winner:
-            silent = np.flatnonzero((scores == 0).all(1))
-            scores[silent, above[silent, : self._ends[1]].argmax(1)] = 0.5
+            return self._fired(self._one(np.ascontiguousarray(spikes[0]))).numpy()
+        scores = np.empty((len(spikes), self._ends[-1]), np.float32)
+        together = _BLOCK if self._device.type == "cpu" else _BLOCK_ON_GPU
+        for start in range(0, len(spikes), together):
+            block = torch.tensor(spikes[start : start + together], device=self._device)
+            scores[start : start + together] = self._fired(self._many(block)).cpu().numpy()
         return scores
 
-    def _one(self, x: npt.NDArray[np.float32], above: npt.NDArray[np.float32]) -> None:
+    def _one(self, x: npt.NDArray[np.float32]) -> Tensor:
+        """Return the net input above threshold of all output neurons, (1, n_places), for one input (n_pixels,)."""
+        above = np.empty(self._ends[-1], np.float32)
         _feature_spikes(*self._rows, x, np.float32(self._rules.clip), self._spikes)
         n_features = len(self._spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
-            own = slice(self._ends[module], self._ends[module + 1])
             active = self._spikes[module * n_features : (module + 1) * n_features]
-            _add_active(columns, active, above[own])
+            _add_active(columns, active, above[self._ends[module] : self._ends[module + 1]])
         above -= self._thresholds
+        return torch.from_numpy(above)[None]
 
-    def _many(self, x: Tensor, above: npt.NDArray[np.float32]) -> None:
+    def _many(self, x: Tensor) -> Tensor:
+        """Return the net input above threshold of all output neurons, (n, n_places), for inputs (n, n_pixels)."""
         features = self._feature_layer(x).clamp_(0, self._rules.clip).view(len(x), len(self._output_layers), -1)
-        parts = [layer(features[:, module].contiguous()) for module, layer in enumerate(self._output_layers)]
-        above[:] = torch.cat(parts, dim=1).cpu().numpy()
+        return torch.cat([layer(features[:, m].contiguous()) for m, layer in enumerate(self._output_layers)], dim=1)
+
+    def _fired(self, above: Tensor) -> Tensor:
+        """Return the activation of Eq. 1; of silent queries that of the first module's least inhibited neuron."""
+        scores = above.clamp(0, self._rules.clip)
+        if self._rules.silent_winner:
+            silent = torch.nonzero((scores == 0).all(1))[:, 0]
+            scores[silent, above[silent, : self._ends[1]].argmax(1)] = 0.5
+        return scores
 
 
 def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:

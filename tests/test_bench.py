@@ -1,0 +1,329 @@
+"""The benchmark of speed: all it prints was measured, its floors count what they say, its exponents are right."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from vprbench import bench, bench_text, progress
+from vprbench.bench_report import QUICK, Failed, Settings, chosen
+from vprbench.cli import main
+from vprbench.images import Images
+from vprbench.interface import BadInput, Method, Places, Scores
+from vprbench.measures import AFTER, BEFORE, floor_laps, growth, timed_fit
+from vprbench.workload import Route
+
+PLACES, MODULES, PLACES_OF_A_MODULE, PIXELS = 20, 2, 10, 12 * 12  # of quick=true
+FEATURES = 2 * PIXELS
+
+
+@dataclass(frozen=True)
+class Done:
+    code: int
+    printed: str
+    text: str
+    raw: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
+    results = tmp_path_factory.mktemp("bench")
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
+        code = main(["bench", "quick=true", "threads=1", f"results={results}"])
+    raw = json.loads((results / "bench.json").read_text())
+    return Done(code, printed.getvalue(), (results / "bench.md").read_text(), raw)
+
+
+def rows(text: str, heading: str) -> list[list[str]]:
+    """The cells of the tables under a heading, without their heads."""
+    section = text.split(f"## {heading}")[1].split("\n## ")[0]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:1] == "|"]
+    return [row for number, row in enumerate(lines) if not row[0].startswith(":--") and not heads(lines, number)]
+
+
+def heads(lines: list[list[str]], number: int) -> bool:
+    return number + 1 < len(lines) and lines[number + 1][0].startswith(":--")
+
+
+def test_the_benchmark_ends_well_and_prints_what_it_writes(done: Done) -> None:
+    assert done.code == 0
+    assert done.printed.startswith(done.text)
+
+
+@pytest.mark.parametrize(
+    ("heading", "first_cells"),
+    [
+        ("A training step", ["paper", "reference"]),
+        ("The fit that users ask for", ["paper", "reference"]),
+        ("Preprocessing", ["64x32", "64x32", "40x24", "40x24"]),
+        ("Queries at", ["sad", *(f"vprtempo{kind} {r}" for kind in ("", "_int8") for r in ("paper", "reference"))]),
+        ("Growth with", ["paper"] * 3 + ["reference"] * 3 + ["paper"] * 3 + ["reference"] * 3),
+    ],
+)
+def test_every_section_holds_its_rows_of_finite_numbers(done: Done, heading: str, first_cells: list[str]) -> None:
+    found = rows(done.text, heading)
+    assert sorted(row[0] for row in found if "ensemble" not in row[0]) == sorted(first_cells)
+    for row in found:
+        assert all(row)
+        assert any(re.search(r"\d", cell) for cell in row[1:])
+        assert not any(re.search(r"\b(nan|inf|None|failed)\b", cell) for cell in row)
+
+
+def test_the_ensemble_is_asked_too(done: Done) -> None:
+    assert "vprtempo_ensemble reference members=2" in done.text
+
+
+def test_quick_numbers_are_marked_as_meaningless(done: Done) -> None:
+    assert "quick=true: tiny sizes" in done.text
+
+
+def test_the_machine_its_libraries_and_its_load_are_named(done: Done) -> None:
+    machine = done.text.split("## Machine")[1]
+    assert re.search(r"1 of \d+ cores", machine)
+    assert re.search(r"numpy \d+\.\d+", machine)
+    assert "Load average before" in machine
+    assert re.search(r"multiple of the start: training \d\.\d\d, fits \d", machine)
+
+
+def test_both_claims_of_the_paper_stand_beside_a_measured_growth(done: Done) -> None:
+    for subject, claim in (("fits", "O(n) for training"), ("queries", "O(log n) for a query")):
+        (sentence,) = (line for line in done.text.splitlines() if line.startswith(f"Measured {subject}:"))
+        assert sentence.endswith(f"The paper claims {claim}.")
+        assert "from 10 to 40 places (n grows 4x, log n 1.6x)" in sentence
+        assert len(re.findall(r"as n\^-?\d+\.\d\d \[-?\d+\.\d\d, -?\d+\.\d\d\]", sentence)) == (
+            2 if claim[2] == "n" else 4
+        )
+
+
+def test_the_json_holds_every_lap(done: Done) -> None:
+    for cell in done.raw["training"]:
+        assert {engine: len(fits) for engine, fits in cell["fits"].items()} == {"readable": 2, "fused": 2}
+        assert cell["steps"] == 2 * PLACES_OF_A_MODULE
+    for cell in done.raw["preprocessing"]:
+        assert len(cell["seconds"]["fused"]) == len(cell["seconds"]["readable"]) >= 2
+    for cell in (*done.raw["queries"], *done.raw["scaling"]):
+        streaming, offline = cell["rates"]["streaming_laps"], cell["rates"]["offline_laps"]
+        assert len(streaming["encode"]) == len(streaming["match"]) >= 4
+        assert [laps["images_per_call"] for laps in offline] == [1, 4]
+        assert all(lap > 0 for laps in (streaming, *offline) for lap in (*laps["encode"], *laps["match"]))
+
+
+def test_printed_rates_are_those_of_the_laps(done: Done) -> None:
+    cell = done.raw["queries"][0]
+    laps = cell["rates"]["streaming_laps"]
+    totals = sorted(e + m for e, m in zip(laps["encode"], laps["match"], strict=True))
+    hz = 1 / ((totals[(len(totals) - 1) // 2] + totals[len(totals) // 2]) / 2)
+    assert f"/ {hz:,.0f}" in rows(done.text, "Queries at")[0][1]
+
+
+def test_matching_is_compared_with_the_floor(done: Done) -> None:
+    for cell, row in zip(done.raw["queries"], rows(done.text, "Queries at"), strict=True):
+        ratio = np.median(cell["rates"]["streaming_laps"]["match"]) / np.median(cell["floor_seconds"])
+        assert float(row[4].strip("x").replace(",", "")) == pytest.approx(ratio, rel=0.006)
+
+
+def test_a_training_step_is_compared_with_the_floor_and_with_the_other_engine(done: Done) -> None:
+    for cell, row in zip(done.raw["training"], rows(done.text, "A training step"), strict=True):
+        step = {}
+        for engine, fits in cell["fits"].items():
+            training = [sum(s for stage, s in fit["stages"].items() if stage.startswith("training")) for fit in fits]
+            step[engine] = 1000 * np.median(training) / cell["steps"]
+        floor = 1000 * np.median(cell["floor_seconds"])
+        readable, fused = step["readable"], step["fused"]
+        wanted = [readable, fused, readable / fused, floor, readable / floor, fused / floor]
+        printed = [float(text.strip("x").replace(",", "")) for text in row[4:]]
+        assert printed == pytest.approx(wanted, rel=0.006)
+
+
+def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
+    each_module = FEATURES * PIXELS + FEATURES + FEATURES + FEATURES * PLACES_OF_A_MODULE + PLACES_OF_A_MODULE
+    matrix = PLACES * PIXELS
+    assert {cell["method"].split(" members")[0]: cell["floor_bytes"] for cell in done.raw["queries"]} == {
+        "sad": 2 * PLACES * PIXELS * 4,
+        "vprtempo paper": MODULES * each_module * 4,
+        "vprtempo reference": matrix * 4,
+        "vprtempo_int8 paper": MODULES * each_module,
+        "vprtempo_int8 reference": matrix,
+        "vprtempo_ensemble reference": matrix * 4,
+    }
+    assert {cell["floor_bytes"] for cell in done.raw["training"]} == {2 * each_module * 4}
+
+
+def test_floors_were_measured(done: Done) -> None:
+    for cell in (*done.raw["queries"], *done.raw["training"]):
+        assert len(cell["floor_seconds"]) >= 20
+        assert min(cell["floor_seconds"]) > 0
+
+
+@pytest.mark.parametrize("touch", ["read", "pass"])
+def test_a_floor_grows_with_the_bytes(touch: Any) -> None:
+    small, large = (np.median(floor_laps(touch, n_bytes, "cpu", 0.0)) for n_bytes in (10_000, 40_000_000))
+    assert large > 20 * small
+
+
+def test_the_stages_of_a_fit_add_up_to_its_time(done: Done) -> None:
+    for cell in done.raw["fits"]:
+        stages = cell["fit"]["stages"]
+        assert list(stages) == [BEFORE, "training features", "training places", AFTER]
+        assert min(stages.values()) >= 0
+        assert sum(stages.values()) == pytest.approx(cell["fit"]["seconds"], rel=1e-3)
+
+
+class Slow(Method):
+    """Reports its stages at known times."""
+
+    def fit(self, references: Images, places: Places) -> Self:
+        time.sleep(0.02)
+        for stage, seconds in (("one", 0.03), ("two", 0.06)):
+            progress.report(stage, 0.0)
+            time.sleep(seconds)
+            progress.report(stage, 1.0)
+        time.sleep(0.01)
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        raise NotImplementedError
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        raise NotImplementedError
+
+
+def test_a_stage_lasts_from_its_first_report_to_that_of_the_next() -> None:
+    heard: list[str] = []
+    with progress.listening(lambda stage, _: heard.append(stage)):
+        fit = timed_fit("slow", Slow(), *Route.drawn(2, 4, 4, 0).references(2, 1), "cpu")
+    least = {BEFORE: 0.02, "one": 0.03, "two": 0.06, AFTER: 0.01}
+    assert list(fit.stages) == list(least)
+    assert all(fit.stages[stage] >= seconds for stage, seconds in least.items())
+    assert fit.training_seconds == fit.stages["one"] + fit.stages["two"]
+    assert heard == ["slow: one", "slow: one", "slow: two", "slow: two"]
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 1.7])
+def test_a_known_exponent_is_found_and_lies_in_its_interval(exponent: float) -> None:
+    sizes = [100, 300, 1000, 3300, 10_000, 27_000]
+    noise = [1.03, 0.98, 1.01, 0.97, 1.02, 0.99]
+    found = growth(sizes, [0.002 * n**exponent * off for n, off in zip(sizes, noise, strict=True)])
+    assert found is not None
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < exponent < found.high
+    assert found.exponent == pytest.approx(exponent, abs=0.02)
+    assert found.high - found.low < 0.1
+
+
+def test_an_interval_is_that_of_students_t() -> None:
+    # log n = 0, 1, 2 and log t = 0, 0, 1: slope 1/2, residuals 1/6, -1/3, 1/6; Student 12.7062
+    found = growth([1, 10, 100], [1, 1, 10])
+    assert found is not None
+    assert (found.exponent, found.high) == pytest.approx((0.5, 0.5 + 12.7062 * math.sqrt(1 / 12)))
+
+
+def test_two_sizes_give_an_exponent_without_an_interval() -> None:
+    found = growth([10, 1000], [1.0, 10.0])
+    assert found is not None
+    assert found.exponent == pytest.approx(0.5)
+    assert (found.low, found.high) == (None, None)
+
+
+def test_one_size_gives_no_exponent() -> None:
+    assert growth([10], [1.0]) is None
+
+
+def quick_settings(*options: str) -> Settings:
+    return chosen(Settings, ["quick=true", "threads=1", *options], QUICK)
+
+
+def test_what_cannot_be_measured_says_why_in_its_cell() -> None:
+    def make(*_: object, **__: object) -> Method:
+        raise MemoryError("only 3 bytes are left\nand a second line")
+
+    report = bench.measure(quick_settings("sizes=[10]"), make)
+    text = bench_text.text_of(report)
+    assert len(report.failures) == 2 + 2 + 6 + 2
+    assert not any(isinstance(cell, Failed) for cell in report.preprocessing)
+    for heading in ("A training step", "The fit that users", "Queries at", "Growth with"):
+        assert "MemoryError: only 3 bytes are left" in rows(text, heading)[0]
+    assert "its network could not be trained, see above" in text
+    assert "Measured fits" not in text
+    assert "second line" not in text
+
+
+def test_a_size_for_which_memory_is_missing_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    smaller = SimpleNamespace(places=100, fits=[SimpleNamespace(peak_memory_bytes=3e9, memory_before_bytes=1e9)])
+    monkeypatch.setattr(bench.psutil, "virtual_memory", lambda: SimpleNamespace(available=5e9))
+    bench._check_memory(249, smaller)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match=r"100 places took 2\.0 GB, and 5\.0 GB are free: not tried"):
+        bench._check_memory(251, smaller)  # type: ignore[arg-type]
+
+
+def test_options_replace_what_quick_chooses_whatever_their_order() -> None:
+    for options in (["quick=true", "rounds=7"], ["rounds=7", "quick=true"]):
+        settings = chosen(Settings, options, QUICK)
+        assert (settings.rounds, settings.places) == (7, QUICK["places"])
+
+
+@pytest.fixture
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("option", "wanted"),
+    [
+        ("size=[100]", "option size is unknown: did you mean sizes?"),
+        ("method=sad", "option method is unknown"),
+        ("rounds", "option rounds has no value: give rounds=value"),
+        ("rounds=many", "rounds=many: wanted an integer"),
+        ("rounds=0", "rounds=0: give at least 1"),
+        ("sizes=[]", "sizes=[]: give numbers of places"),
+        ("sizes=100", "sizes=100: wanted a list"),
+        ("frame=[360]", "frame=[360]: give height and width"),
+        ("threads=9999", "threads=9999: this process may use 1 to"),
+        ("device=tpu", "device=tpu is unknown: give cpu, cuda or cuda:1"),
+        ("sample=0", "timing.sample=0"),
+        ("seed=-1", "seed=-1: give 0 or a larger number"),
+    ],
+)
+@pytest.mark.usefixtures("in_a_folder_of_its_own")
+def test_bad_options_are_refused_by_name(option: str, wanted: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", option]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("vprbench: ")
+    assert captured.err.count("\n") == 1
+    assert wanted in captured.err
+    assert not list(Path().iterdir())
+
+
+def test_a_traverse_differs_from_the_first_by_a_little_noise_and_from_every_other() -> None:
+    route = Route.drawn(30, 32, 64, 0)
+    references, places = route.references(30, 3)
+    shown = np.stack(list(references)).astype(int)[..., 0]
+    assert places.tolist() == [*range(30)] * 3
+    for first, second in ((0, 30), (0, 60), (30, 60)):
+        apart = np.abs(shown[first : first + 30] - shown[second : second + 30])
+        assert 0 < apart.mean() < 10
+        assert apart.max() <= 20
+    assert np.abs(shown[0] - shown[1]).mean() > 30
+
+
+def test_queries_are_noisy_frames_of_places_spread_over_the_route() -> None:
+    route = Route.drawn(30, 32, 64, 0)
+    queries, places = route.queries(21, 5)
+    assert places.tolist() == [0, 5, 10, 15, 20]
+    for image, place in zip(queries, places, strict=True):
+        assert 0 < np.abs(image[..., 0].astype(int) - route.frames[place]).mean() < 10

@@ -1,0 +1,73 @@
+"""The answer to one configuration: its run, from the store or made now, and printed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from vprbench import environment, networks, registry, runner
+from vprbench.console import progress_shown
+from vprbench.interface import BadInput
+from vprbench.options import Settings, n_threads
+from vprbench.records import Run, Store
+
+
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
+    """Find the run in the store or make it, and print it; `asked` is its configuration."""
+    threads = n_threads(settings)
+    store.prepare()
+    environment.pin_threads(threads)
+    files = networks.chosen_files(settings.save, settings.load, settings.force)
+    method = registry.make_method(asked["method"])
+    dataset = registry.make_dataset(asked["dataset"])
+    fingerprint = runner.fingerprint(dataset)
+    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
+    run = None if settings.force else store.find(dataset.name, name, key)
+    if run is not None and files.save is not None and networks.made_by(files.save) != key:
+        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+        run = None
+    from_store = run is not None
+    if run is not None:  # whoever stored it may have asked in other words
+        run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
+    else:
+        with progress_shown(f"{name} on {dataset.name}"):
+            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files)
+    try:
+        folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
+    except BadInput:
+        _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
+        raise
+    _print(run, folder, from_store, settings.output)
+    return 0
+
+
+def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
+    from vprbench import tables  # what it imports does not count as the run's memory
+
+    if output == "json":
+        print(
+            json.dumps(
+                {
+                    "method": run.method,
+                    "dataset": run.dataset,
+                    **tables.numbers(run),
+                    "network": run.network,
+                    "notes": list(run.notes),
+                    "from_store": from_store,
+                    "run_folder": None if folder is None else str(folder),
+                },
+                allow_nan=False,
+            )
+        )
+        return
+    print(tables.protocol_line(run))
+    print(tables.plain_row(tables.readable_row(run)))
+    for note in run.notes:
+        print(f"note: {note}")
+    if from_store:
+        print(f"from the store: {folder} (force=true runs again)")
+    elif folder is not None:
+        print(f"stored in {folder}")

@@ -1,0 +1,200 @@
+"""What the benchmark of speed is asked for, and what it gives: its settings, and a cell for each measurement."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar, get_type_hints
+
+from vprbench import registry
+from vprbench.interface import BadInput
+from vprbench.measures import Fit, Rates
+from vprbench.preprocess import Engine
+from vprbench.stopwatch import Protocol
+
+Given = TypeVar("Given")
+Counted = Literal["network", "matrix", "references"]
+
+RULES = ("paper", "reference")
+ENGINES: tuple[Engine, ...] = ("readable", "fused")
+FRAME = (32, 64)  # height and width of the frames that methods are shown
+TRAVERSES = 2
+
+PATCH = 7  # pixels
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to measure, and how long; raises BadInput where nothing would be."""
+
+    sizes: list[int] = field(default_factory=lambda: [100, 300, 1000, 3300, 10_000, 27_000])  # places, for the growth
+    places: int = 3300  # of the fit and the queries that users ask for
+    max_module: int = 1100  # places
+    epochs: int = 4
+    scaling_epochs: int = 4
+    members: int = 5  # of the ensemble
+    pixels: int = 28  # height and width of what a network reads
+    frame: list[int] = field(default_factory=lambda: [360, 640])  # height and width of a large frame to preprocess
+    batch: int = 128  # images preprocessed together
+    batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])  # of offline queries
+    sample: int = 128  # different queries
+    rounds: int = 3
+    minimum_seconds: float = 1.0  # of each rate
+    minimum_queries: int = 64
+    quick: bool = False  # tiny sizes: everything runs, no number means anything
+    seed: int = 0
+    device: str = "cpu"
+    threads: int | None = None  # None: all cores this process may use
+    results: str = "results"
+
+    def __post_init__(self) -> None:
+        """Check that something will be measured."""
+        for name in ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds"):
+            if getattr(self, name) < 1:
+                raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
+        if not self.sizes or min(self.sizes) < 1:
+            raise BadInput(f"sizes={self.sizes}: give numbers of places, as in sizes=[100,300,1000]")
+        if len(self.frame) != 2 or min(self.frame) < 1:
+            raise BadInput(f"frame={self.frame}: give height and width in pixels, as in frame=[360,640]")
+        if not self.minimum_seconds < math.inf:
+            raise BadInput(f"minimum_seconds={self.minimum_seconds}: give seconds")
+        self.protocol()
+
+    def protocol(self) -> Protocol:
+        """Return how queries are timed."""
+        return Protocol(
+            minimum_seconds=self.minimum_seconds,
+            maximum_seconds=max(120.0, self.minimum_seconds),
+            minimum_queries=self.minimum_queries,
+            sample=self.sample,
+            batch_sizes=self.batch_sizes,
+        )
+
+    def vprtempo(self, rules: str, n_places: int) -> dict[str, Any]:
+        """Return the arguments of a VPRTempo network of so many places."""
+        side_by_side = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
+        return {"rules": rules, "max_module": min(n_places, self.max_module), **side_by_side}
+
+
+QUICK: Mapping[str, Any] = {
+    **{
+        "sizes": [10, 20, 40],
+        "places": 20,
+        "max_module": 10,
+        "epochs": 2,
+        "scaling_epochs": 1,
+        "members": 2,
+        "pixels": 12,
+    },
+    **{"frame": [24, 40], "batch": 4, "batch_sizes": [1, 4], "sample": 4},
+    **{"rounds": 2, "minimum_seconds": 0.0, "minimum_queries": 4},
+}
+
+
+@dataclass(frozen=True)
+class TrainingCell:
+    """One module trained by both engines, a round of each after the other."""
+
+    rules: str
+    places: int
+    steps: int
+    fits: dict[Engine, list[Fit]]
+    floor_bytes: int  # excitation and inhibition of both layers
+    floor_seconds: list[float]  # of plain in-place passes over as many
+
+
+@dataclass(frozen=True)
+class FitCell:
+    """The fit that users ask for."""
+
+    rules: str
+    places: int
+    epochs: int
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class PreprocessingCell:
+    """Both engines on the same images, one call of each after the other."""
+
+    height: int
+    width: int
+    images_per_call: int
+    seconds: dict[Engine, list[float]]  # per call
+
+
+@dataclass(frozen=True)
+class QueryCell:
+    """The rates of one method, and plain reads of as many bytes as its weights have."""
+
+    method: str
+    places: int
+    rates: Rates
+    counted: Counted
+    floor_bytes: int
+    floor_seconds: list[float]
+
+
+@dataclass(frozen=True)
+class ScalingCell:
+    """Fit and rates at one number of places."""
+
+    rules: str
+    places: int
+    epochs: int
+    fits: list[Fit]
+    rates: Rates
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A cell that could not be measured, with the reason."""
+
+    what: dict[str, str]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that one run of the benchmark measured."""
+
+    settings: Settings
+    environment: dict[str, Any]
+    canary_seconds: dict[str, float]  # of a fixed computation, at the start and after each section
+    load_average_after: list[float]
+    cpu_pressure_avg10_after: float | None
+    seconds: float
+    training: list[TrainingCell | Failed]
+    fits: list[FitCell | Failed]
+    preprocessing: list[PreprocessingCell | Failed]
+    queries: list[QueryCell | Failed]
+    scaling: list[ScalingCell | Failed]
+
+    @property
+    def failures(self) -> list[Failed]:
+        """The cells that could not be measured."""
+        cells = [*self.training, *self.fits, *self.preprocessing, *self.queries, *self.scaling]
+        return [cell for cell in cells if isinstance(cell, Failed)]
+
+
+def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
+    """Return the settings that `option=value` ask for, those of `quick` where quick=true stands among them.
+
+    Raises BadInput that names the option that is unknown or does not fit.
+    """
+    hints = get_type_hints(kind)
+    given = {}
+    for option in options:
+        name, equals, text = option.partition("=")
+        if name not in hints:
+            raise BadInput(f"option {name} is unknown: {registry.near(name, hints)}")
+        if not equals:
+            raise BadInput(f"option {name} has no value: give {name}=value")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        given[name] = registry.checked(name, value, hints[name])
+    return kind(**{**(quick if given.get("quick") else {}), **given})
