@@ -5,7 +5,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
 
-.PHONY: help install table bench gpu-check test check clean
+.PHONY: help install table bench gpu-check test test-triton check clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -23,6 +23,10 @@ gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it
 
 test: $(READY) ## Run all tests.
 	$(RUN) -m pytest $(ARGS)
+
+test-triton: $(READY) ## Run the tests of the GPU training in Triton's interpreter, without a GPU; installs triton (280 MB).
+	$(RUN) -c "import triton" 2>/dev/null || $(RUN) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) triton==3.9.0
+	$(RUN) -m pytest tests/test_vprtempo_fused_cuda.py $(ARGS)
 
 check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/ruff check .

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ Engine = Literal["fused", "readable"]
 _LEVELS = np.arange(256, dtype=np.float32)
 
 _BLOCK = 64  # images that are normalised together
+_SMALL_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,16 @@ class PatchNormalisation:
             for start, block in _blocks(images):
                 normalise(block, levels[start : start + len(block)])
             return levels
-        with ThreadPoolExecutor(threads) as pool:
-            running: deque[Future[None]] = deque()
+        with ThreadPoolExecutor(threads - 1) as pool:
+            others: list[Future[None]] = []
             for start, block in _blocks(images, -(-len(images) // threads)):
-                if len(running) > threads:  # images wait in memory, so only a few blocks of them do
-                    running.popleft().result()
-                running.append(pool.submit(normalise, block, levels[start : start + len(block)]))
-            for last in running:
-                last.result()
+                own = levels[start : start + len(block)]
+                if sum(not other.done() for other in others) < threads - 1:
+                    others.append(pool.submit(normalise, block, own))
+                else:  # this thread would only wait, with ever more images in memory
+                    normalise(block, own)
+            for other in others:
+                other.result()
         return levels
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:
@@ -77,7 +79,7 @@ class PatchNormalisation:
             return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
         if self.variant == "B":
             grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-            levels = cv2.LUT(grey, _power(_LEVELS.copy(), float(grey.mean())).astype(np.uint8))
+            levels = cv2.LUT(grey, _power(_LEVELS.copy(), grey.mean()).astype(np.uint8))
             return cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         red, green, blue = (image[:, :, c].astype(np.float32) for c in range(3))
         weighted = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
@@ -104,8 +106,15 @@ class PatchNormalisation:
     def _shrink_fused(self, block: Sequence[Image], small: npt.NDArray[np.float32]) -> None:
         """Do what `shrink` does for variant C, but correct only those pixels that the resize reads."""
         taps = np.empty((len(block), 2, 2, self.height, self.width), np.float32)
-        for image, own in zip(block, taps, strict=True):
-            _power(own, preprocess_compiled.take_taps(np.ascontiguousarray(image), own))
+        means = np.empty(len(block))
+        alike = len({image.shape for image in block}) == 1
+        # Small images are copied side by side: calls from several threads would wait for one another.
+        step = len(block) if alike and block[0].nbytes <= _SMALL_BYTES else 1
+        for first in range(0, len(block), step):
+            own = slice(first, first + step)
+            images = np.stack(block) if step > 1 else np.ascontiguousarray(block[first])[None]
+            preprocess_compiled.take_taps(images, taps[own], means[own])
+        _power(taps, means[:, None, None, None, None])
         preprocess_compiled.blend_taps(taps, np.array([image.shape[:2] for image in block]), small)
 
     @property
@@ -131,16 +140,15 @@ def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     The exponent is ln(0.5 * 255) / ln(mean) (VPRTempo 64154e5). An image whose mean is at most 1, where that
     has no finite positive value, is returned unchanged: a black frame stays black.
     """
-    return _power(grey.copy(), float(grey.mean(dtype=np.float64)))
+    return _power(grey.copy(), grey.mean(dtype=np.float64))
 
 
-def _power(grey: npt.NDArray[np.float32], mean: float) -> npt.NDArray[np.float32]:
-    """Apply the exponent that belongs to an image's mean level to `grey`, in place."""
-    if mean > 1:
-        with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
-            np.power(grey, np.float32(np.log(127.5) / np.log(mean)), out=grey)
-        np.clip(grey, 0, 255, out=grey)
-    return grey
+def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.float64) -> npt.NDArray[np.float32]:
+    """Apply the exponent that belongs to an image's mean level to `grey`, in place; `mean` is one or one an image."""
+    exponent = np.where(mean > 1, np.log(127.5) / np.log(np.maximum(mean, 1 + 1e-9)), 1)
+    with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
+        np.power(grey, exponent.astype(np.float32), out=grey)
+    return np.clip(grey, 0, 255, out=grey)
 
 
 def patch_normalise(grey: npt.NDArray[np.float32], patch: int, ddof: int) -> npt.NDArray[np.uint8]:

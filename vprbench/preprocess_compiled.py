@@ -16,18 +16,17 @@ _NEARLY_FLAT = np.float32(1e-4)  # deviation over mean, below which a window is 
 _CASCADE = 16  # terms that PyTorch adds up before it adds them to its sum
 
 
-_IMAGE = types.Array(types.uint8, 3, "C", readonly=True)
-_TAPS, _BLOCK_OF_TAPS = types.float32[:, :, :, ::1], types.float32[:, :, :, :, ::1]
-_SMALL, _LEVELS = types.float32[:, :, ::1], types.uint8[:, ::1]
+_IMAGES = types.Array(types.uint8, 4, "C", readonly=True)
+_TAPS, _SMALL, _LEVELS = types.float32[:, :, :, :, ::1], types.float32[:, :, ::1], types.uint8[:, ::1]
 
 
-def _compiled(*arguments: Any, returns: Any = types.void) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Compile a function for these types, at the first call where none are given; kept where a folder can be written.
 
     A type of its own for images keeps numba from compiling once more for those that may not be written to.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    signature: Any = [returns(*arguments)] if arguments else None
+    signature: Any = [types.void(*arguments)] if arguments else None
 
     def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
         try:
@@ -55,9 +54,9 @@ def _source(index, size, source_size):  # type: ignore[no-untyped-def]
 
 
 @_compiled()
-def _grey(red, green, blue):  # type: ignore[no-untyped-def]
-    weighted = np.float32(0.299) * np.float32(red) + np.float32(0.587) * np.float32(green)
-    return weighted + np.float32(0.114) * np.float32(blue)
+def _grey(pixel):  # type: ignore[no-untyped-def]
+    weighted = np.float32(0.299) * np.float32(pixel[0]) + np.float32(0.587) * np.float32(pixel[1])
+    return weighted + np.float32(0.114) * np.float32(pixel[2])
 
 
 @_compiled()
@@ -104,37 +103,38 @@ def _window_deviations(grey, inside, patch, stride, mean, part, deviation):  # t
         deviation[k] += part[k]
 
 
-@_compiled(_IMAGE, _TAPS, returns=types.float64)
-def take_taps(image, taps):  # type: ignore[no-untyped-def]
-    """Write the grey levels that a resize reads of `image` (h, w, 3) to `taps` (2, 2, height, width).
+@_compiled(_IMAGES, _TAPS, types.float64[::1])
+def take_taps(images, taps, means):  # type: ignore[no-untyped-def]
+    """Write the grey levels that a resize reads of `images` (n, h, w, 3) to `taps` (n, 2, 2, height, width).
 
-    Returns the mean grey level of the whole image.
+    The mean grey level of each whole image goes to `means` (n,).
     """
-    height, width = taps.shape[2:]
-    for row in range(height):
-        above, _ = _source(row, height, image.shape[0])
-        below = min(above + 1, image.shape[0] - 1)
-        for column in range(width):
-            left, _ = _source(column, width, image.shape[1])
-            right = min(left + 1, image.shape[1] - 1)
-            taps[0, 0, row, column] = _grey(image[above, left, 0], image[above, left, 1], image[above, left, 2])
-            taps[0, 1, row, column] = _grey(image[above, right, 0], image[above, right, 1], image[above, right, 2])
-            taps[1, 0, row, column] = _grey(image[below, left, 0], image[below, left, 1], image[below, left, 2])
-            taps[1, 1, row, column] = _grey(image[below, right, 0], image[below, right, 1], image[below, right, 2])
-    sums = np.zeros(3)
-    for row in range(image.shape[0]):
-        red = green = blue = np.int32(0)
-        for column in range(image.shape[1]):
-            red += np.int32(image[row, column, 0])
-            green += np.int32(image[row, column, 1])
-            blue += np.int32(image[row, column, 2])
-        sums[0] += red
-        sums[1] += green
-        sums[2] += blue
-    return (0.299 * sums[0] + 0.587 * sums[1] + 0.114 * sums[2]) / (image.shape[0] * image.shape[1])
+    n, _, _, height, width = taps.shape
+    h, w = images.shape[1:3]
+    for number in range(n):
+        image = images[number]
+        for row in range(height):
+            above, _ = _source(row, height, h)
+            below = min(above + 1, h - 1)
+            for column in range(width):
+                left, _ = _source(column, width, w)
+                right = min(left + 1, w - 1)
+                taps[number, 0, 0, row, column] = _grey(image[above, left])
+                taps[number, 0, 1, row, column] = _grey(image[above, right])
+                taps[number, 1, 0, row, column] = _grey(image[below, left])
+                taps[number, 1, 1, row, column] = _grey(image[below, right])
+        red = green = blue = np.int64(0)
+        for row in range(h):
+            red_here = green_here = blue_here = np.int32(0)
+            for column in range(w):
+                red_here += np.int32(image[row, column, 0])
+                green_here += np.int32(image[row, column, 1])
+                blue_here += np.int32(image[row, column, 2])
+            red, green, blue = red + red_here, green + green_here, blue + blue_here
+        means[number] = (0.299 * red + 0.587 * green + 0.114 * blue) / (h * w)
 
 
-@_compiled(_BLOCK_OF_TAPS, types.int64[:, ::1], _SMALL)
+@_compiled(_TAPS, types.int64[:, ::1], _SMALL)
 def blend_taps(taps, sizes, small):  # type: ignore[no-untyped-def]
     """Blend `taps` (n, 2, 2, height, width) of images of `sizes` (n, 2), h and w, to `small` (n, height, width)."""
     n, height, width = small.shape
