@@ -37,7 +37,7 @@ def test_levels_differ_by_at_most_one_outside_flat_windows(variant, size):
     fused, readable = both(frames, variant=variant)
     away = np.abs(fused - readable)
     assert away[structured(frames, 7, variant=variant)].max() <= 1
-    assert (away > 1).mean() < 0.02
+    assert (away > 1).mean() < 0.02  # in flat windows the rounding of the processor decides
 
 
 @pytest.mark.parametrize(("height", "width", "patch"), [(28, 28, 3), (12, 40, 5), (56, 56, 15), (5, 4, 7), (1, 1, 3)])

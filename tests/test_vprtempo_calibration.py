@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from vprbench.images import Images
+from vprbench.interface import BadInput
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -116,3 +117,15 @@ def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
     codes = small().encode(frames(2))
     apart = [asking([member], rules).scores(codes) for member in members]
     assert asking(members, rules).scores(codes) == pytest.approx((apart[0] + apart[1]) / 2, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_stored_network_is_restored_as_calibrated_as_it_was_trained(calibrated: bool) -> None:
+    stored = small(calibrated_scores=calibrated).state()
+    with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
+        VPRTempo(height=12, width=12, max_module=10, calibrated_scores=not calibrated).restore(stored)
+
+
+def test_a_calibration_holds_for_the_way_of_asking_that_it_was_made_with() -> None:
+    assert "query_rule" in VPRTempo().query_arguments
+    assert "query_rule" not in VPRTempo(calibrated_scores=True).query_arguments

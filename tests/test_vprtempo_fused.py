@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from vprbench.images import Images
+from vprbench.interface import TrainingDivergedError
 from vprbench.methods.vprtempo import fused, training
 from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RULES, RuleSet
 from vprbench.methods.vprtempo.training import Schedule, draw_schedule, module_sizes
+from vprbench.preprocess import PatchNormalisation
 
 RULE_SETS: tuple[RuleSet, ...] = ("paper", "reference", "v1")
 N_PLACES, N_PIXELS, N_FEATURES = 200, 144, 288
@@ -100,3 +102,20 @@ def test_progress_is_reported_up_to_the_end() -> None:
     fused.train_features(features, spikes(), schedules[0], RATES, 0.005, 0.15, RULES["paper"], seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
+
+
+@pytest.mark.parametrize("rule_set", RULE_SETS)
+def test_a_net_input_that_overflows_shows_in_the_weights(rule_set: RuleSet) -> None:
+    features, _, schedules = drawn(rule_set, [200])
+    fused.train_features(features, spikes(), schedules[0], RATES, 1e37, 0.15, RULES[rule_set], lambda _: None)
+    with pytest.raises(TrainingDivergedError, match="feature layer"):
+        training.check_weights(features, "feature")
+
+
+def test_the_readable_engine_preprocesses_readably_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(PatchNormalisation, "_readable", lambda self, block, levels: seen.append("readable"))
+    monkeypatch.setattr(PatchNormalisation, "_fused", lambda self, block, levels: seen.append("fused"))
+    for engine in ("fused", "readable", None):
+        VPRTempo(engine=engine).encode(Images.from_arrays([np.zeros((30, 30, 3), np.uint8)]))
+    assert seen == ["fused", "readable", "fused"]

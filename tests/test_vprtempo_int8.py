@@ -21,7 +21,7 @@ from vprbench import metrics, networks
 from vprbench.conformance import RULES as CONFORMANCE
 from vprbench.conformance import Journey, check
 from vprbench.images import Images
-from vprbench.interface import Dataset
+from vprbench.interface import BadInput, Dataset
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
@@ -459,3 +459,9 @@ def test_a_stored_network_answers_in_either_way(tmp_path: Path, trained: type[VP
     loaded = asked(**SMALL)
     networks.load(where.path, loaded, where.origin)
     assert np.array_equal(loaded.query(dataset.queries), fitted(asked, "paper").query(dataset.queries))
+
+
+def test_more_inputs_than_32_bits_can_sum_are_refused_before_the_training() -> None:
+    references = Images.from_arrays([np.zeros((30, 30, 3), np.uint8)] * 8)
+    with pytest.raises(BadInput, match="features_per_pixel=100"):
+        VPRTempoInt8(features_per_pixel=100.0, max_module=8).fit(references, np.arange(8))

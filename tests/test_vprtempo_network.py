@@ -481,3 +481,10 @@ def test_at_a_rate_of_0_output_weights_keep_their_initial_norm(rules: RuleSet) -
 def test_a_rate_below_0_is_refused_by_name() -> None:
     with pytest.raises(BadInput, match=r"method\.output_stdp_rate=-0\.1"):
         fitted(output_stdp_rate=-0.1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_no_numbers_are_refused_by_the_name_of_their_array(value: float) -> None:
+    state = little()
+    state["outputs_1"] = np.full_like(state["outputs_1"], value)
+    assert "outputs_1" in refusal(state)

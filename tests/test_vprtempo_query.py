@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -363,3 +364,12 @@ def test_without_onednn_a_query_gives_the_same(rules: Rules, ask: Ask, monkeypat
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
     monkeypatch.setattr(torch.Tensor, "to_mkldnn", lambda _: pytest.fail("oneDNN was used"))
     assert ask(asking([asked], rules), spikes) == pytest.approx(expected, abs=1e-6)
+
+
+def test_several_threads_may_ask_one_network_at_once() -> None:
+    query, spikes = SpikingQuery(network([40, 40, 7]), PAPER), shown(64)
+    expected = np.concatenate([query.scores(one[None]) for one in spikes])
+    with ThreadPoolExecutor(4) as threads:
+        for _ in range(20):
+            found = np.concatenate(list(threads.map(lambda one: query.scores(one[None]), spikes)))
+            assert np.array_equal(found, expected)

@@ -47,6 +47,7 @@ def measure(settings: Settings, make: Make) -> Report:
     """Measure all sections; what cannot be measured becomes a cell that says why."""
     started = time.perf_counter()
     surroundings = environment.capture(settings.device, settings.threads or len(environment.cores()))
+    environment.canary_seconds()  # an idle processor needs a while to find its clock
     canary = {"start": environment.canary_seconds()}
     route = Route.drawn(max(settings.places, settings.max_module, *settings.sizes), *FRAME, settings.seed)
     networks: dict[str, Method] = {}
@@ -205,7 +206,8 @@ def _query_cell(
         n_bytes = rows * settings.pixels**2 * bytes_each
     queries, _ = route.queries(settings.places, settings.sample)
     rates = measured_rates(f"query, {label}", method, queries, settings.protocol(), settings.device)
-    floor = floor_laps("read", n_bytes, settings.device, settings.minimum_seconds / 4)
+    device = settings.device if bytes_each == _BYTES else "cpu"  # where 8-bit networks answer
+    floor = floor_laps("read", n_bytes, device, settings.minimum_seconds / 4)
     return QueryCell(label, settings.places, rates, counted, n_bytes, floor)
 
 

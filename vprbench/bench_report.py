@@ -74,22 +74,25 @@ class Settings:
 
     def vprtempo(self, rules: str, n_places: int) -> dict[str, Any]:
         """Return the arguments of a VPRTempo network of so many places."""
-        side_by_side = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
-        return {"rules": rules, "max_module": min(n_places, self.max_module), **side_by_side}
+        seen = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
+        return {"rules": rules, "max_module": min(n_places, self.max_module), **seen}
 
 
 QUICK: Mapping[str, Any] = {
-    **{
-        "sizes": [10, 20, 40],
-        "places": 20,
-        "max_module": 10,
-        "epochs": 2,
-        "scaling_epochs": 1,
-        "members": 2,
-        "pixels": 12,
-    },
-    **{"frame": [24, 40], "batch": 4, "batch_sizes": [1, 4], "sample": 4},
-    **{"rounds": 2, "minimum_seconds": 0.0, "minimum_queries": 4},
+    "sizes": [10, 20, 40],
+    "places": 20,
+    "max_module": 10,
+    "epochs": 2,
+    "scaling_epochs": 1,
+    "members": 2,
+    "pixels": 12,
+    "frame": [24, 40],
+    "batch": 4,
+    "batch_sizes": [1, 4],
+    "sample": 4,
+    "rounds": 2,
+    "minimum_seconds": 0.0,
+    "minimum_queries": 4,
 }
 
 

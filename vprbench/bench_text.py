@@ -29,7 +29,7 @@ from vprbench.tables import markdown
 Cell = TypeVar("Cell")
 
 _NOISE = 0.05  # drift of a fixed computation that marks a section as noisy
-_LARGE = 1000  # places from which on the growth is looked at apart: modules are full there
+_LARGE = 1000  # places from which on the growth is looked at apart: there are about as many modules as places ask for
 
 _COUNTED = {
     "network": "all weights of both layers",

@@ -21,7 +21,6 @@ _LIBRARIES = (
     "numpy",
     "scipy",
     "numba",
-    "triton",
     "opencv-python-headless",
     "pillow",
     "scikit-learn",

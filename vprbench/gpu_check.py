@@ -61,13 +61,18 @@ class Settings:
 
     def vprtempo(self, rules: str, n_places: int) -> dict[str, Any]:
         """Return the arguments of a VPRTempo network of so many places."""
-        side_by_side = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
-        return {"rules": rules, "max_module": min(n_places, self.max_module), "epochs": self.epochs, **side_by_side}
+        seen = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
+        return {"rules": rules, "max_module": min(n_places, self.max_module), "epochs": self.epochs, **seen}
 
 
 QUICK: Mapping[str, Any] = {
-    **{"check_places": 12, "places": 20, "max_module": 10, "epochs": 2, "pixels": 12},
-    **{"batch_sizes": [1, 4], "minimum_seconds": 0.0},
+    "check_places": 12,
+    "places": 20,
+    "max_module": 10,
+    "epochs": 2,
+    "pixels": 12,
+    "batch_sizes": [1, 4],
+    "minimum_seconds": 0.0,
 }
 
 
@@ -130,7 +135,10 @@ def require_gpu(device: str) -> None:
     import torch
 
     if torch.cuda.device_count() == 0:
-        raise BadInput(f"PyTorch {torch.__version__} sees no GPU here: gpu-check needs one, nothing was written")
+        raise BadInput(
+            f"PyTorch {torch.__version__} sees no GPU here: gpu-check needs one and a build with CUDA (a version that "
+            "ends in +cpu has none), nothing was written"
+        )
     if not device.startswith("cuda"):
         raise BadInput(f"device={device}: gpu-check compares a GPU with the CPU, give cuda or cuda:1")
 
@@ -247,6 +255,7 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
     ):
         progress.report(f"comparison, {rules}: {title}", 0.0)
         arguments = settings.vprtempo(rules, settings.check_places)
+        arguments["max_module"] = max(1, 2 * settings.check_places // 5)  # two whole modules and a smaller one
         networks[title] = make("vprtempo", device, engine=engine, **arguments).fit(references, places)
     found = [
         _networks_apart(rules, first, networks[first], second, networks[second], queries)

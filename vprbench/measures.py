@@ -92,7 +92,8 @@ def timed_fit(title: str, method: Method, references: Images, places: Places, de
 
     def note(stage: str, done: float) -> None:
         nonlocal last
-        synchronise()
+        if stage not in marks or done == 1:  # in between a GPU works ahead of what is reported
+            synchronise()
         last = time.perf_counter()
         marks.setdefault(stage, last)
         show(stage, done)

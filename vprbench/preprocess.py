@@ -83,7 +83,9 @@ class PatchNormalisation:
             return cv2.resize(levels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         red, green, blue = (image[:, :, c].astype(np.float32) for c in range(3))
         weighted = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
-        corrected = gamma_correct(weighted)
+        sums = image.sum((0, 1), dtype=np.int64)
+        mean = (0.299 * sums[0] + 0.587 * sums[1] + 0.114 * sums[2]) / weighted.size
+        corrected = _power(weighted, mean)
         if corrected.min() == corrected.max():  # the weights of the resize would leave rounding noise
             return np.full((self.height, self.width), corrected[0, 0])
         pixels = torch.from_numpy(corrected)[None, None]

@@ -224,10 +224,10 @@ def _force_signed(signed, x, inverse_rates, post, scale, following):  # type: ig
 
 
 @compiled
-def _mark_diverged(excitations, inhibitions, net, first):  # type: ignore[no-untyped-def]
-    """Show in its weights that a neuron's net input is no number, for limits and masks hide it there."""
-    for number in range(len(net)):
-        if not np.isfinite(net[number]):
+def _mark_diverged(excitations, inhibitions, diverged, first):  # type: ignore[no-untyped-def]
+    """Show in its weights that a neuron's net input once was no number, for limits and masks hide it there."""
+    for number in range(len(diverged)):
+        if diverged[number]:
             excitations[first + number] = np.nan
             inhibitions[first + number] = np.nan
 
@@ -253,6 +253,7 @@ def _learn_features(  # type: ignore[no-untyped-def]
 ):
     """Take neurons `first` to `last`, side by side, through the whole training of a feature layer."""
     net = np.empty(last - first, np.float32)
+    diverged = np.zeros(last - first, np.bool_)
     for neuron in range(first, last):
         net[neuron - first] = (
             _net_input(excitations[neuron], inhibitions[neuron], one_sign, spikes[order[0]]) + constants[neuron]
@@ -287,7 +288,8 @@ def _learn_features(  # type: ignore[no-untyped-def]
             else:
                 own = _balance(excitation, inhibition, scale, following)
             net[neuron - first] = own + constants[neuron]
-    _mark_diverged(excitations, inhibitions, net, first)
+            diverged[neuron - first] |= not np.isfinite(own)
+    _mark_diverged(excitations, inhibitions, diverged, first)
 
 
 @compiled
@@ -311,6 +313,7 @@ def _learn_places(  # type: ignore[no-untyped-def]
 ):
     """Take neurons `first` to `last`, side by side, through the whole training of an output layer."""
     net = np.empty(last - first, np.float32)
+    diverged = np.zeros(last - first, np.bool_)
     for neuron in range(first, last):
         net[neuron - first] = (
             _net_input(excitations[neuron], inhibitions[neuron], one_sign, spikes[order[0]]) + constants[neuron]
@@ -338,7 +341,8 @@ def _learn_places(  # type: ignore[no-untyped-def]
             else:
                 own = _balance(excitation, inhibition, scale, following)
             net[neuron - first] = own + constants[neuron]
-    _mark_diverged(excitations, inhibitions, net, first)
+            diverged[neuron - first] |= not np.isfinite(own)
+    _mark_diverged(excitations, inhibitions, diverged, first)
 
 
 def _compile() -> None:

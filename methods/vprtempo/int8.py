@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vprbench.interface import BadInput
+
 from .method import VPRTempo
-from .quantised import Int8LinearQuery, Int8SpikingQuery
+from .quantised import MOST_INPUTS, Int8LinearQuery, Int8SpikingQuery
 from .query import Query, calibrated, together
 
 
@@ -16,6 +18,15 @@ class VPRTempoInt8(VPRTempo):
     Queries run on the CPU, wherever the network was trained. The quantisation of VPRTempo's public code differs: it
     is learnt during the training and leaves scores on a coarse grid.
     """
+
+    def _check_arguments(self, n_places: int) -> None:
+        n_features = round(self.features_per_pixel * self.height * self.width)
+        if max(n_features, self.height * self.width) > MOST_INPUTS:
+            raise BadInput(
+                f"method.features_per_pixel={self.features_per_pixel} makes {n_features} features, more than 32 bits "
+                f"can sum: give at most {MOST_INPUTS}"
+            )
+        super()._check_arguments(n_places)
 
     def _asking(self) -> Query:
         rules = self.chosen_rules()

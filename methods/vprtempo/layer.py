@@ -10,7 +10,8 @@ from torch import Tensor
 
 from .rules import Rules
 
-SMALLEST, LARGEST = 1e-6, 10.0  # limits of a weight's magnitude
+# Limits of a weight's magnitude; compiled kernels are cached with them, so a change has to touch `fused.py` too.
+SMALLEST, LARGEST = 1e-6, 10.0
 
 
 @dataclass
@@ -43,9 +44,8 @@ class Layer:
         """Join layers of the same width along the axis of the modules."""
         if len(layers) == 1:
             return layers[0]
-        shapes = [layer.excitation.shape for layer in layers]
-        excitation_limits = _limits_side_by_side([layer.excitation_limits for layer in layers], shapes)
-        inhibition_limits = _limits_side_by_side([layer.inhibition_limits for layer in layers], shapes)
+        excitation_limits = _limits_side_by_side([(layer.excitation, layer.excitation_limits) for layer in layers])
+        inhibition_limits = _limits_side_by_side([(layer.inhibition, layer.inhibition_limits) for layer in layers])
         excitation, inhibition, thresholds, constant = (
             torch.cat(parts)
             for parts in zip(
@@ -82,13 +82,13 @@ class Layer:
 
 
 def _limits_side_by_side(
-    limits: Sequence[tuple[Tensor, Tensor] | None], shapes: Sequence[torch.Size]
+    layers: Sequence[tuple[Tensor, tuple[Tensor, Tensor] | None]],
 ) -> tuple[Tensor, Tensor] | None:
-    if all(pair is None for pair in limits):
+    """Join the limits of layers, given with their weights; None where all synapses of all layers exist."""
+    if all(limits is None for _, limits in layers):
         return None
     pairs = [
-        pair or (torch.full(shape, SMALLEST), torch.full(shape, LARGEST))
-        for pair, shape in zip(limits, shapes, strict=True)
+        limits or (torch.full_like(weights, SMALLEST), torch.full_like(weights, LARGEST)) for weights, limits in layers
     ]
     return torch.cat([smallest for smallest, _ in pairs]), torch.cat([largest for _, largest in pairs])
 

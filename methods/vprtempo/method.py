@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -26,6 +27,8 @@ from .query import Query, asking
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
 from .training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
 
+logger = logging.getLogger(__name__)
+
 Engine = Literal["fused", "readable"]
 
 _CALIBRATED_TOGETHER = 256  # references
@@ -38,7 +41,8 @@ class VPRTempo(Method):
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
     one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
-    `engine` is fused (compiled, the default) or readable (PyTorch; the same results, slower).
+    `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
+    results, slower).
     A network whose training diverged raises TrainingDivergedError.
     """
 
@@ -82,10 +86,15 @@ class VPRTempo(Method):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
 
     stored_as: ClassVar[str] = "vprtempo"
-    query_arguments: ClassVar[frozenset[str]] = frozenset({"query_rule", "silent_winner", "engine"})
 
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
     _query: Query | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def query_arguments(self) -> frozenset[str]:  # type: ignore[override]  # it depends on another argument
+        """The arguments that may differ in a stored network: a calibration holds for one way of asking alone."""
+        at_query = () if self.chosen_rules().calibrated_scores else ("query_rule", "silent_winner")
+        return frozenset({"engine", *at_query})
 
     def fit(self, references: Images, places: Places) -> Self:
         """Train the feature layer, then the output layer; every module learns from random draws of its own."""
@@ -115,6 +124,7 @@ class VPRTempo(Method):
 
     def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
         """Train one network a seed: the modules of all of them lie side by side."""
+        engine = self._engine()
         drawn = [self._draw(seed, sizes, spikes.shape[1], places, rules) for seed in self._seeds()]
         features, outputs = (
             Layer.side_by_side(layers).to(self.device) for layers in zip(*(layers for layers, _ in drawn), strict=True)
@@ -126,7 +136,6 @@ class VPRTempo(Method):
         del drawn
         rates = feature_rates(features.thresholds.shape[1], self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        engine = self._engine()
         groups = self._groups(len(features.thresholds))
         for number, group in enumerate(groups):
             report = _reporting("training features", number, len(groups))
@@ -167,7 +176,8 @@ class VPRTempo(Method):
         outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
         for weights in (outputs.excitation, outputs.inhibition):
             if self.equal_output_weights:
-                weights.fill_(1 / n_features)
+                for module, size in enumerate(sizes):
+                    weights[module, :size] = 1 / n_features
             if self.output_norm != 1:
                 weights *= self.output_norm
         order = draw_schedule(generators, sizes, places, self.epochs, rules)
@@ -181,7 +191,8 @@ class VPRTempo(Method):
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the input spikes, (n_images, height * width), amplitudes 0 to 1."""
-        levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        engine = self.engine or "fused"
+        levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch, engine)(images)
         return spikes_of(levels, fake_quantised=self.preprocessing == "C")
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
@@ -209,8 +220,11 @@ class VPRTempo(Method):
                     f"the stored network reads {member.features.shape[2]} pixels, not method.height={self.height} x "
                     f"method.width={self.width}: give the size that it was trained on"
                 )
-            if self.chosen_rules().calibrated_scores and member.score_mean is None:
-                raise BadInput("the stored network holds no calibration: set method.calibrated_scores=false")
+            if self.chosen_rules().calibrated_scores != (member.score_mean is not None):
+                raise BadInput(
+                    f"the stored network is {'not ' * (member.score_mean is None)}calibrated: "
+                    f"set method.calibrated_scores={str(member.score_mean is not None).lower()}"
+                )
         if len({member.n_places for member in self._members}) > 1:
             raise BadInput("the members of the stored network know different numbers of places")
         self._query = self._asking()
@@ -268,6 +282,7 @@ class VPRTempo(Method):
         except ImportError as error:
             if self.engine == "fused":
                 raise BadInput(f"method.engine=fused needs triton on {self.device} ({error}): install it") from error
+            logger.warning("no triton for %s (%s): the readable version trains, which is slower", self.device, error)
             return training
         return fused_cuda
 

@@ -95,6 +95,8 @@ class Network:
         for name, shape in expected.items():
             if shapes[name] != shape or 0 in shape:
                 raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}, without a 0")
+            if not np.isfinite(state[name]).all():
+                raise BadInput(f"the stored network's {name} holds values that are not finite: its training diverged")
         tensors = {name: torch.tensor(array, dtype=torch.float32, device=device) for name, array in state.items()}
         return cls(
             tensors["features"],

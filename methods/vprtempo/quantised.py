@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.interface import BadInput, Scores
+from vprbench.interface import Scores
 
 from .compiled import compiled
 from .network import Network
@@ -18,7 +18,7 @@ from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
 _STEPS = np.float32(127)  # of a weight to either side of 0
-_MOST_INPUTS = 2**31 // (255 * 127)
+MOST_INPUTS = 2**31 // (255 * 127)  # of a neuron, whose sums 32 bits hold
 _FEWEST_INPUTS = 16  # below which PyTorch's 8-bit product is not to be trusted
 _MANY = 8  # queries that are answered as a matrix product
 
@@ -32,10 +32,6 @@ class _Layer:
         self._steps = np.ascontiguousarray(np.rint(weights / step[:, None]), np.int8)
         self._factor = step * (most / _LEVELS)  # of a sum of steps times levels
         self._bias = bias
-        if weights.shape[1] > _MOST_INPUTS:
-            raise BadInput(
-                f"{weights.shape[1]} inputs of a neuron are more than 32 bits can sum: give at most {_MOST_INPUTS}"
-            )
         self._right = torch.from_numpy(self._steps).T
         # Many inputs are shifted to int8; this is what the shift takes from the sums.
         self._shift = 128 * self._steps.sum(1, dtype=np.int32)

@@ -114,7 +114,6 @@ class SpikingQuery:
             self._rows = features.numpy(), bias.numpy()
             self._columns = [weights.numpy() for weights in network.outputs]
             self._thresholds = torch.cat(network.output_thresholds).numpy()
-            self._spikes = np.empty(len(bias), np.float32)
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
@@ -130,10 +129,12 @@ class SpikingQuery:
     def _one(self, x: npt.NDArray[np.float32]) -> Tensor:
         """Return the net input above threshold of all output neurons, (1, n_places), for one input (n_pixels,)."""
         above = np.empty(self._ends[-1], np.float32)
-        _feature_spikes(*self._rows, x, np.float32(self._rules.clip), self._spikes)
-        n_features = len(self._spikes) // len(self._columns)
+        weights, bias = self._rows
+        spikes = np.empty(len(bias), np.float32)
+        _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
+        n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
-            active = self._spikes[module * n_features : (module + 1) * n_features]
+            active = spikes[module * n_features : (module + 1) * n_features]
             _add_active(columns, active, above[self._ends[module] : self._ends[module + 1]])
         above -= self._thresholds
         return torch.from_numpy(above)[None]
