@@ -1,0 +1,137 @@
+"""Principal components: small frames, compared in the few directions in which the reference images differ most."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from sklearn import decomposition
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores, best_image_of_place
+from vprbench.preprocess import PatchNormalisation, Variant
+
+
+@dataclass(frozen=True)
+class Map:
+    """What is learnt from the references: the projection, and where it puts each of them."""
+
+    mean: npt.NDArray[np.float64]  # (n_pixels,), grey levels
+    projection: npt.NDArray[np.float64]  # (n_pixels, n_components)
+    references: npt.NDArray[np.float32]  # (n_references, n_components), unit vectors
+    places: Places  # (n_references,)
+
+
+@dataclass
+class PCA(Method):
+    """Scores a place by the cosine, -1 to 1, between the principal components of its images and the query's.
+
+    The components are learnt from the reference images by scikit-learn's PCA: the first `components`, or fewer, for
+    n references differ in n - 1 directions at most and images have height * width pixels. An image that is the mean
+    of the references, and every image where all references are equal, scores 0 everywhere.
+    `whiten` divides each component by its standard deviation. `seed` is for the randomized solver alone.
+    The method of eigenfaces (Turk and Pentland 1991) on whole frames; the defaults are this project's own choice.
+    """
+
+    preprocessing: Literal["grey"] | Variant = "C"  # grey: antialiased, not patch-normalised
+    height: int = 28  # pixels
+    width: int = 28
+    patch: int = 7  # not for grey
+    components: int = 128
+    whiten: bool = False
+    solver: Literal["full", "randomized"] = "full"  # randomized: approximate, faster on large frames
+    seed: int = 0
+
+    _map: Map | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Learn the projection and project the references."""
+        if self.components < 1:
+            raise BadInput(f"method.components={self.components}: give at least 1")
+        levels = self.encode(references)
+        mean, projection = self._learn(levels)
+        self._map = Map(mean, projection, _project(levels, mean, projection), places.copy())
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.uint8]:
+        """Return the preprocessed pixels, (n_images, height * width), levels 0..255.
+
+        The projection is learnt from the map, so it belongs to `match`.
+        """
+        if self.preprocessing != "grey":
+            return PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        if min(self.height, self.width) < 1:
+            raise BadInput(f"method.height={self.height}, method.width={self.width}: give sizes of at least 1 pixel")
+        levels = np.empty((len(images), self.height, self.width), np.uint8)
+        for level, image in zip(levels, images, strict=True):
+            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+            level[:] = cv2.resize(grey, (self.width, self.height), interpolation=cv2.INTER_AREA)
+        return levels.reshape(len(images), -1)
+
+    def match(self, codes: npt.NDArray[np.uint8]) -> Scores:
+        """Project the pixels and return their cosines with the best reference image of each place."""
+        known = self._fitted()
+        similarity = _project(codes, known.mean, known.projection) @ known.references.T
+        return best_image_of_place(similarity, known.places)
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the projection and the projected references."""
+        return dict(vars(self._fitted()))
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take over a stored projection with its references."""
+        self._map = None
+        self._map = _map_from(state, self.height * self.width)
+        return self
+
+    def _learn(self, levels: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return mean (n_pixels,) and projection (n_pixels, n_components)."""
+        pixels = levels.astype(np.float64)
+        n_components = min(self.components, len(pixels) - 1, pixels.shape[1])
+        if (pixels == pixels[0]).all():  # scikit-learn divides by their variance
+            return pixels[0], np.empty((pixels.shape[1], 0))
+        pca = decomposition.PCA(n_components, svd_solver=self.solver, random_state=self.seed).fit(pixels)
+        # Where references repeat, the last components are rounding noise, which whitening would make as large as any.
+        rounding = pca.singular_values_[0] * max(pixels.shape) * np.finfo(np.float64).eps
+        real = pca.singular_values_ > rounding
+        scale = np.sqrt(pca.explained_variance_[real]) if self.whiten else 1.0
+        return pca.mean_, np.ascontiguousarray(pca.components_[real].T / scale)
+
+    def _fitted(self) -> Map:
+        if self._map is None:
+            raise NotFittedError("PCA has no map yet: call fit(references, places) first")
+        return self._map
+
+
+def _project(
+    levels: npt.NDArray[np.uint8], mean: npt.NDArray[np.float64], projection: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """Return the components as unit vectors, (n_images, n_components); zero where there is nothing but rounding."""
+    codes = (levels - mean) @ projection
+    norms = np.linalg.norm(codes, axis=1, keepdims=True)
+    return (codes / np.where(norms > 1e-12, norms, np.inf)).astype(np.float32)
+
+
+def _map_from(state: Mapping[str, npt.NDArray[Any]], n_pixels: int) -> Map:
+    """Return stored arrays as a map; raises BadInput for any others."""
+    names = {"mean", "projection", "references", "places"}
+    if set(state) != names:
+        raise BadInput(f"the stored network holds {', '.join(sorted(state))}; wanted {', '.join(sorted(names))}")
+    n_references, n_components = state["places"].size, state["projection"].size // n_pixels
+    wanted = {
+        "mean": ("float64", (n_pixels,)),
+        "projection": ("float64", (n_pixels, n_components)),
+        "references": ("float32", (n_references, n_components)),
+        "places": ("int64", (n_references,)),
+    }
+    for name, (kind, shape) in wanted.items():
+        if (state[name].dtype.name, state[name].shape) != (kind, shape):
+            raise BadInput(
+                f"{name} of the stored network is {state[name].dtype} of shape {state[name].shape}; "
+                f"wanted {kind} of shape {shape} for frames of {n_pixels} pixels"
+            )
+    return Map(**state)
