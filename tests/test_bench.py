@@ -152,7 +152,7 @@ def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
     each_module = FEATURES * PIXELS + FEATURES + FEATURES + FEATURES * PLACES_OF_A_MODULE + PLACES_OF_A_MODULE
     matrix = PLACES * PIXELS
     assert {cell["method"].split(" members")[0]: cell["floor_bytes"] for cell in done.raw["queries"]} == {
-        "sad": 2 * PLACES * PIXELS * 4,
+        "sad": 2 * PLACES * PIXELS,
         "vprtempo paper": MODULES * each_module * 4,
         "vprtempo reference": matrix * 4,
         "vprtempo_int8 paper": MODULES * each_module,

@@ -183,7 +183,7 @@ def _queries(
         return make("vprtempo_ensemble", settings.device, **arguments).fit(*route.references(settings.places, 1))
 
     contestants: list[tuple[str, Callable[[], Method], Counted, int]] = [
-        ("sad", sad, "references", _BYTES),
+        ("sad", sad, "references", 1 if settings.device == "cpu" else _BYTES),  # on the CPU its frames stay 8 bits
         ("vprtempo paper", partial(trained, "paper"), "network", _BYTES),
         ("vprtempo reference", partial(trained, "reference"), "matrix", _BYTES),
         ("vprtempo_int8 paper", partial(in_8_bits, "paper"), "network", 1),

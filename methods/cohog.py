@@ -1,0 +1,218 @@
+"""CoHOG: histograms of oriented gradients of overlapping regions, each compared with the best region of a reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Image, Method, NotFittedError, Places, Scores, best_image_of_place
+
+Grey = npt.NDArray[np.uint8]  # (height, width)
+
+_ENTROPY_BITS = 8  # of a pixel of 256 levels, which the entropy is given in shares of
+_GRADIENT_UNITS = 2.0**24  # of the brightest pixel
+_PRODUCT_BYTES = {"cpu": 4 << 20, "cuda": 256 << 20}  # of the similarities held at a time; a CPU's fit its cache
+
+
+@dataclass
+class CoHOG(Method):
+    """Scores a place by the mean cosine of each good region of the query with the region most alike in the reference.
+
+    Regions overlap: squares of `region_cells` x `region_cells` cells, one cell apart. Good are those with a mean
+    local entropy of at least `entropy_threshold`; a query that has none scores 0 everywhere. Scores are 0 to 1.
+
+    Source: Zaffar et al., "CoHOG", RA-L 2020, as in VPR-Bench (77ad30f).
+    """
+
+    size: int = 512  # pixels, height and width
+    cell: int = 16  # pixels
+    bins: int = 8  # of the angle, 0 to 360 degrees
+    region_cells: int = 2
+    sobel: int = 5  # pixels, width of the kernel
+    entropy_size: int = 100  # pixels, height and width
+    entropy_radius: int = 5  # pixels
+    entropy_threshold: float = 0.4  # share of 8 bits
+    device: str = "cpu"
+
+    # The check fits some forty maps: small images do.
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {"size": 128, "entropy_size": 40}
+    query_arguments: ClassVar[frozenset[str]] = frozenset({"entropy_size", "entropy_radius", "entropy_threshold"})
+
+    _references: torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Keep the regions of the references; their goodness does not count."""
+        regions = np.empty((len(references), *self._region_shape()), np.float32)
+        for number, image in enumerate(references):
+            regions[number] = self._describe(self._grey(image))
+        self._references = torch.from_numpy(regions).to(self.device)
+        self._places = places.copy()
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return the regions and, as their last number, whether each is good (1) or not (0).
+
+        The shape is (n_images, n_regions, region_cells**2 * bins + 1); a region is a unit vector or zero.
+        """
+        n_regions, n_dimensions = self._region_shape()
+        codes = np.empty((len(images), n_regions, n_dimensions + 1), np.float32)
+        for number, image in enumerate(images):
+            grey = self._grey(image)
+            codes[number, :, :-1] = self._describe(grey)
+            codes[number, :, -1] = self._entropy(grey) >= self.entropy_threshold
+        return codes
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        """Return (n_queries, n_places), 0 to 1."""
+        if self._references is None:
+            raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
+        similarity = np.zeros((len(codes), len(self._references)), np.float32)
+        for code, own in zip(codes, similarity, strict=True):
+            good = code[code[:, -1] > 0, :-1]
+            if len(good):
+                own[:] = mean_best_cosine(torch.from_numpy(good).to(self.device), self._references).cpu().numpy()
+        return best_image_of_place(similarity, self._places)
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the regions of the references and their places."""
+        if self._references is None:
+            raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
+        return {"references": self._references.cpu().numpy(), "places": self._places}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take over stored regions and their places."""
+        self._references = None
+        if set(state) != {"references", "places"}:
+            raise BadInput(f"arrays {sorted(state)} came; wanted the references and places that CoHOG stores")
+        references, places = state["references"], state["places"]
+        if places.ndim != 1 or not len(places) or places.dtype != np.int64:
+            raise BadInput(f"places {places.dtype} {places.shape} came; wanted int64, one for each reference image")
+        if not np.array_equal(np.unique(places), np.arange(places.max() + 1)):
+            raise BadInput("the places of the references have to run from 0 without a gap")
+        wanted = (len(places), *self._region_shape())
+        if references.shape != wanted or references.dtype != np.float32 or not np.isfinite(references).all():
+            raise BadInput(f"references {references.dtype} {references.shape} came; wanted finite float32 {wanted}")
+        self._references = torch.from_numpy(references.copy()).to(self.device)
+        self._places = places.copy()
+        return self
+
+    def _grey(self, image: Image) -> Grey:
+        return _resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), self.size).astype(np.uint8, copy=False)
+
+    def _describe(self, grey: Grey) -> npt.NDArray[np.float32]:
+        return region_vectors(gradient_histograms(grey, self.cell, self.bins, self.sobel), self.region_cells)
+
+    def _entropy(self, grey: Grey) -> npt.NDArray[np.float64]:
+        """Return the mean entropy of each region, (n_regions,), 0 to 1."""
+        small = _resized(grey, self.entropy_size).astype(np.uint8, copy=False)
+        entropy = _resized(local_entropy(small, self.entropy_radius), self.size)
+        cells = entropy.reshape(self.size // self.cell, self.cell, -1, self.cell).sum((1, 3))
+        pixels = (self.region_cells * self.cell) ** 2
+        return np.asarray(_windows(cells, self.region_cells).sum(1) / (_ENTROPY_BITS * pixels))
+
+    def _region_shape(self) -> tuple[int, int]:
+        """Return the number of regions and their length; raises BadInput for arguments that do not fit."""
+        wanted = {
+            "cell": (self.cell >= 1, "at least 1 pixel"),
+            "bins": (self.bins >= 2, "at least 2"),
+            "region_cells": (self.region_cells >= 1, "at least 1"),
+            "sobel": (self.sobel in (3, 5, 7), "3, 5 or 7 pixels"),
+            "entropy_size": (self.entropy_size >= 1, "at least 1 pixel"),
+            "entropy_radius": (self.entropy_radius >= 0, "0 pixels or more"),
+            "entropy_threshold": (math.isfinite(self.entropy_threshold), "a finite number"),
+        }
+        for name, (holds, what) in wanted.items():
+            if not holds:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+        if self.size % self.cell or self.size < self.region_cells * self.cell:
+            raise BadInput(
+                f"method.size={self.size}: give a multiple of method.cell={self.cell} that holds at least one region, "
+                f"{self.region_cells * self.cell} pixels"
+            )
+        along = self.size // self.cell - self.region_cells + 1
+        return along**2, self.region_cells**2 * self.bins
+
+
+def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDArray[np.float64]:
+    """Return the histogram of the gradient's angle in each cell, (height // cell, width // cell, bins).
+
+    The gradient is that of the root of the grey level, the brightest pixel being 1. A pixel votes with |gx + gy| / 2
+    (sic: not with the gradient's length), shared linearly between the bin that its angle lies in and the next one. Bin
+    b begins at b * 360 / bins degrees; angles run from right (0) to down (90). Height and width are multiples of
+    `cell`; beyond the border the image is mirrored without its last pixel.
+    """
+    peak = max(int(grey.max()), 1)
+    # Whole numbers leave no rounding in the gradient: normalised, it would turn flat regions into unit vectors.
+    root = np.rint(np.sqrt(np.arange(256) / peak) * _GRADIENT_UNITS)[grey]
+    across, down = (cv2.Sobel(root, cv2.CV_64F, *order, ksize=sobel) for order in ((1, 0), (0, 1)))
+    magnitude = np.abs(across + down) / 2
+    angle = np.arctan2(down.astype(np.float32), across.astype(np.float32)) * np.float32(bins / (2 * np.pi))
+    position = np.where(angle < 0, angle + np.float32(bins), angle)  # in bins, 0 to `bins`
+    lower = position.astype(np.int64)
+    to_upper = magnitude * (position - lower)
+    height, width = grey.shape[0] // cell, grey.shape[1] // cell
+    slots = bins + 2  # the last two are the first two again, one turn on
+    first = (np.arange(height * width) * slots).reshape(height, width).repeat(cell, 0).repeat(cell, 1) + lower
+    votes = np.zeros((height, width, slots))
+    for chosen, weight in ((first, magnitude - to_upper), (first + 1, to_upper)):
+        votes += np.bincount(chosen.ravel(), weight.ravel(), votes.size).reshape(votes.shape)
+    votes[:, :, :2] += votes[:, :, bins:]
+    return votes[:, :, :bins] / _GRADIENT_UNITS
+
+
+def region_vectors(histograms: npt.NDArray[np.float64], region_cells: int) -> npt.NDArray[np.float32]:
+    """Return the histograms of each region as one unit vector, or zero, (n_regions, region_cells**2 * bins)."""
+    regions = _windows(histograms, region_cells)
+    length = np.linalg.norm(regions, axis=1, keepdims=True)
+    return (regions / np.where(length > 0, length, 1)).astype(np.float32)
+
+
+def local_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
+    """Return the Shannon entropy in bits of the levels in a disk around each pixel, (height, width).
+
+    The disk holds the pixels at most `radius` away that lie inside the image, as skimage.filters.rank.entropy has it.
+    """
+    height, width = levels.shape
+    outside = 256
+    padded = np.pad(levels.astype(np.int64), radius, constant_values=outside)
+    offsets = np.arange(-radius, radius + 1)
+    down, across = np.nonzero(offsets[:, None] ** 2 + offsets[None, :] ** 2 <= radius**2)
+    weight = np.arange(len(down) + 1, dtype=np.float64)
+    weight[2:] *= np.log2(weight[2:])
+    weight[:2] = 0
+    start = np.arange(width) * (outside + 1)
+    entropy = np.empty((height, width))
+    for row in range(height):  # the histograms of one row fit a cache
+        seen = padded[row + down[:, None], across[:, None] + np.arange(width)]  # (n_disk, width)
+        histogram = np.bincount((start + seen).ravel(), minlength=width * (outside + 1)).reshape(width, -1)
+        counted = len(down) - histogram[:, outside]
+        entropy[row] = np.log2(counted) - weight[histogram[:, :outside]].sum(1) / counted
+    return np.maximum(entropy, 0)  # of one level rounding may leave less
+
+
+def mean_best_cosine(query: torch.Tensor, references: torch.Tensor) -> torch.Tensor:
+    """Return for each reference (n_references, n_regions, d) the mean over the query's regions (n, d) of the best dot.
+
+    The references are taken in blocks, so that memory stays bounded.
+    """
+    per_reference = 4 * references.shape[1] * len(query)
+    block = max(1, _PRODUCT_BYTES.get(query.device.type, min(_PRODUCT_BYTES.values())) // per_reference)
+    return torch.cat([(own @ query.T).amax(1).mean(1) for own in torch.split(references, block)])
+
+
+def _windows(cells: npt.NDArray[np.float64], side: int) -> npt.NDArray[np.float64]:
+    """Return the cells (rows, columns, ...) of each side x side square, (n_squares, side * side * ...), row by row."""
+    squares = np.lib.stride_tricks.sliding_window_view(cells, (side, side), axis=(0, 1))
+    return np.moveaxis(squares, (-2, -1), (2, 3)).reshape(squares.shape[0] * squares.shape[1], -1)
+
+
+def _resized(image: npt.NDArray[Any], size: int) -> npt.NDArray[Any]:
+    return np.asarray(cv2.resize(image, (size, size), interpolation=cv2.INTER_LINEAR))
