@@ -1,0 +1,230 @@
+"""DenseVLAD: dense RootSIFT at four scales, gathered by visual words, as a method."""
+
+from __future__ import annotations
+
+import logging
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import scipy.io
+import torch
+from torch import Tensor
+
+from vprbench import progress
+from vprbench.images import Images
+from vprbench.interface import BadInput, DescriptorMethod, Image, NotFittedError, Places
+
+from .dense_sift import DIMENSIONS, SMALLEST_SIDE, dense_sift, grey_levels, halved, n_descriptors, root_sift
+from .vlad import vlad, whitening
+
+logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
+import faiss  # noqa: E402  # loaded here and not in `fit`, for threads are pinned in libraries that are there already
+
+_VGA = 640  # pixels
+_TOGETHER = 64  # images
+_SAMPLED_IMAGES = 1000  # references that the vocabulary is learnt from, at most
+_SAMPLED_PER_WORD = 256  # descriptors
+_ITERATIONS = 25
+_WHITENED_IMAGES = 4096  # references that the whitening is learnt from, at most, unless more components want more
+_IMAGES_PER_COMPONENT = 4  # with fewer, the whitening fits the references and not the places
+
+
+@dataclass
+class DenseVLAD(DescriptorMethod):
+    """Scores a place by the product of the whitened VLADs of query and most similar reference image.
+
+    Source: Torii et al. 2015 as in the authors' 247code, from the grey image to VLAD. Without `vocabulary` the visual
+    words are learnt from the references: k-means on RootSIFT, then unit length. With it they are those of the authors'
+    file dnscnt_RDSIFT_K128.mat. The authors' projection to 4096 dimensions (an HDF5 file of 1 GB) is not read in this
+    version: the whitening is always learnt from the references, by the same rule (no mean is subtracted). It keeps at
+    most `n_components` and at most one for every four references; with n_components=0 there is none.
+
+    Words and whitening come from what the references look like, never from their places. `encode` needs both and
+    raises NotFittedError before `fit`: its code is a few thousand numbers, where the descriptors behind it would fill
+    150 MB for a VGA image.
+    """
+
+    vocabulary: str | None = None
+    words: int = 128
+    n_components: int = 1024
+    halve: bool | None = None  # keep every second pixel; None: where the longer side exceeds 640 pixels
+    seed: int = 0
+    device: str = "cpu"
+
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {"words": 8}
+
+    _words: Tensor | None = field(default=None, init=False, repr=False, compare=False)  # (words, 128)
+    # (words * 128, n_components); none: no whitening
+    _projection: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
+    # (n_references, n_components or words * 128)
+    _references: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Learn the words and the whitening, each from a sample where there are many references, and encode all."""
+        self._check_arguments()
+        self._words = self._references = self._projection = None
+        generator = np.random.default_rng(self.seed)
+        words = torch.from_numpy(
+            self._learn_words(references, generator)
+            if self.vocabulary is None
+            else _read_words(self.vocabulary, self.words)
+        ).to(self.device)
+        wanted = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
+        chosen = _sample(references, wanted if self.n_components else len(references), generator)
+        vlads = self._vlads(references[chosen].watched(_reporting("describing", len(chosen))), words)
+        n_components = min(self.n_components, len(chosen) // _IMAGES_PER_COMPONENT)
+        self._projection = whitening(vlads, max(1, n_components)) if self.n_components else None
+        self._words = words
+        if len(chosen) == len(references):
+            self._references = _projected(vlads, self._projection)
+        else:
+            del vlads
+            self._references = self.encode(references.watched(_reporting("encoding", len(references))))
+        self._places = places.copy()
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return the whitened VLAD of each image, (n_images, n_components), unit vectors."""
+        if self._words is None:
+            raise NotFittedError("DenseVLAD has no words yet: call fit(references, places) first")
+        n_dimensions = DIMENSIONS * len(self._words) if self._projection is None else self._projection.shape[1]
+        codes = np.empty((len(images), n_dimensions), np.float32)
+        done = 0
+        for block in images.blocks(_TOGETHER):
+            codes[done : done + len(block)] = _projected(self._vlads(block, self._words), self._projection)
+            done += len(block)
+        return codes
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the words, the whitening where there is one, and the references with their places."""
+        if self._words is None or self._references is None:
+            raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
+        learnt = {"words": self._words.cpu().numpy(), "references": self._references, "places": self._places}
+        return learnt if self._projection is None else {**learnt, "projection": self._projection}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take over what `state` gave."""
+        self._check_arguments()
+        self._words = self._references = self._projection = None
+        n_dimensions = self.words * DIMENSIONS
+        places, projection = state.get("places", np.empty(0)), state.get("projection")
+        n_components = projection.shape[-1] if projection is not None and projection.ndim else n_dimensions
+        wanted: dict[str, tuple[int, ...]] = {
+            "words": (self.words, DIMENSIONS),
+            "places": (places.size,),
+            "references": (places.size, n_components),
+            **({"projection": (n_dimensions, n_components)} if self.n_components else {}),
+        }
+        found = {name: array.shape for name, array in state.items()}
+        if found != wanted:
+            raise BadInput(f"the stored network holds {found}; wanted {wanted} for method.words={self.words}")
+        self._words = torch.tensor(state["words"], dtype=torch.float32, device=self.device)
+        self._projection = None if projection is None else projection.astype(np.float32)
+        self._references = state["references"].astype(np.float32)
+        self._places = places.astype(np.int64)
+        return self
+
+    def _check_arguments(self) -> None:
+        """Raise BadInput for arguments under which there is no descriptor."""
+        if self.words < 1:
+            raise BadInput(f"method.words={self.words}: give at least 1 visual word")
+        if self.n_components < 0:
+            raise BadInput(f"method.n_components={self.n_components}: give 0 for no whitening, or more")
+
+    def _learn_words(self, references: Images, generator: np.random.Generator) -> npt.NDArray[np.float32]:
+        """Return unit vectors, (words, 128): k-means on descriptors of enough contrast, drawn from all scales."""
+        chosen = _sample(references, _SAMPLED_IMAGES, generator)
+        per_image = _SAMPLED_PER_WORD * self.words / len(chosen)
+        drawn = [np.empty((0, DIMENSIONS), np.float32)]
+        for image in references[chosen].watched(_reporting("sampling", len(chosen))):
+            grey = self._grey(image)
+            share = per_image / n_descriptors(*grey.shape)
+            for block in dense_sift(grey):
+                picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
+                drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
+        descriptors = np.concatenate(drawn)
+        n_different = len(np.unique(descriptors, axis=0))
+        if n_different < self.words:
+            raise BadInput(
+                f"{len(references)} reference images gave {n_different} different descriptors for "
+                f"method.words={self.words}: give fewer words, or images with more in them"
+            )
+        kmeans = faiss.Kmeans(
+            DIMENSIONS,
+            self.words,
+            niter=_ITERATIONS,
+            seed=int(generator.integers(1 << 31)),
+            min_points_per_centroid=1,
+            max_points_per_centroid=len(descriptors),  # the sample was drawn above
+        )
+        kmeans.train(descriptors)
+        return _unit(np.asarray(kmeans.centroids))
+
+    def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
+        """Return the VLAD of each image before whitening, (n_images, words * 128)."""
+        vectors = np.empty((len(images), words.numel()), np.float32)
+        for number, image in enumerate(images):
+            blocks = (root_sift(block) for block in dense_sift(self._grey(image)))
+            vectors[number] = vlad(blocks, words).cpu().numpy()
+        return vectors
+
+    def _grey(self, image: Image) -> Tensor:
+        """Return the grey image, halved where asked for, 0 to 1; raises BadInput for one that is too small."""
+        grey = grey_levels(image)
+        halve = max(grey.shape) > _VGA if self.halve is None else self.halve
+        if halve:
+            grey = halved(grey)
+        height, width = grey.shape
+        if min(height, width) < SMALLEST_SIDE:
+            raise BadInput(
+                f"an image of {width}x{height} pixels{' after halving' if halve else ''}: DenseVLAD needs at least "
+                f"{SMALLEST_SIDE}x{SMALLEST_SIDE}; " + ("set method.halve=false" if halve else "give larger images")
+            )
+        return torch.from_numpy(grey).to(self.device, torch.float32) / 255
+
+
+def _read_words(path: str, n_words: int) -> npt.NDArray[np.float32]:
+    """Return the words of a published vocabulary, (n_words, 128): the columns of its variable CX, made unit vectors."""
+    wanted = f"wanted the variable CX of {DIMENSIONS}x{n_words} numbers, as in the authors' dnscnt_RDSIFT_K128.mat"
+    if not Path(path).is_file():
+        raise BadInput(f"method.vocabulary={path} is no file: {wanted}, or leave it out for words of the references")
+    try:
+        centres = scipy.io.loadmat(path, variable_names=["CX"]).get("CX")
+    except (OSError, ValueError, TypeError, NotImplementedError, zlib.error, scipy.io.matlab.MatReadError) as error:
+        raise BadInput(
+            f"method.vocabulary={path} could not be read ({str(error).splitlines()[0]}): {wanted}"
+        ) from error
+    if centres is None:
+        raise BadInput(f"method.vocabulary={path} holds no CX: {wanted}")
+    if centres.shape != (DIMENSIONS, n_words) or centres.dtype.kind != "f" or not np.isfinite(centres).all():
+        shape = "x".join(str(side) for side in centres.shape)
+        raise BadInput(f"method.vocabulary={path} holds a CX of {shape} {centres.dtype}: {wanted}, all finite")
+    return _unit(centres.T)
+
+
+def _unit(vectors: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return the rows as unit vectors; a zero row stays what it is."""
+    precise = vectors.astype(np.float64)
+    norms = np.linalg.norm(precise, axis=1, keepdims=True)
+    return (precise / np.where(norms > 0, norms, 1)).astype(np.float32)
+
+
+def _projected(vlads: npt.NDArray[np.float32], projection: npt.NDArray[np.float32] | None) -> npt.NDArray[np.float32]:
+    """Return the whitened vectors at unit length, or the vectors themselves where there is no projection."""
+    return vlads if projection is None else _unit(vlads @ projection)
+
+
+def _sample(images: Images, at_most: int, generator: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Draw images without repeating one, in their order; all of them where there are no more."""
+    n = len(images)
+    return np.arange(n) if n <= at_most else np.sort(generator.choice(n, at_most, replace=False))
+
+
+def _reporting(stage: str, total: int) -> Callable[[int], None]:
+    """Return a function that reports how many of a stage's images are done."""
+    return lambda done: progress.report(stage, done / total)
