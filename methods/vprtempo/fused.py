@@ -25,7 +25,8 @@ from .training import Schedule
 
 Row = npt.NDArray[np.float32]
 
-_SIDE_BY_SIDE = 8  # neurons that go through the training together: they share the reading of the images
+# Neurons that go through the training together share the reading of the images; their weights fit into an L2 cache.
+_SIDE_BY_SIDE = 32
 _SPIKE, _AMPLITUDE, _DECAY = 0, 1, 2
 _THRESHOLD_RULES = {"spike": _SPIKE, "amplitude": _AMPLITUDE, "decay": _DECAY}
 _LEAST, _MOST = np.float32(SMALLEST), np.float32(LARGEST)
@@ -120,9 +121,11 @@ def _in_threads(
     learn: Callable[..., None], arguments: tuple[Any, ...], n_neurons: int, report: Callable[[float], None]
 ) -> None:
     """Call `learn(*arguments, first, last)` for blocks of neurons, in as many threads as PyTorch may use."""
-    starts = range(0, n_neurons, _SIDE_BY_SIDE)
-    with ThreadPoolExecutor(torch.get_num_threads()) as threads:
-        tasks = [threads.submit(learn, *arguments, start, min(start + _SIDE_BY_SIDE, n_neurons)) for start in starts]
+    n_threads = torch.get_num_threads()
+    size = max(1, min(_SIDE_BY_SIDE, n_neurons // (4 * n_threads)))  # with many threads none is to be idle at the end
+    with ThreadPoolExecutor(n_threads) as threads:
+        starts = range(0, n_neurons, size)
+        tasks = [threads.submit(learn, *arguments, start, min(start + size, n_neurons)) for start in starts]
         try:
             for done, task in enumerate(tasks):
                 task.result()
