@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from numba import njit, types
+from numba import types
 
+from vprbench.compiled import compiled
 from vprbench.images import Images
 from vprbench.interface import Method, NotFittedError, Places, Scores, best_image_of_place
 from vprbench.preprocess import PatchNormalisation, Variant
@@ -97,22 +97,7 @@ def _helpers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count())
 
 
-def _compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function for these types, for any where none are given; kept where a folder can be written."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    signature: Any = [types.void(*arguments)] if arguments else None
-
-    def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
-        try:
-            kernel: Callable[..., Any] = njit(signature, cache=True, **options)(function)
-        except RuntimeError:
-            kernel = njit(signature, **options)(function)
-        return kernel
-
-    return compile_it
-
-
-@_compiled()
+@compiled()
 def _total_difference(left, right):  # type: ignore[no-untyped-def]
     # In 32 bits throughout LLVM takes the processor's own sum of absolute differences (x86: psadbw); numba's 64 bits,
     # or max - min, cost 1.5 to 3 times as much.
@@ -126,7 +111,7 @@ def _total_difference(left, right):  # type: ignore[no-untyped-def]
 _LEVELS = types.Array(types.uint8, 2, "C", readonly=True)  # takes those that may be written to as well
 
 
-@_compiled(_LEVELS, _LEVELS, types.int64, types.int64, types.float32[:, ::1])
+@compiled(_LEVELS, _LEVELS, types.int64, types.int64, types.float32[:, ::1])
 def _compare(codes, references, first, last, similarity):  # type: ignore[no-untyped-def]
     """Write the columns `first` to `last` of `similarity`; codes of one chunk are rounded once."""
     n_pixels = references.shape[1]

@@ -6,15 +6,24 @@ import cohog_oracle as oracle
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods import cohog
-from vprbench.methods.cohog import CoHOG, gradient_histograms, local_entropy, mean_best_cosine, region_vectors
+from vprbench.methods.cohog import (
+    CoHOG,
+    from_tiles,
+    gradient_histograms,
+    in_tiles,
+    local_entropy,
+    mean_best_cosine,
+    mean_best_cosine_in_tiles,
+    region_vectors,
+)
 
 CORRIDOR = Path(__file__).resolve().parents[2] / "shared" / "data" / "corridor"
 SMALL = {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3, "entropy_threshold": 0.45}
-N_REGIONS = 49  # of SMALL
 
 
 def scene(seed, height=31, width=47):
@@ -204,15 +213,15 @@ def test_of_several_traverses_the_most_similar_image_of_a_place_counts():
     assert method.match(code([unit(2)] * 4, good=[1] * 4)).tolist() == [[0, 1]]
 
 
-def test_references_taken_in_blocks_of_any_size_give_the_same(monkeypatch):
+@pytest.mark.parametrize("n_threads", [2, 3, 8])
+def test_any_number_of_threads_gives_exactly_the_same(monkeypatch, n_threads):
     images = Images.from_arrays([scene(seed) for seed in range(5)])
     method = CoHOG(**SMALL).fit(images, np.arange(5))
     scores = []
-    for size in (1, 2 * 4 * N_REGIONS**2, 1 << 30):
-        monkeypatch.setattr(cohog, "_PRODUCT_BYTES", {"cpu": size})
+    for number in (1, n_threads):
+        monkeypatch.setattr(torch, "get_num_threads", lambda number=number: number)
         scores.append(method.query(images))
-    assert scores[0] == pytest.approx(scores[1], abs=1e-6)
-    assert scores[0] == pytest.approx(scores[2], abs=1e-6)
+    assert np.array_equal(*scores)
 
 
 def test_no_queries_give_no_scores():
@@ -269,14 +278,44 @@ def test_the_published_constants_equal_the_slow_implementation():
     assert np.array_equal((split(codes)[1] == 1)[sure], (entropies >= 0.4)[sure])
 
 
-def test_the_best_cosines_equal_a_loop():
-    import torch
+def numbers(seed, n_query, n_references, n_regions, d):
+    """Regions of a query and of references, and the mean best dot that a loop finds; most numbers are negative."""
+    generator = np.random.default_rng(seed)
+    query = generator.normal(-1, 1, (n_query, d)).astype(np.float32)
+    references = generator.normal(0.5, 1, (n_references, n_regions, d)).astype(np.float32)
+    wanted = [oracle.score(query, np.ones(n_query, bool), reference) for reference in references.astype(np.float64)]
+    return query, references, wanted
 
-    generator = np.random.default_rng(0)
-    query, references = generator.random((7, 8)), generator.random((5, 9, 8))
-    wanted = [oracle.score(query, np.ones(7, bool), reference) for reference in references]
-    found = mean_best_cosine(torch.tensor(query, dtype=torch.float32), torch.tensor(references, dtype=torch.float32))
-    assert found.numpy() == pytest.approx(wanted, rel=1e-5)
+
+@pytest.mark.parametrize("block_bytes", [1, 2 * 4 * 7 * 9, 1 << 30])
+def test_the_best_dots_in_blocks_of_any_size_equal_a_loop(monkeypatch, block_bytes):
+    monkeypatch.setattr(cohog, "_PRODUCT_BYTES", block_bytes)
+    query, references, wanted = numbers(0, n_query=7, n_references=5, n_regions=9, d=8)
+    found = mean_best_cosine(torch.from_numpy(query), torch.from_numpy(references))
+    assert found.numpy() == pytest.approx(wanted, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("n_query", [1, 5, 6, 7, 25])
+@pytest.mark.parametrize("n_regions", [1, 31, 32, 33, 100])
+@pytest.mark.parametrize("d", [1, 8, 33])
+def test_the_best_dots_in_tiles_equal_a_loop(n_query, n_regions, d):
+    query, references, wanted = numbers(1, n_query, 3, n_regions, d)
+    found = mean_best_cosine_in_tiles(query, np.stack([in_tiles(own) for own in references]))
+    assert found == pytest.approx(wanted, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("n_regions", [1, 31, 32, 33, 100])
+def test_regions_come_out_of_tiles_as_they_went_in(n_regions):
+    _, references, _ = numbers(2, 1, 3, n_regions, 8)
+    assert np.array_equal(from_tiles(np.stack([in_tiles(own) for own in references]), n_regions), references)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU that PyTorch can use")
+def test_a_gpu_gives_the_scores_and_the_stored_regions_of_the_cpu():
+    images = Images.from_arrays([scene(seed) for seed in range(5)])
+    on_cpu, on_gpu = (CoHOG(**SMALL, device=device).fit(images, np.arange(5)) for device in ("cpu", "cuda"))
+    assert on_gpu.query(images) == pytest.approx(on_cpu.query(images), abs=1e-5)
+    assert np.array_equal(on_gpu.state()["references"], on_cpu.state()["references"])
 
 
 # The contract beyond the conformance suite.

@@ -6,11 +6,10 @@ flat but for rounding noise the noise decides the level, and methods of this kin
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numba import njit, types
+from numba import types
+
+from vprbench.compiled import compiled
 
 _NEARLY_FLAT = np.float32(1e-4)  # deviation over mean, below which a window is looked at for being constant
 _CASCADE = 16  # terms that PyTorch adds up before it adds them to its sum
@@ -20,31 +19,13 @@ _IMAGES = types.Array(types.uint8, 4, "C", readonly=True)
 _TAPS, _SMALL, _LEVELS = types.float32[:, :, :, :, ::1], types.float32[:, :, ::1], types.uint8[:, ::1]
 
 
-def _compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function for these types, at the first call where none are given; kept where a folder can be written.
-
-    A type of its own for images keeps numba from compiling once more for those that may not be written to.
-    """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    signature: Any = [types.void(*arguments)] if arguments else None
-
-    def compile_it(function: Callable[..., Any]) -> Callable[..., Any]:
-        try:
-            kernel: Callable[..., Any] = njit(signature, cache=True, **options)(function)
-        except RuntimeError:
-            kernel = njit(signature, **options)(function)
-        return kernel
-
-    return compile_it
-
-
-@_compiled()
+@compiled()
 def _multiply_add(a, b, c):  # type: ignore[no-untyped-def]
     """Return a * b + c in float32 with a single rounding, as processors with such an instruction do."""
     return np.float32(np.float64(a) * np.float64(b) + np.float64(c))
 
 
-@_compiled()
+@compiled()
 def _source(index, size, source_size):  # type: ignore[no-untyped-def]
     """Return the first source pixel of a bilinear resize with half-pixel centres, and the share of the second."""
     scale = np.float32(source_size) / np.float32(size)
@@ -53,13 +34,13 @@ def _source(index, size, source_size):  # type: ignore[no-untyped-def]
     return first, min(max(position - np.float32(first), np.float32(0)), np.float32(1))
 
 
-@_compiled()
+@compiled()
 def _grey(pixel):  # type: ignore[no-untyped-def]
     weighted = np.float32(0.299) * np.float32(pixel[0]) + np.float32(0.587) * np.float32(pixel[1])
     return weighted + np.float32(0.114) * np.float32(pixel[2])
 
 
-@_compiled()
+@compiled()
 def _constant(small, row, column, half):  # type: ignore[no-untyped-def]
     """Tell whether a window, cut at the border, holds one level only."""
     height, width = small.shape
@@ -70,7 +51,7 @@ def _constant(small, row, column, half):  # type: ignore[no-untyped-def]
     return True
 
 
-@_compiled()
+@compiled()
 def _window_means(grey, patch, stride, count, part, mean):  # type: ignore[no-untyped-def]
     part[:] = mean[:] = 0
     for dy in range(patch):
@@ -86,7 +67,7 @@ def _window_means(grey, patch, stride, count, part, mean):  # type: ignore[no-un
         mean[k] = (part[k] + mean[k]) / count[k]
 
 
-@_compiled()
+@compiled()
 def _window_deviations(grey, inside, patch, stride, mean, part, deviation):  # type: ignore[no-untyped-def]
     part[:] = deviation[:] = 0
     for dy in range(patch):
@@ -103,7 +84,7 @@ def _window_deviations(grey, inside, patch, stride, mean, part, deviation):  # t
         deviation[k] += part[k]
 
 
-@_compiled(_IMAGES, _TAPS, types.float64[::1])
+@compiled(_IMAGES, _TAPS, types.float64[::1])
 def take_taps(images, taps, means):  # type: ignore[no-untyped-def]
     """Write the grey levels that a resize reads of `images` (n, h, w, 3) to `taps` (n, 2, 2, height, width).
 
@@ -134,7 +115,7 @@ def take_taps(images, taps, means):  # type: ignore[no-untyped-def]
         means[number] = (0.299 * red + 0.587 * green + 0.114 * blue) / (h * w)
 
 
-@_compiled(_TAPS, types.int64[:, ::1], _SMALL)
+@compiled(_TAPS, types.int64[:, ::1], _SMALL)
 def blend_taps(taps, sizes, small):  # type: ignore[no-untyped-def]
     """Blend `taps` (n, 2, 2, height, width) of images of `sizes` (n, 2), h and w, to `small` (n, height, width)."""
     n, height, width = small.shape
@@ -157,7 +138,7 @@ def blend_taps(taps, sizes, small):  # type: ignore[no-untyped-def]
                 small[image, row, column] = _multiply_add(taps[image, 1, 1, row, column], down * right, level)
 
 
-@_compiled(_SMALL, types.int64, types.int64, _LEVELS)
+@compiled(_SMALL, types.int64, types.int64, _LEVELS)
 def normalise_patches(small, patch, ddof, levels):  # type: ignore[no-untyped-def]
     """Write the patch-normalised `small` (n, height, width) to `levels` (n, height * width)."""
     n, height, width = small.shape
