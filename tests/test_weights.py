@@ -1,0 +1,537 @@
+"""Published weights: the right file is found, nothing is run out of it, and it fits the network to the last name."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import nn
+
+from vprbench import weights as module_under_test
+from vprbench.interface import BadInput
+from vprbench.registry import checked
+from vprbench.weights import (
+    Stated,
+    Weights,
+    content_hash,
+    find,
+    load_strictly,
+    read,
+    state_dict,
+    tensor,
+    weights_folder,
+    without_prefix,
+)
+
+CONTENT = b"published"
+SHA256 = hashlib.sha256(CONTENT).hexdigest()
+WANTED = Weights(file="net.pth", licence="MIT", trained_on="MSLS")
+LINKED = replace(WANTED, url="https://example.org/net.pth")
+HERE = Path("net.pth")
+TENSORS = {"weight": torch.arange(6.0).reshape(2, 3), "bias": torch.tensor([1.0, -1.0])}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(folder))
+    monkeypatch.delenv("VPRBENCH_OFFLINE", raising=False)
+    return folder
+
+
+@pytest.fixture
+def downloads(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The downloads that were asked for; each gives CONTENT."""
+    asked: list[Any] = []
+
+    def fetch(url: str, destination: Path, **stated: Any) -> None:
+        asked.append((url, destination, stated))
+        destination.write_bytes(CONTENT)
+
+    monkeypatch.setattr(module_under_test, "fetch", fetch)
+    return asked
+
+
+@pytest.fixture
+def hashed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of files whose content is read for a hash."""
+    names: list[str] = []
+    digest = hashlib.file_digest
+
+    def counted(file: Any, name: str) -> Any:
+        names.append(Path(file.name).name)
+        return digest(file, name)
+
+    monkeypatch.setattr(hashlib, "file_digest", counted)
+    return names
+
+
+def of_content(**stated: Any) -> Weights:
+    return replace(LINKED, stated={"net.pth": Stated(**stated)})
+
+
+class TestFolder:
+    def test_the_environment_chooses_it(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("VPRBENCH_WEIGHTS", "~/nets")
+        assert weights_folder() == Path.home() / "nets"
+
+    def test_it_is_in_the_cache_of_the_user_otherwise(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        monkeypatch.delenv("VPRBENCH_WEIGHTS")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        assert weights_folder().parts[-2:] == ("vprbench", "weights")
+        if sys.platform == "linux":
+            assert weights_folder() == tmp_path / "vprbench" / "weights"
+
+
+class TestConfiguration:
+    def test_a_mapping_of_a_yaml_becomes_weights(self) -> None:
+        given = {"file": "a", "licence": "MIT", "trained_on": "b", "stated": {"a": {"size_bytes": 3, "certain": False}}}
+        assert checked("method.weights", given, Weights) == Weights(
+            file="a", licence="MIT", trained_on="b", stated={"a": Stated(size_bytes=3, certain=False)}
+        )
+
+    @pytest.mark.parametrize("wrong", [{"pth": "b"}, {"stated": {"a": {"sha": "b"}}}, {"path": 3}])
+    def test_what_weights_do_not_have_is_refused(self, wrong: dict[str, Any]) -> None:
+        with pytest.raises(BadInput, match=r"method\.weights="):
+            checked("method.weights", {"file": "a", "licence": "MIT", "trained_on": "b", **wrong}, Weights)
+
+
+class TestFinding:
+    def test_an_own_copy_comes_before_everything(self, folder: Path, tmp_path: Path, downloads: list[Any]) -> None:
+        own = tmp_path / "own.pth"
+        own.write_bytes(b"mine")
+        (folder / "net.pth").write_bytes(CONTENT)
+        assert find(replace(of_content(sha256=SHA256), path=str(own)), "gcl") == own
+        assert downloads == []
+
+    def test_an_own_copy_may_stand_in_the_home_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.setenv("USERPROFILE", str(tmp_path))
+        (tmp_path / "own.pth").touch()
+        assert find(replace(WANTED, path="~/own.pth"), "gcl") == tmp_path / "own.pth"
+
+    @pytest.mark.parametrize("own", ["/nowhere/net.pth", "."])
+    def test_an_own_copy_that_is_no_file_is_named(self, own: str) -> None:
+        with pytest.raises(
+            BadInput, match=rf"^method\.weights\.path={re.escape(own)} is no file that can be read: .*gcl"
+        ):
+            find(replace(LINKED, path=own), "gcl")
+
+    def test_a_file_in_the_folder_is_taken(self, folder: Path, downloads: list[Any]) -> None:
+        (folder / "net.pth").write_bytes(CONTENT)
+        assert find(LINKED, "gcl") == folder / "net.pth"
+        assert downloads == []
+
+    def test_a_missing_file_is_downloaded_with_what_is_stated(self, folder: Path, downloads: list[Any]) -> None:
+        assert find(of_content(size_bytes=9, sha256=SHA256), "gcl").read_bytes() == CONTENT
+        assert downloads == [(LINKED.url, folder / "net.pth", {"size_bytes": 9, "sha256": SHA256})]
+
+    def test_what_is_stated_of_another_file_does_not_count(self, downloads: list[Any]) -> None:
+        find(replace(LINKED, stated={"other.pth": Stated(size_bytes=1)}), "gcl")
+        assert downloads[0][2] == {"size_bytes": None, "sha256": None}
+
+    def test_no_download_is_tried_where_that_is_forbidden(
+        self, folder: Path, downloads: list[Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
+        with pytest.raises(BadInput) as error:
+            find(LINKED, "gcl")
+        assert str(error.value) == (
+            f"gcl needs net.pth, which is not in {folder}, and VPRBENCH_OFFLINE forbids downloads: "
+            "get it from https://example.org/net.pth; put it there under that name, or give method.weights.path=FILE"
+        )
+        assert downloads == []
+
+    def test_what_no_program_can_fetch_is_said_to_a_person(self, folder: Path, downloads: list[Any]) -> None:
+        with pytest.raises(BadInput) as error:
+            find(replace(WANTED, by_hand="log in at example.org and take MSLS.zip"), "gcl")
+        assert str(error.value) == (
+            f"gcl needs net.pth, which is not in {folder}: log in at example.org and take MSLS.zip; "
+            "put it there under that name, or give method.weights.path=FILE"
+        )
+
+    @pytest.mark.parametrize("name", ["../net.pth", "a/net.pth", "", ".."])
+    def test_a_name_that_leaves_the_folder_is_refused(self, name: str, downloads: list[Any]) -> None:
+        with pytest.raises(BadInput, match=r"method\.weights\.file="):
+            find(replace(LINKED, file=name), "gcl")
+        assert downloads == []
+
+    @pytest.mark.parametrize(
+        ("stated", "message"),
+        [
+            ({"size_bytes": 7}, "has 9 bytes, stated are 7: delete it"),
+            ({"sha256": "0" * 64}, f"has SHA-256 {SHA256}, stated is {'0' * 64}: delete it"),
+        ],
+    )
+    def test_a_wrong_file_in_the_folder_is_refused(self, folder: Path, stated: dict[str, Any], message: str) -> None:
+        (folder / "net.pth").write_bytes(CONTENT)
+        with pytest.raises(BadInput, match=f"net.pth {message}"):
+            find(of_content(**stated), "gcl")
+
+    @pytest.mark.parametrize("stated", [{"size_bytes": 7}, {"sha256": "0" * 64}])
+    def test_what_a_third_party_states_is_a_warning(
+        self, stated: dict[str, Any], downloads: list[Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        with caplog.at_level(logging.WARNING):
+            find(of_content(certain=False, **stated), "gcl")
+        assert "by a third party" in caplog.text
+        assert downloads[0][2] == {"size_bytes": None, "sha256": None}
+
+    def test_a_folder_that_cannot_be_looked_into_is_named(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*_: Any, **__: Any) -> None:
+            raise PermissionError(13, "Permission denied")
+
+        monkeypatch.setattr(Path, "is_file", refuse)
+        with pytest.raises(BadInput, match=r"cannot be read \(Permission denied\)"):
+            find(LINKED, "gcl")
+
+
+class TestHash:
+    def test_it_is_sha256_of_the_content(self, folder: Path) -> None:
+        (folder / "net.pth").write_bytes(CONTENT)
+        assert content_hash(folder / "net.pth") == SHA256
+
+    def test_a_file_of_the_folder_is_read_once_for_it(self, folder: Path, hashed: list[str]) -> None:
+        (folder / "net.pth").write_bytes(CONTENT)
+        for _ in range(3):
+            find(of_content(sha256=SHA256), "gcl")
+        assert content_hash(folder / "net.pth") == SHA256
+        assert hashed == ["net.pth"]
+
+    def test_a_file_that_changed_is_read_anew(self, folder: Path) -> None:
+        path = folder / "net.pth"
+        path.write_bytes(CONTENT)
+        content_hash(path)
+        path.write_bytes(b"Published")
+        os.utime(path, ns=(1, 1))  # the clock of a file system may be coarse
+        assert content_hash(path) == hashlib.sha256(b"Published").hexdigest()
+
+    @pytest.mark.parametrize("memo", ["", "[]", "{", '{"size_bytes": 9}'])
+    def test_a_damaged_memory_of_it_is_ignored(self, folder: Path, memo: str) -> None:
+        (folder / "net.pth").write_bytes(CONTENT)
+        (folder / "net.pth.sha256.json").write_text(memo)
+        assert content_hash(folder / "net.pth") == SHA256
+
+    def test_nothing_is_written_beside_an_own_copy(self, tmp_path: Path) -> None:
+        (tmp_path / "own").mkdir()
+        own = tmp_path / "own" / "net.pth"
+        own.write_bytes(CONTENT)
+        assert content_hash(own) == SHA256
+        assert list(own.parent.iterdir()) == [own]
+
+    def test_a_folder_that_cannot_be_written_does_not_hinder(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def refuse(*_: Any, **__: Any) -> None:
+            raise PermissionError(13, "Permission denied")
+
+        (folder / "net.pth").write_bytes(CONTENT)
+        monkeypatch.setattr(Path, "write_text", refuse)
+        assert content_hash(folder / "net.pth") == SHA256
+
+
+def write_torch(content: Any, path: Path, *, zipped: bool = True) -> Path:
+    torch.save(content, path, _use_new_zipfile_serialization=zipped)
+    return path
+
+
+class Hostile:
+    """Unpickling it creates a file."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return Path.touch, (self.mark,)
+
+
+class TestReading:
+    @pytest.mark.parametrize("zipped", [True, False])
+    @pytest.mark.parametrize("name", ["net.pth", "net.pt", "net.ckpt", "net.pth.tar"])
+    def test_files_of_torch_are_read_nested_as_they_are(self, tmp_path: Path, name: str, zipped: bool) -> None:
+        path = write_torch({"epoch": 3, "state_dict": TENSORS}, tmp_path / name, zipped=zipped)
+        content = read(path)
+        assert content["epoch"] == 3
+        assert torch.equal(content["state_dict"]["weight"], TENSORS["weight"])
+
+    @pytest.mark.parametrize("name", ["model.safetensors", "model.bin"])
+    def test_safetensors_are_read_whatever_the_name(self, tmp_path: Path, name: str) -> None:
+        save_file(TENSORS, tmp_path / name)
+        assert torch.equal(read(tmp_path / name)["bias"], TENSORS["bias"])
+
+    def test_a_zipped_file_stays_on_the_disk_until_it_is_used(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        modes = []
+        load = torch.load
+        monkeypatch.setattr(torch, "load", lambda *a, **options: modes.append(options["mmap"]) or load(*a, **options))
+        read(write_torch(TENSORS, tmp_path / "new.pth"))
+        read(write_torch(TENSORS, tmp_path / "old.pth", zipped=False))
+        assert modes == [True, False]
+
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_a_hostile_file_is_refused_and_not_run(self, tmp_path: Path, zipped: bool) -> None:
+        mark = tmp_path / "mark"
+        path = write_torch({"state_dict": TENSORS, "x": Hostile(mark)}, tmp_path / "net.pth", zipped=zipped)
+        with pytest.raises(BadInput, match=r"running code out of it, which is never done") as error:
+            read(path)
+        assert not mark.exists()
+        assert "\n" not in str(error.value)
+
+    def test_a_bare_pickle_is_refused_and_not_run(self, tmp_path: Path) -> None:
+        path, mark = tmp_path / "net.pth", tmp_path / "mark"
+        path.write_bytes(pickle.dumps(Hostile(mark)))
+        with pytest.raises(BadInput, match=r"net\.pth"):
+            read(path)
+        assert not mark.exists()
+
+    def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path) -> None:
+        path = write_torch({"state_dict": TENSORS, "best": np.float64(0.5)}, tmp_path / "net.pth")
+        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*multiarray\.scalar\)"):
+            read(path)
+
+    def test_a_file_that_would_run_a_program_is_called_dishonest(self, tmp_path: Path) -> None:
+        path, mark = tmp_path / "net.pth", tmp_path / "mark"
+        path.write_bytes(f"cos\nsystem\n(S'touch {mark}'\ntR.".encode())
+        with pytest.raises(BadInput, match=r"would run os\.system when it is read: .* delete it"):
+            read(path)
+        assert not mark.exists()
+
+    def test_the_conversion_that_a_refusal_names_works(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        path = write_torch({"state_dict": TENSORS, "best": np.float64(0.5)}, tmp_path / "net.pth")
+        with pytest.raises(BadInput) as error:
+            read(path)
+        named = re.search(r'python -c "(.*)", and give method\.weights\.path=(\S+)', str(error.value))
+        assert named is not None
+        monkeypatch.chdir(tmp_path)
+        exec(named[1], {})
+        assert torch.equal(state_dict(tmp_path / named[2], "state_dict")["weight"], TENSORS["weight"])
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            (b"", "is empty"),
+            (b"\n<!DOCTYPE html><html>Sign in", "is a web page"),
+            (b"<html>", "is a web page"),
+            (b"PK\x03\x04" + bytes(100), "cannot be read as a file of torch"),
+            (b"version https://git-lfs.github.com/spec/v1\noid", "is damaged, or no file of torch"),
+            (bytes(2000), "net.pth"),
+            (np.random.default_rng(0).bytes(5000), "net.pth"),
+            (b"\x10\x00\x00\x00\x00\x00\x00\x00{", "cannot be read as safetensors"),
+        ],
+    )
+    def test_what_holds_no_weights_is_refused(self, tmp_path: Path, content: bytes, message: str) -> None:
+        (tmp_path / "net.pth").write_bytes(content)
+        with pytest.raises(BadInput, match=message) as error:
+            read(tmp_path / "net.pth")
+        assert "\n" not in str(error.value)
+
+    @pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+    @pytest.mark.parametrize("kind", ["new.pth", "old.pth", "net.safetensors"])
+    def test_a_truncated_file_is_refused(self, tmp_path: Path, kind: str, share: float) -> None:
+        path, tensors = tmp_path / kind, {"weight": torch.ones(100, 100)}
+        if path.suffix == ".safetensors":
+            save_file(tensors, path)
+        else:
+            write_torch(tensors, path, zipped=kind == "new.pth")
+        path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+        with pytest.raises(BadInput, match=kind):
+            read(path)
+
+    def test_a_file_that_is_not_there_is_named(self, tmp_path: Path) -> None:
+        with pytest.raises(BadInput, match=r"net\.pth cannot be read \(No such file"):
+            read(tmp_path / "net.pth")
+
+    def test_a_single_tensor_is_no_dictionary(self, tmp_path: Path) -> None:
+        with pytest.raises(BadInput, match="holds one Tensor; wanted a dictionary"):
+            read(write_torch(torch.ones(3), tmp_path / "centres.pt"))
+
+
+class TestTensor:
+    def test_a_file_of_one_tensor_gives_it(self, tmp_path: Path) -> None:
+        assert torch.equal(tensor(write_torch(torch.arange(3.0), tmp_path / "centres.pt")), torch.arange(3.0))
+
+    @pytest.mark.parametrize("content", [TENSORS, [torch.ones(1)], torch.ones(2, dtype=torch.complex64)])
+    def test_anything_else_is_refused(self, tmp_path: Path, content: Any) -> None:
+        with pytest.raises(BadInput, match=r"centres\.pt holds one"):
+            tensor(write_torch(content, tmp_path / "centres.pt"))
+
+
+class TestStateDict:
+    def test_the_first_key_that_is_there_counts(self, tmp_path: Path) -> None:
+        path = write_torch({"state_dict": {"a": torch.ones(1)}, "model_state_dict": TENSORS}, tmp_path / "net.pth")
+        assert list(state_dict(path, "model_state_dict", "state_dict")) == ["weight", "bias"]
+
+    def test_the_top_counts_where_no_key_is_there(self, tmp_path: Path) -> None:
+        assert list(state_dict(write_torch(TENSORS, tmp_path / "net.pth"), "state_dict")) == ["weight", "bias"]
+
+    def test_parameters_come_as_tensors(self, tmp_path: Path) -> None:
+        path = write_torch({"a": nn.Parameter(torch.ones(2))}, tmp_path / "net.pth")
+        assert not state_dict(path)["a"].requires_grad
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            {"epoch": 3, "net": TENSORS},
+            {"state_dict": 3},
+            {"state_dict": {"nested": TENSORS}},
+            {"state_dict": {"lr": 0.1}},
+            {"state_dict": {}},
+            {},
+        ],
+    )
+    def test_anything_but_tensors_is_refused_with_what_is_there(self, tmp_path: Path, content: Any) -> None:
+        path = write_torch(content, tmp_path / "net.pth")
+        held = re.escape(", ".join(content))
+        with pytest.raises(BadInput, match=rf"tensors alone under state_dict or its top \(it holds {held}\)"):
+            state_dict(path, "state_dict")
+
+
+class TestPrefixes:
+    def test_a_leading_and_an_inner_part_go(self) -> None:
+        names = ["module.encoder.0.weight", "encoder.module.1.weight", "pool.module.module.conv.weight", "submodule.b"]
+        assert list(without_prefix(dict.fromkeys(names, torch.ones(1)), "module.")) == [
+            "encoder.0.weight",
+            "encoder.1.weight",
+            "pool.conv.weight",
+            "submodule.b",
+        ]
+
+    def test_several_go(self) -> None:
+        assert list(without_prefix({"model.module.a": torch.ones(1)}, "module.", "model")) == ["a"]
+
+    def test_two_names_that_become_one_are_refused(self) -> None:
+        with pytest.raises(BadInput, match=r"a\.b and a\.module\.b are both a\.b"):
+            without_prefix({"a.b": torch.ones(1), "a.module.b": torch.ones(1)}, "module.")
+
+
+class TestLoading:
+    def test_a_module_computes_with_what_it_was_given(self) -> None:
+        linear = nn.Linear(3, 2)
+        load_strictly(linear, TENSORS, HERE)
+        x = torch.tensor([[1.0, 2.0, 3.0]])
+        assert linear(x).tolist() == [[0 + 2 + 6 + 1, 3 + 8 + 15 - 1]]
+
+    def test_a_missing_name_is_refused(self) -> None:
+        with pytest.raises(BadInput, match=r"^net\.pth does not fit Linear: 1 missing \(bias\)"):
+            load_strictly(nn.Linear(3, 2), {"weight": TENSORS["weight"]}, HERE)
+
+    def test_an_unexpected_name_is_refused(self) -> None:
+        with pytest.raises(BadInput, match=r"1 unexpected \(extra\)"):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, "extra": torch.ones(1)}, HERE)
+
+    def test_many_names_are_counted(self) -> None:
+        extra = {f"x{i}": torch.ones(1) for i in range(5)}
+        with pytest.raises(BadInput, match=r"5 unexpected \(x0, x1, x2 and 2 more\)"):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, **extra}, HERE)
+
+    def test_names_and_patterns_may_be_optional(self) -> None:
+        extra = {"mask_token": torch.ones(1), "norm.weight": torch.ones(1), "norm.bias": torch.ones(1)}
+        linear = nn.Linear(3, 2)
+        load_strictly(linear, {**TENSORS, **extra}, HERE, optional=("mask_token", "norm.*"))
+        assert torch.equal(linear.bias, TENSORS["bias"])
+
+    def test_what_the_module_has_is_never_optional(self) -> None:
+        with pytest.raises(BadInput, match=r"1 missing \(bias\)"):
+            load_strictly(nn.Linear(3, 2), {"weight": TENSORS["weight"]}, HERE, optional=("*",))
+
+    @pytest.mark.parametrize("shape", [(3, 2), (2, 3, 1), (1, 3)])
+    def test_another_shape_is_refused_though_it_would_broadcast(self, shape: tuple[int, ...]) -> None:
+        wrong = re.escape(f"1 other (weight real {shape}, wanted real (2, 3))")
+        with pytest.raises(BadInput, match=wrong):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, "weight": torch.ones(shape)}, HERE)
+
+    def test_whole_numbers_are_no_weights(self) -> None:
+        quantised = torch.ones(2, 3, dtype=torch.int8)
+        with pytest.raises(BadInput, match=r"weight whole \(2, 3\), wanted real"):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, "weight": quantised}, HERE)
+
+    @pytest.mark.parametrize("value", [float("nan"), float("inf")])
+    def test_values_that_are_not_finite_are_refused(self, value: float) -> None:
+        with pytest.raises(BadInput, match=r"1 not finite \(bias\)"):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, "bias": torch.tensor([0.0, value])}, HERE)
+
+    def test_values_that_are_too_large_for_the_module_are_refused(self) -> None:
+        big = torch.tensor([0.0, 1e300], dtype=torch.float64)
+        with pytest.raises(BadInput, match=r"1 not finite \(bias\)"):
+            load_strictly(nn.Linear(3, 2), {**TENSORS, "bias": big}, HERE)
+
+    def test_double_precision_becomes_the_module_s(self) -> None:
+        linear = nn.Linear(3, 2)
+        load_strictly(linear, {name: values.double() / 3 for name, values in TENSORS.items()}, HERE)
+        assert linear.weight.dtype == torch.float32
+        assert torch.equal(linear.weight, (TENSORS["weight"].double() / 3).float())
+
+    @pytest.mark.parametrize("device", ["cpu", "meta"])
+    def test_the_module_keeps_nothing_of_the_file(self, device: str) -> None:
+        given = {name: values.clone() for name, values in TENSORS.items()}
+        with torch.device(device):
+            linear = nn.Linear(3, 2)
+        load_strictly(linear, given, HERE)
+        given["weight"].zero_()
+        assert torch.equal(linear.weight, TENSORS["weight"])
+
+    def test_a_module_on_meta_becomes_real(self) -> None:
+        with torch.device("meta"):
+            network = nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2)).eval()
+        real = nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2)).eval()
+        given = {name: values.double() for name, values in real.state_dict().items() if "num_batches" not in name}
+        load_strictly(network, given, HERE)
+        x = torch.ones(4, 3)
+        assert torch.equal(network(x), real(x))
+        assert network[1].num_batches_tracked.item() == 0
+        assert network[0].weight.dtype == torch.float32
+        assert network[0].weight.requires_grad
+
+    def test_a_module_that_stays_on_meta_is_a_fault_of_its_own(self) -> None:
+        class Scaled(nn.Linear):
+            def __init__(self) -> None:
+                super().__init__(3, 2)
+                self.register_buffer("mean", torch.ones(3), persistent=False)
+
+        with torch.device("meta"):
+            module = Scaled()
+        with pytest.raises(RuntimeError, match="Scaled keeps mean on meta"):
+            load_strictly(module, TENSORS, HERE)
+
+    def test_strides_of_a_file_do_not_matter(self) -> None:
+        given = torch.arange(36.0).reshape(2, 2, 3, 3).to(memory_format=torch.channels_last)
+        with torch.device("meta"):
+            conv = nn.Conv2d(2, 2, 3, bias=False)
+        load_strictly(conv, {"weight": given}, HERE)
+        assert conv.weight.is_contiguous()
+        assert torch.equal(conv.weight, given)
+
+    @pytest.mark.parametrize("given", [True, False])
+    @pytest.mark.parametrize("tracks", [True, False])
+    def test_the_counter_of_a_normalisation_may_be_there_or_not(self, given: bool, tracks: bool) -> None:
+        norm = nn.BatchNorm2d(2)
+        tensors = {name: values + 1 for name, values in norm.state_dict().items() if given or "num_" not in name}
+        if not tracks:
+            norm.register_buffer("num_batches_tracked", None)
+        load_strictly(norm, tensors, HERE)
+        assert norm.running_mean is not None
+        assert norm.running_mean.tolist() == [1, 1]
+
+    def test_scalars_keep_their_value(self) -> None:
+        class Dustbin(nn.Module):
+            def __init__(self) -> None:
+                super().__init__()
+                self.dust_bin = nn.Parameter(torch.tensor(0.0))
+
+        module = Dustbin()
+        load_strictly(module, {"dust_bin": torch.tensor(2.5, dtype=torch.float64)}, HERE)
+        assert module.dust_bin.item() == 2.5

@@ -1,0 +1,346 @@
+"""Published network weights: found or downloaded, read without running anything out of them, loaded strictly."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import pickle
+import re
+import uuid
+import warnings
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import platformdirs
+
+from vprbench.download import fetch
+from vprbench.interface import BadInput
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor, nn
+
+logger = logging.getLogger(__name__)
+
+_FOLDER, _OFFLINE = "VPRBENCH_WEIGHTS", "VPRBENCH_OFFLINE"  # environment variables
+_MEMO = ".sha256.json"  # beside a file of the cache: its hash, with the size and time of change that it holds for
+_ZIP = b"PK\x03\x04"
+_COUNTER = "num_batches_tracked"  # of a BatchNorm; evaluation does not use it, older files lack it
+_SHOWN = 3  # names in one message
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a source states of a file."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    size_bytes: int | None = None
+    sha256: str | None = None
+    certain: bool = True  # False: a third party states it, and a difference is a warning
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A file of published weights: where it comes from and what is stated about it."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    file: str  # its name in the folder of weights
+    licence: str
+    trained_on: str
+    url: str | None = None  # None: no program may fetch it, or can
+    by_hand: str | None = None  # what a person has to do where there is no url
+    stated: Mapping[str, Stated] = field(default_factory=dict)  # by file name
+    path: str | None = None  # an own copy: nothing is looked for, checked or downloaded then
+
+
+def weights_folder() -> Path:
+    """Return the folder that keeps published weights: VPRBENCH_WEIGHTS, or one in the user's cache."""
+    chosen = os.environ.get(_FOLDER)
+    if chosen:
+        return Path(chosen).expanduser()
+    return platformdirs.user_cache_path("vprbench", appauthor=False) / "weights"
+
+
+def find(weights: Weights, subject: str, option: str = "weights") -> Path:
+    """Return the file with the weights that `subject`, a method, needs; downloads it where that is possible.
+
+    `option` is the method's argument that holds `weights`, for the message.
+    Raises BadInput where there is none, with what a person has to do, or where it is not what is stated.
+    """
+    if weights.path is not None:
+        own = Path(weights.path).expanduser()
+        if not (os.access(own, os.R_OK) and own.is_file()):
+            given = f"method.{option}.path={weights.path}"
+            raise BadInput(f"{given} is no file that can be read: give one with the weights of {subject}")
+        return own
+    if weights.file in ("", "..") or weights.file != Path(weights.file).name:
+        wanted = f"give a name without folders, or method.{option}.path=FILE"
+        raise BadInput(f"method.{option}.file={weights.file}: {wanted}")
+    path = weights_folder() / weights.file
+    stated = weights.stated.get(weights.file, Stated())
+    try:
+        if not path.is_file():
+            _obtain(weights, subject, path, stated, option)
+        _check(path, stated, "the next run downloads it anew" if weights.url else "then get it anew")
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}): mend that, or set {_FOLDER}=FOLDER") from error
+    return path
+
+
+def content_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's content; for one in the folder of weights it is computed once and remembered."""
+    before = path.stat()
+    kept = path.absolute().parent == weights_folder().absolute()
+    holds_for = {"size_bytes": before.st_size, "changed_ns": before.st_mtime_ns}
+    memo = path.with_name(f"{path.name}{_MEMO}")
+    if kept:
+        try:
+            remembered = json.loads(memo.read_text(encoding="utf-8"))
+            if {name: remembered[name] for name in holds_for} == holds_for:
+                return str(remembered["sha256"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass  # none, or a damaged one: computed anew
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    after = path.stat()
+    if kept and (after.st_size, after.st_mtime_ns) == (before.st_size, before.st_mtime_ns):
+        _remember(memo, {**holds_for, "sha256": sha256})
+    return sha256
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return what a file of safetensors or of torch holds, nested as it is there, on the CPU.
+
+    Raises BadInput for a file that is damaged, no dictionary, or not to be read without running code out of it.
+    """
+    content = _content(path)
+    if not isinstance(content, dict):
+        raise BadInput(f"{path} holds one {type(content).__name__}; wanted a dictionary of tensors: give another file")
+    return content
+
+
+def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
+    """Return the tensors of a file by name: those under the first of `keys` that is there, or all at its top.
+
+    Raises BadInput as `read` does, and where anything but plain tensors is found there.
+    """
+    content = read(path)
+    key = next((key for key in keys if key in content), None)
+    found = content if key is None else content[key]
+    odd = [name for name, value in found.items() if not _is_plain(value)] if isinstance(found, Mapping) else [key]
+    if odd or not found:
+        places = " or ".join([*keys, "its top"])
+        raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {_some(content)}): give another")
+    return {name: value.detach() for name, value in found.items()}
+
+
+def tensor(path: Path) -> Tensor:
+    """Return the one tensor that a file of torch holds; raises BadInput for anything else."""
+    content = _content(path)
+    if not _is_plain(content):
+        raise BadInput(f"{path} holds one {type(content).__name__}; wanted one tensor: give another file")
+    return content.detach()  # type: ignore[no-any-return]
+
+
+def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, optional: Collection[str] = ()) -> None:
+    """Copy tensors, which came from the file `path`, into a module, as its types; modules on "meta" become real.
+
+    `optional` are names or patterns (`fnmatch`) of tensors that the module need not have. Raises BadInput for any
+    other difference in names, shapes or kinds, and for values that are not finite: the module is of no use then.
+    """
+    import torch
+
+    wanted = module.state_dict()
+    problems = {
+        "missing": [name for name in wanted if name not in tensors and not _is_counter(name)],
+        "unexpected": [
+            name
+            for name in tensors
+            if name not in wanted and not _is_counter(name) and not any(fnmatchcase(name, p) for p in optional)
+        ],
+        "other": [
+            f"{name} {_kind(tensors[name])}, wanted {_kind(there)}"
+            for name, there in wanted.items()
+            if name in tensors and _kind(tensors[name]) != _kind(there)
+        ],
+    }
+    _refuse(problems, path, module)
+    assigned, wild = {}, []
+    with torch.no_grad():
+        for name, there in wanted.items():
+            given = tensors.get(name, there.new_zeros((), device="cpu"))
+            values = torch.empty(there.shape, dtype=there.dtype, device="cpu").copy_(given)
+            if not torch.isfinite(values).all():
+                wild.append(name)
+            elif there.is_meta:
+                assigned[name] = values
+            else:
+                there.copy_(values)
+    _refuse({"not finite": wild}, path, module)
+    module.load_state_dict(assigned, strict=False, assign=True)
+    _insist_on_real(module)
+
+
+def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, Tensor]:
+    """Return tensors under names without `prefixes` ("module." of DataParallel), wherever a part of a name begins.
+
+    Raises BadInput where two names become one.
+    """
+    origins: dict[str, str] = {}
+    for name in tensors:
+        short = f".{name}"
+        for prefix in prefixes:
+            part = f".{prefix.rstrip('.')}."
+            while part in short:
+                short = short.replace(part, ".")
+        short = short[1:]
+        if short in origins:
+            raise BadInput(
+                f"{origins[short]} and {name} are both {short} without {' and '.join(prefixes)}: "
+                "the file holds two networks, give one with the tensors of one"
+            )
+        origins[short] = name
+    return {short: tensors[name] for short, name in origins.items()}
+
+
+def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: str) -> None:
+    """Download a file that the folder lacks; raises BadInput that says what to do where that cannot be."""
+    missing = f"{subject} needs {weights.file}, which is not in {path.parent}"
+    instead = f"put it there under that name, or give method.{option}.path=FILE"
+    if weights.url is None:
+        raise BadInput(f"{missing}: {weights.by_hand or 'get it from its authors'}; {instead}")
+    if os.environ.get(_OFFLINE, "0") not in ("", "0"):
+        raise BadInput(f"{missing}, and {_OFFLINE} forbids downloads: get it from {weights.url}; {instead}")
+    logger.info("downloading %s (licence: %s) from %s", weights.file, weights.licence, weights.url)
+    known = stated if stated.certain else Stated()
+    try:
+        fetch(weights.url, path, size_bytes=known.size_bytes, sha256=known.sha256)
+    except BadInput as error:
+        raise BadInput(f"{subject} needs {weights.file}: {error}") from error
+
+
+def _check(path: Path, stated: Stated, afterwards: str) -> None:
+    """Compare a file with what is stated of it; raises BadInput, or warns where that is not certain."""
+    size_bytes = path.stat().st_size
+    if stated.size_bytes not in (None, size_bytes):
+        difference = f"has {size_bytes} bytes, stated are {stated.size_bytes}"
+    elif stated.sha256 is not None and content_hash(path) != stated.sha256.lower():
+        difference = f"has SHA-256 {content_hash(path)}, stated is {stated.sha256}"
+    else:
+        return
+    if stated.certain:
+        raise BadInput(f"{path} {difference}: delete it, {afterwards}")
+    logger.warning("%s %s (by a third party): its results may not be those of the published weights", path, difference)
+
+
+def _remember(memo: Path, content: Mapping[str, Any]) -> None:
+    partial = memo.with_name(f".{uuid.uuid4().hex[:8]}-{memo.name}")
+    try:
+        partial.write_text(json.dumps(content), encoding="utf-8")
+        partial.replace(memo)
+    except OSError:
+        partial.unlink(missing_ok=True)  # a folder that cannot be written: computed again next time
+
+
+def _content(path: Path) -> Any:
+    """Return what a file holds, whatever that is; raises BadInput where it cannot be read safely."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(512)
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}): give a file with weights") from error
+    if not start:
+        raise BadInput(f"{path} is empty: delete it and get it anew")
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        raise BadInput(f"{path} is a web page, no file of weights (a login page?): delete it and get it anew")
+    if path.suffix == ".safetensors" or start[8:9] == b"{":
+        return _content_of_safetensors(path)
+    return _content_of_torch(path, mmap=start.startswith(_ZIP))
+
+
+def _content_of_safetensors(path: Path) -> dict[str, Tensor]:
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    try:
+        return load_file(path)
+    except (OSError, SafetensorError, ValueError, KeyError) as error:
+        raise BadInput(f"{path} cannot be read as safetensors ({_reason(error)}): get it anew") from error
+
+
+def _content_of_torch(path: Path, mmap: bool) -> Any:
+    import torch
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about what was written by an older torch
+            return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
+    except pickle.UnpicklingError as error:
+        needs = re.search(r"(?:GLOBAL|class) ([\w.]+)( whose module \S+ is blocked)?", str(error))
+        if needs is None:
+            raise BadInput(f"{path} is damaged, or no file of torch: delete it and get it anew") from error
+        if needs[2]:
+            raise BadInput(f"{path} would run {needs[1]} when it is read: it is no honest file, delete it") from error
+        raise BadInput(
+            f"{path} holds more than tensors ({needs[1]}) and could only be read "
+            "by running code out of it, which is never done: where you trust its source, keep its tensors alone, in a "
+            'sandbox, with python -c "import torch; '
+            f"torch.save(torch.load({str(path)!r}, weights_only=False, map_location='cpu')['state_dict'], "
+            "'tensors.pth')\", and give method.weights.path=tensors.pth"
+        ) from error
+    except Exception as error:  # torch raises whatever a damaged file leads it to
+        raise BadInput(f"{path} cannot be read as a file of torch ({_reason(error)}): get it anew") from error
+
+
+def _reason(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _is_plain(value: Any) -> bool:
+    import torch
+
+    return (
+        isinstance(value, torch.Tensor)
+        and value.layout is torch.strided
+        and not value.is_quantized
+        and not value.is_complex()
+    )
+
+
+def _is_counter(name: str) -> bool:
+    return name.split(".")[-1] == _COUNTER
+
+
+def _kind(values: torch.Tensor) -> str:
+    """Return what has to agree between a file and a module: the shape, and whether the numbers are whole."""
+    return f"{'real' if values.is_floating_point() else 'whole'} {tuple(values.shape)}"
+
+
+def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) -> None:
+    """Raise BadInput where any kind of problem has names."""
+    found = [f"{len(names)} {problem} ({_some(names)})" for problem, names in problems.items() if names]
+    if found:
+        raise BadInput(
+            f"{path} does not fit {type(module).__name__}: {'; '.join(found)}: "
+            "give the weights that belong to this network, or the options that belong to these weights"
+        )
+
+
+def _some(names: Iterable[Any]) -> str:
+    """Return a few of many names as text."""
+    names = [str(name) for name in names]
+    shown = ", ".join(names[:_SHOWN])
+    return f"{shown} and {len(names) - _SHOWN} more" if len(names) > _SHOWN else shown
+
+
+def _insist_on_real(module: nn.Module) -> None:
+    unreal = [name for name, value in [*module.named_parameters(), *module.named_buffers()] if value.is_meta]
+    if unreal:
+        raise RuntimeError(f"{type(module).__name__} keeps {_some(unreal)} on meta: no file holds them, make them real")
