@@ -1,0 +1,276 @@
+"""The Vision Transformer of DINOv2, under its key names and sized from a checkpoint's own tensors."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Self, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+
+_HEAD = 64  # dimensions of an attention head, in all published sizes
+_EPSILON = 1e-6
+_OFFSET = 0.1  # patches that DINOv2 adds to a grid's side, against rounding, when it stretches the position embedding
+_BLOCK = re.compile(r"blocks\.(\d{1,9})\.")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a Vision Transformer's tensors are sized by."""
+
+    dim: int  # a multiple of 64: one attention head for each 64
+    n_blocks: int
+    n_hidden: int  # between the two linear layers of a block
+    swiglu: bool = False  # a gate instead of GELU
+    patch: int = 14  # pixels along a side
+    grid: int = 37  # patches along a side of the image that the position embedding belongs to
+
+
+SIZES: Mapping[str, Sizes] = MappingProxyType(
+    {
+        "vits14": Sizes(dim=384, n_blocks=12, n_hidden=1536),
+        "vitb14": Sizes(dim=768, n_blocks=12, n_hidden=3072),
+        "vitl14": Sizes(dim=1024, n_blocks=24, n_hidden=4096),
+        "vitg14": Sizes(dim=1536, n_blocks=40, n_hidden=4096, swiglu=True),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """What a Vision Transformer says of images."""
+
+    cls: Tensor  # (n, dim), of the whole image
+    patches: Tensor  # (n, rows, columns, dim)
+
+
+class VisionTransformer(nn.Module):
+    """DINOv2's Vision Transformer, in evaluation mode and without gradients.
+
+    Images are (n, 3, height, width) of the parameters' type, both sides multiples of the patch size. `norm` and
+    `mask_token` say whether there are parameters for the final norm and for the token that masks patches in training,
+    which has no use here: some published files hold it and some don't.
+    Source: Oquab et al. 2024 and facebookresearch/dinov2; no register tokens.
+    """
+
+    mask_token: nn.Parameter | None
+
+    def __init__(self, sizes: Sizes, *, norm: bool = True, mask_token: bool = False) -> None:
+        super().__init__()
+        self.sizes = sizes
+        self.cls_token = nn.Parameter(torch.zeros(1, 1, sizes.dim))
+        self.pos_embed = nn.Parameter(torch.zeros(1, 1 + sizes.grid**2, sizes.dim))
+        self.mask_token = nn.Parameter(torch.zeros(1, sizes.dim)) if mask_token else None
+        self.patch_embed = nn.Sequential(
+            OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=sizes.patch, stride=sizes.patch))
+        )
+        self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
+        self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else None
+        self.eval().requires_grad_(False)
+
+    @classmethod
+    def for_checkpoint(cls, tensors: Mapping[str, Tensor], n_blocks: int | None = None) -> Self:
+        """Build the transformer that these tensors fit, or its first `n_blocks` blocks; nothing is loaded yet.
+
+        The names are DINOv2's own, without a prefix. `load_state_dict` then takes `first_blocks(tensors, n_blocks)`
+        strictly. Raises BadInput for tensors that are no DINOv2 transformer's and for more blocks than there are.
+        """
+        sizes = _sizes(tensors)
+        if n_blocks is not None:
+            if not 1 <= n_blocks <= sizes.n_blocks:
+                raise BadInput(f"n_blocks={n_blocks}: the checkpoint has blocks 1 to {sizes.n_blocks}")
+            sizes = replace(sizes, n_blocks=n_blocks)
+        return cls(sizes, norm="norm.weight" in tensors, mask_token="mask_token" in tensors)
+
+    def tokens(self, images: Tensor, *, normalised: bool) -> Tokens:
+        """Return the tokens after the last block, with or without the final norm.
+
+        Raises BadInput for sides that are no multiples of the patch size, and where a norm is wanted that the
+        checkpoint had not.
+        """
+        if normalised and self.norm is None:
+            raise BadInput("the checkpoint holds no norm.weight: normalised tokens are not to be had from it")
+        x, grid = self._embedded(images)
+        for block in self.blocks:
+            x = block(x)
+        if normalised and self.norm is not None:
+            x = self.norm(x)
+        return Tokens(cls=x[:, 0], patches=_on_grid(x[:, 1:], grid))
+
+    def values(self, images: Tensor, block: int = -1) -> Tensor:
+        """Return the value facet of a block's attention, (n, rows, columns, dim); nothing after it is computed.
+
+        It is the last third of what `qkv` puts out, of the patches alone (Amir et al. 2022; AnyLoc takes block 31 of
+        ViT-g). Blocks count from 0, or from the last with -1. Raises BadInput as `tokens` does.
+        """
+        x, grid = self._embedded(images)
+        for earlier in self.blocks[:block]:
+            x = earlier(x)
+        return _on_grid(cast(_Block, self.blocks[block]).values(x[:, 1:]), grid)
+
+    def _embedded(self, images: Tensor) -> tuple[Tensor, tuple[int, int]]:
+        """Return the first block's input (n, 1 + rows * columns, dim), the CLS token first, and (rows, columns)."""
+        grid = _grid(images, self.sizes.patch)
+        patches = self.patch_embed(images).flatten(2).transpose(1, 2)
+        x = torch.cat([self.cls_token.expand(len(images), -1, -1), patches], 1)
+        return x + self._positions(*grid).to(x.dtype), grid
+
+    def _positions(self, rows: int, columns: int) -> Tensor:
+        """Return the position embedding (1, 1 + rows * columns, dim), stretched to this grid of patches."""
+        stored = self.sizes.grid
+        if (rows, columns) == (stored, stored):
+            return self.pos_embed
+        embedding = self.pos_embed.float()
+        # Not by `size`: DINOv2's offset moves every sampling point a little, and its weights have seen that.
+        stretched = functional.interpolate(
+            _on_grid(embedding[:, 1:], (stored, stored)).permute(0, 3, 1, 2),
+            scale_factor=((rows + _OFFSET) / stored, (columns + _OFFSET) / stored),
+            mode="bicubic",
+            align_corners=False,
+            antialias=False,
+        )
+        return torch.cat([embedding[:, :1], stretched.flatten(2).transpose(1, 2)], 1)
+
+
+def first_blocks(tensors: Mapping[str, Tensor], n_blocks: int | None) -> dict[str, Tensor]:
+    """Return the tensors without those of the blocks from number `n_blocks` on; None keeps all."""
+    return {
+        key: tensor
+        for key, tensor in tensors.items()
+        if n_blocks is None or not (found := _BLOCK.match(key)) or int(found[1]) < n_blocks
+    }
+
+
+class _Block(nn.Module):
+    """Attention, then a network for each token, each behind a norm and scaled before it is added."""
+
+    def __init__(self, sizes: Sizes) -> None:
+        super().__init__()
+        self.norm1 = nn.LayerNorm(sizes.dim, eps=_EPSILON)
+        self.attn = _Attention(sizes.dim)
+        self.ls1 = _LayerScale(sizes.dim)
+        self.norm2 = nn.LayerNorm(sizes.dim, eps=_EPSILON)
+        self.mlp = (_SwiGLU if sizes.swiglu else _MLP)(sizes.dim, sizes.n_hidden)
+        self.ls2 = _LayerScale(sizes.dim)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = x + self.ls1(self.attn(self.norm1(x)))
+        out: Tensor = x + self.ls2(self.mlp(self.norm2(x)))
+        return out
+
+    def values(self, x: Tensor) -> Tensor:
+        return self.attn.values(self.norm1(x))
+
+
+class _Attention(nn.Module):
+    """Every token looks at all, in heads of 64 dimensions."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.qkv = nn.Linear(dim, 3 * dim)
+        self.proj = nn.Linear(dim, dim)
+
+    def forward(self, x: Tensor) -> Tensor:
+        query, key, value = self.qkv(x).unflatten(2, (3, -1, _HEAD)).permute(2, 0, 3, 1, 4)
+        seen = functional.scaled_dot_product_attention(query, key, value)  # (n, heads, tokens, 64)
+        out: Tensor = self.proj(seen.transpose(1, 2).flatten(2))
+        return out
+
+    def values(self, x: Tensor) -> Tensor:
+        return functional.linear(x, self.qkv.weight.chunk(3)[2], self.qkv.bias.chunk(3)[2])
+
+
+class _LayerScale(nn.Module):
+    """A factor for each dimension."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.gamma = nn.Parameter(torch.ones(dim))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x * self.gamma
+
+
+class _MLP(nn.Module):
+    """Two linear layers around an exact GELU."""
+
+    def __init__(self, dim: int, n_hidden: int) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(dim, n_hidden)
+        self.fc2 = nn.Linear(n_hidden, dim)
+
+    def forward(self, x: Tensor) -> Tensor:
+        out: Tensor = self.fc2(functional.gelu(self.fc1(x)))
+        return out
+
+
+class _SwiGLU(nn.Module):
+    """Two linear layers, of which the first gives a gate and what passes it (Shazeer 2020)."""
+
+    def __init__(self, dim: int, n_hidden: int) -> None:
+        super().__init__()
+        self.w12 = nn.Linear(dim, 2 * n_hidden)
+        self.w3 = nn.Linear(n_hidden, dim)
+
+    def forward(self, x: Tensor) -> Tensor:
+        gate, passing = self.w12(x).chunk(2, -1)
+        out: Tensor = self.w3(functional.silu(gate) * passing)
+        return out
+
+
+def _grid(images: Tensor, patch: int) -> tuple[int, int]:
+    """Return how many patches images (n, 3, height, width) have down and across; raises BadInput for a broken one."""
+    height, width = images.shape[-2:]
+    rows, columns = height // patch, width // patch
+    if not (rows and columns) or (height, width) != (rows * patch, columns * patch):
+        near_height, near_width = (max(1, round(side / patch)) * patch for side in (height, width))
+        raise BadInput(
+            f"images of {width}x{height} pixels: this network needs both sides to be multiples of {patch}, "
+            f"such as {near_width}x{near_height}"
+        )
+    return rows, columns
+
+
+def _on_grid(patches: Tensor, grid: tuple[int, int]) -> Tensor:
+    """Return (n, rows * columns, dim) as (n, rows, columns, dim)."""
+    return patches.reshape(len(patches), *grid, patches.shape[-1])
+
+
+def _sizes(tensors: Mapping[str, Tensor]) -> Sizes:
+    """Read the sizes off a checkpoint's tensors; raises BadInput where they are no DINOv2 transformer's."""
+    dim, _, patch, _ = _shape(tensors, "patch_embed.proj.weight", 4)
+    n_patches = _shape(tensors, "pos_embed", 3)[1] - 1
+    grid = math.isqrt(max(0, n_patches))
+    if grid < 1 or grid**2 != n_patches:
+        raise BadInput(f"the checkpoint's pos_embed is for {n_patches} patches and a CLS token: wanted a square number")
+    if dim % _HEAD:
+        raise BadInput(
+            f"the checkpoint's tokens have {dim} dimensions: wanted a multiple of {_HEAD}, one head for each"
+        )
+    swiglu = "blocks.0.mlp.w3.weight" in tensors
+    n_hidden = (
+        _shape(tensors, "blocks.0.mlp.w3.weight", 2)[1] if swiglu else _shape(tensors, "blocks.0.mlp.fc1.weight", 2)[0]
+    )
+    # Counted, not the highest number: a file may hold any, and a gap is what strict loading finds.
+    n_blocks = len({found[1] for key in tensors if (found := _BLOCK.match(key))})
+    return Sizes(dim, n_blocks, n_hidden, swiglu, patch, grid)
+
+
+def _shape(tensors: Mapping[str, Tensor], key: str, n_axes: int) -> tuple[int, ...]:
+    """Return the shape of a tensor that has to be there with so many axes."""
+    if key not in tensors:
+        raise BadInput(
+            f"the checkpoint ({len(tensors)} tensors) holds no {key}: wanted DINOv2's own names, without a prefix"
+        )
+    shape = tuple(tensors[key].shape)
+    if len(shape) != n_axes or 0 in shape:
+        raise BadInput(f"the checkpoint's {key} has the shape {shape}: wanted {n_axes} axes, none of length 0")
+    return shape

@@ -1,0 +1,293 @@
+"""Backbones computed slowly, in float64, straight from the tensors of a checkpoint by their published names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+Tensors = Mapping[str, Tensor]
+
+
+def imagenet(*images: npt.NDArray[np.uint8]) -> Tensor:
+    """What networks see of images (height, width, 3) of one size, (n, 3, height, width): ImageNet's normalisation."""
+    levels = torch.from_numpy(np.stack(images)).double().permute(0, 3, 1, 2) / 255
+    mean, deviation = (torch.tensor(v).double()[:, None, None] for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
+    return (levels - mean) / deviation
+
+
+def vit_tokens(
+    tensors: Tensors, prefix: str, x: Tensor, n_blocks: int | None = None, final_norm: bool = True
+) -> Tensor:
+    """Tokens of DINOv2, CLS first, (n, 1 + rows * columns, dim), after `n_blocks` blocks (None: all of the file)."""
+    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+    patches = functional.conv2d(x.double(), t["patch_embed.proj.weight"], t["patch_embed.proj.bias"], stride=14)
+    n, dim, rows, columns = patches.shape
+    tokens = torch.cat([t["cls_token"].expand(n, 1, dim), patches.flatten(2).transpose(1, 2)], dim=1)
+    tokens = tokens + _positions(t["pos_embed"], rows, columns)
+    depth = 1 + max(int(name.split(".")[1]) for name in t if name.startswith("blocks."))
+    for number in range(depth if n_blocks is None else n_blocks):
+        b = {name.removeprefix(f"blocks.{number}."): value for name, value in t.items()}
+        q, k, v = vit_qkv(tensors, prefix, tokens, number)
+        weights = torch.softmax(q @ k.transpose(-1, -2) / math.sqrt(64), dim=-1)
+        mixed = (weights @ v).transpose(1, 2).flatten(2)
+        tokens = tokens + b["ls1.gamma"] * (mixed @ b["attn.proj.weight"].T + b["attn.proj.bias"])
+        inner = layer_norm(tokens, b["norm2.weight"], b["norm2.bias"])
+        tokens = tokens + b["ls2.gamma"] * _mlp(b, inner)
+    return layer_norm(tokens, t["norm.weight"], t["norm.bias"]) if final_norm else tokens
+
+
+def vit_qkv(tensors: Tensors, prefix: str, tokens: Tensor, block: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Queries, keys and values of a block for the tokens that enter it, each (n, heads, n_tokens, 64)."""
+    t = {name.removeprefix(f"{prefix}blocks.{block}."): value.double() for name, value in tensors.items()}
+    inner = layer_norm(tokens, t["norm1.weight"], t["norm1.bias"])
+    qkv = inner @ t["attn.qkv.weight"].T + t["attn.qkv.bias"]
+    return tuple(part.unflatten(2, (-1, 64)).transpose(1, 2) for part in qkv.chunk(3, dim=2))
+
+
+def layer_norm(x: Tensor, weight: Tensor, bias: Tensor, eps: float = 1e-6) -> Tensor:
+    variance = x.var(dim=-1, correction=0, keepdim=True)
+    return (x - x.mean(dim=-1, keepdim=True)) / torch.sqrt(variance + eps) * weight.double() + bias.double()
+
+
+def _mlp(b: Tensors, x: Tensor) -> Tensor:
+    if "mlp.w12.weight" in b:
+        gate, value = (x @ b["mlp.w12.weight"].T + b["mlp.w12.bias"]).chunk(2, dim=2)
+        return (gate * torch.sigmoid(gate) * value) @ b["mlp.w3.weight"].T + b["mlp.w3.bias"]
+    inner = x @ b["mlp.fc1.weight"].T + b["mlp.fc1.bias"]
+    inner = inner * (1 + torch.erf(inner / math.sqrt(2))) / 2
+    return inner @ b["mlp.fc2.weight"].T + b["mlp.fc2.bias"]
+
+
+def _positions(pos_embed: Tensor, rows: int, columns: int) -> Tensor:
+    """Position embeddings of another grid: bicubic, scale (rows + 0.1) / side, as DINOv2 does it; own grid: as is."""
+    side = math.isqrt(pos_embed.shape[1] - 1)
+    if (rows, columns) == (side, side):
+        return pos_embed
+    grid = pos_embed[:, 1:].transpose(1, 2).unflatten(2, (side, side))
+    scale = ((rows + 0.1) / side, (columns + 0.1) / side)
+    grid = functional.interpolate(grid, scale_factor=scale, mode="bicubic", antialias=False)
+    return torch.cat([pos_embed[:, :1], grid.flatten(2).transpose(1, 2)], dim=1)
+
+
+def vit_checkpoint(
+    generator: torch.Generator, dim: int = 128, depth: int = 2, side: int = 5, swiglu: bool = False
+) -> dict[str, Tensor]:
+    """Random values under DINOv2's names, but for mask_token, so large that every part of the network matters."""
+
+    def normal(*shape: int, scale: float = 1.0, mean: float = 0.0) -> Tensor:
+        return mean + scale * torch.randn(shape, generator=generator)
+
+    def linear(name: str, n_in: int, n_out: int) -> dict[str, Tensor]:
+        return {f"{name}.weight": normal(n_out, n_in, scale=n_in**-0.5), f"{name}.bias": normal(n_out, scale=0.3)}
+
+    def norm(name: str) -> dict[str, Tensor]:
+        return {f"{name}.weight": normal(dim, scale=0.2, mean=1.0), f"{name}.bias": normal(dim, scale=0.2)}
+
+    tensors = {
+        "cls_token": normal(1, 1, dim),
+        "pos_embed": normal(1, side * side + 1, dim),
+        "patch_embed.proj.weight": normal(dim, 3, 14, 14, scale=588**-0.5),
+        "patch_embed.proj.bias": normal(dim, scale=0.3),
+        **norm("norm"),
+    }
+    for number in range(depth):
+        block = {**norm("norm1"), **norm("norm2"), **linear("attn.qkv", dim, 3 * dim), **linear("attn.proj", dim, dim)}
+        hidden = dim * 8 // 3 // 8 * 8 if swiglu else 4 * dim
+        first, last = ("mlp.w12", "mlp.w3") if swiglu else ("mlp.fc1", "mlp.fc2")
+        block |= linear(first, dim, hidden * (2 if swiglu else 1)) | linear(last, hidden, dim)
+        block |= {f"{name}.gamma": normal(dim, scale=0.2, mean=0.7) for name in ("ls1", "ls2")}
+        tensors |= {f"blocks.{number}.{name}": value for name, value in block.items()}
+    return tensors
+
+
+def salad(tensors: Tensors, prefix: str, tokens: Tensor) -> Tensor:
+    """SALAD's descriptor of one image's tokens (1 + n_patches, dim), CLS first: of the token, then l * clusters + k."""
+    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+
+    def network(name: str, second: int, x: Tensor) -> Tensor:
+        inner = (x @ t[f"{name}.0.weight"].flatten(1).T + t[f"{name}.0.bias"]).clamp(min=0)
+        return inner @ t[f"{name}.{second}.weight"].flatten(1).T + t[f"{name}.{second}.bias"]
+
+    token = network("token_features", 2, tokens[0])
+    features = network("cluster_features", 3, tokens[1:]).T  # (l, n)
+    scores = network("score", 3, tokens[1:]).T  # (k, n)
+    clusters, n = scores.shape
+    kernel = torch.exp(torch.cat([scores, t["dust_bin"].expand(1, n)]))
+    patch = 1 / (n + clusters)
+    rows = torch.tensor([patch] * clusters + [patch * (n - clusters)]).double()
+    v = torch.ones(n).double()
+    for _ in range(3):
+        u = rows / (kernel @ v)
+        v = patch / (u @ kernel)
+    assigned = (u[:, None] * kernel * v / patch)[:clusters]
+    gathered = features @ assigned.T  # (l, k)
+    gathered = gathered / gathered.norm(dim=0)
+    whole = torch.cat([token / token.norm(), gathered.flatten()])
+    return whole / whole.norm()
+
+
+def salad_checkpoint(
+    generator: torch.Generator, dim: int, clusters: int, cluster_dim: int, token_dim: int, hidden: int = 32
+) -> dict[str, Tensor]:
+    """Random values under the names of SALAD's aggregator; scores so far apart that Sinkhorn is not done after 3."""
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(shape, generator=generator)
+
+    tensors = {"dust_bin": torch.tensor(1.5)}
+    sizes = {"token_features": token_dim, "cluster_features": cluster_dim, "score": clusters}
+    for name, n_out in sizes.items():
+        second, sides = (2, ()) if name == "token_features" else (3, (1, 1))
+        tensors |= {
+            f"{name}.0.weight": (2 / dim) ** 0.5 * normal(hidden, dim, *sides),
+            f"{name}.0.bias": 0.3 * normal(hidden),
+            f"{name}.{second}.weight": (3 if name == "score" else 1) * hidden**-0.5 * normal(n_out, hidden, *sides),
+            f"{name}.{second}.bias": 0.3 * normal(n_out),
+        }
+    return tensors
+
+
+VGG16_CONVOLUTIONS = {  # number of the layer: channels
+    **{0: 64, 2: 64, 5: 128, 7: 128, 10: 256, 12: 256, 14: 256},
+    **{17: 512, 19: 512, 21: 512, 24: 512, 26: 512, 28: 512},
+}
+VGG16_POOLS = (4, 9, 16, 23, 30)
+
+
+def vgg16(tensors: Tensors, prefix: str, x: Tensor, last: int = 30) -> Tensor:
+    """VGG16's features up to layer `last` with it: 28 is conv5_3 before its ReLU, 30 the last pool."""
+    x = x.double()
+    for number in range(last + 1):
+        if number in VGG16_CONVOLUTIONS:
+            weight, bias = (tensors[f"{prefix}{number}.{part}"].double() for part in ("weight", "bias"))
+            x = functional.conv2d(x, weight, bias, padding=1)
+        else:
+            x = functional.max_pool2d(x, 2) if number in VGG16_POOLS else x.clamp(min=0)
+    return x
+
+
+def vgg16_checkpoint(generator: torch.Generator, prefix: str = "") -> dict[str, Tensor]:
+    """Random values under VGG16's names, under which activations stay near 1."""
+    tensors, n_in = {}, 3
+    for number, n_out in VGG16_CONVOLUTIONS.items():
+        scale = math.sqrt(2 / (9 * n_in))
+        tensors[f"{prefix}{number}.weight"] = scale * torch.randn(n_out, n_in, 3, 3, generator=generator)
+        tensors[f"{prefix}{number}.bias"] = 0.2 * torch.randn(n_out, generator=generator)
+        n_in = n_out
+    return tensors
+
+
+RESNETS = {  # blocks of each stage, groups, channels of a group in the first stage
+    "resnet18": ((2, 2, 2, 2), 1, 64),
+    "resnet34": ((3, 4, 6, 3), 1, 64),
+    "resnet50": ((3, 4, 6, 3), 1, 64),
+    "resnet101": ((3, 4, 23, 3), 1, 64),
+    "resnet152": ((3, 8, 36, 3), 1, 64),
+    "resnext101_32x8d": ((3, 4, 23, 3), 32, 8),
+}
+
+
+def resnet(tensors: Tensors, prefix: str, x: Tensor, kind: str, n_stages: int = 4, numbered: bool = True) -> Tensor:
+    """A ResNet's last stage but for pooling and classifier; numbered: 0, 1, 4 to 7, else conv1, bn1, layer1 to 4."""
+    blocks, groups, _ = RESNETS[kind]
+    stem, norm, *stages = _resnet_names(numbered)
+    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+    x = functional.conv2d(x.double(), t[f"{stem}.weight"], stride=2, padding=3)
+    x = functional.max_pool2d(_batch_norm(t, norm, x).clamp(min=0), 3, stride=2, padding=1)
+    for stage in range(n_stages):
+        for block in range(blocks[stage]):
+            at = f"{stages[stage]}.{block}"
+            x = _resnet_block(t, at, x, stride=2 if stage and not block else 1, groups=groups)
+    return x
+
+
+def resnet_checkpoint(
+    generator: torch.Generator, kind: str, prefix: str = "", n_stages: int = 4, numbered: bool = True
+) -> dict[str, Tensor]:
+    """Random values under a ResNet's names, batch norms that do something, activations near 1."""
+    blocks, groups, width = RESNETS[kind]
+    basic = kind in ("resnet18", "resnet34")
+    stem, norm, *stages = _resnet_names(numbered)
+    tensors = _convolution(generator, f"{prefix}{stem}", f"{prefix}{norm}", 3, 64, 7)
+    n_in = 64
+    for stage in range(n_stages):
+        inner = groups * width * 2**stage
+        n_out = inner if basic else 256 * 2**stage
+        sides = [(n_in, inner, 3, 1), (inner, n_out, 3, 1)]
+        if not basic:
+            sides = [(n_in, inner, 1, 1), (inner, inner, 3, groups), (inner, n_out, 1, 1)]
+        for block in range(blocks[stage]):
+            at = f"{prefix}{stages[stage]}.{block}"
+            sides[0] = (n_in, *sides[0][1:])
+            for number, (n_from, n_to, side, n_groups) in enumerate(sides, 1):
+                scale = 0.4 if number == len(sides) else 1.0
+                tensors |= _convolution(
+                    generator, f"{at}.conv{number}", f"{at}.bn{number}", n_from, n_to, side, n_groups, scale
+                )
+            if block == 0 and (stage or n_in != n_out):
+                tensors |= _convolution(
+                    generator, f"{at}.downsample.0", f"{at}.downsample.1", n_in, n_out, 1, scale=0.7
+                )
+            n_in = n_out
+    return tensors
+
+
+def _resnet_names(numbered: bool) -> tuple[str, ...]:
+    return ("0", "1", "4", "5", "6", "7") if numbered else ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
+
+
+def _resnet_block(t: Tensors, at: str, x: Tensor, stride: int, groups: int) -> Tensor:
+    """Two 3x3 convolutions, the first with the stride; or 1x1, 3x3 with the stride, 1x1; and the shortcut."""
+    way = x
+    bottleneck = f"{at}.conv3.weight" in t
+    for number in (1, 2, 3) if bottleneck else (1, 2):
+        middle = number == (2 if bottleneck else 1)
+        weight = t[f"{at}.conv{number}.weight"]
+        if number > 1:
+            way = way.clamp(min=0)
+        way = functional.conv2d(
+            way,
+            weight,
+            stride=stride if middle else 1,
+            padding=weight.shape[-1] // 2,
+            groups=groups if weight.shape[-1] == 3 else 1,
+        )
+        way = _batch_norm(t, f"{at}.bn{number}", way)
+    if f"{at}.downsample.0.weight" in t:
+        x = _batch_norm(t, f"{at}.downsample.1", functional.conv2d(x, t[f"{at}.downsample.0.weight"], stride=stride))
+    return (way + x).clamp(min=0)
+
+
+def _batch_norm(t: Tensors, at: str, x: Tensor) -> Tensor:
+    weight, bias, mean, variance = (
+        t[f"{at}.{part}"][:, None, None] for part in ("weight", "bias", "running_mean", "running_var")
+    )
+    return (x - mean) / torch.sqrt(variance + 1e-5) * weight + bias
+
+
+def _convolution(
+    generator: torch.Generator,
+    at: str,
+    norm: str,
+    n_in: int,
+    n_out: int,
+    side: int,
+    groups: int = 1,
+    scale: float = 1.0,
+) -> dict[str, Tensor]:
+    """A convolution that doubles what it gets, and the batch norm behind it, which halves it again."""
+    fan_in = n_in // groups * side**2
+    return {
+        f"{at}.weight": 2 / math.sqrt(fan_in) * torch.randn(n_out, n_in // groups, side, side, generator=generator),
+        f"{norm}.weight": scale * (1 + 0.2 * torch.randn(n_out, generator=generator)),
+        f"{norm}.bias": 0.2 * torch.randn(n_out, generator=generator),
+        f"{norm}.running_mean": 0.5 * torch.randn(n_out, generator=generator),
+        f"{norm}.running_var": 2 + torch.rand(n_out, generator=generator),
+        f"{norm}.num_batches_tracked": torch.tensor(7),
+    }

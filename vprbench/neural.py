@@ -1,0 +1,192 @@
+"""What all descriptors from a published network share: its file, its batches, its device and its precision."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import abstractmethod
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, DescriptorMethod, Image
+from vprbench.resize import Interpolation, Resize, resize_batch, resize_image
+from vprbench.weights import Weights, find
+
+Precision = Literal["float32", "float16", "bfloat16"]
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)  # of RGB, 0 to 1
+IMAGENET_DEVIATION = (0.229, 0.224, 0.225)
+
+_BATCH_BYTES = 1 << 28  # of images in a batch, as float32
+_ANY_SIDE = 224  # pixels
+
+
+@dataclass(kw_only=True)
+class NeuralDescriptor(DescriptorMethod):
+    """A method whose descriptor is the output of a published network; `load` and `blank` are left to write.
+
+    The constructor reads nothing: the network is loaded, and its file fetched where that is possible, when it is first
+    needed. Images of one size go through it together, up to `batch_size`. On a GPU the next batch is read and resized
+    meanwhile. Descriptors are float32 of unit length whatever the precision of the network; float32 is exact (no TF32).
+    """
+
+    weights: Weights
+    height: int | None = None  # pixels that images are resized to; None: as they are
+    width: int | None = None
+    resize: Resize = "pillow"  # pillow: antialiased image; tensor: antialiased floats; opencv: not antialiased
+    interpolation: Interpolation = "bilinear"
+    batch_size: int = 16
+    precision: Precision = "float32"
+    device: str = "cpu"
+
+    query_arguments: ClassVar[frozenset[str]] = DescriptorMethod.query_arguments | {"batch_size", "device"}
+    #: Pixels that height and width have to be multiples of.
+    multiple: ClassVar[int] = 1
+    #: Pixels of the shorter side under which the network has no output.
+    smallest_side: ClassVar[int] = 1
+    #: Whether the network takes images of one size only.
+    fixed_size: ClassVar[bool] = False
+
+    _network: nn.Module | None = field(default=None, init=False, repr=False, compare=False)
+
+    @abstractmethod
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file, strictly; raises BadInput for any other file.
+
+        The network takes what `pixels` gives and returns (n_images, n_dimensions).
+        """
+
+    @abstractmethod
+    def blank(self) -> nn.Module:
+        """Return the network in its published sizes, without their values: what it costs does not depend on them."""
+
+    def files(self) -> Sequence[Path]:
+        """Return the file of weights, fetched where that is possible; raises BadInput where it is missing."""
+        return (find(self.weights, type(self).__name__),)
+
+    def keeps_descriptors(self) -> bool:
+        """Tell that descriptors are worth keeping on disk."""
+        return True
+
+    def use(self, network: nn.Module) -> None:
+        """Describe images with this network from now on."""
+        network = network.to(self.device, getattr(torch, self.precision))
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # which PyTorch's hints forgot
+        self._network = network.eval().requires_grad_(False)
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return unit vectors, (n_images, n_dimensions); a zero vector where the network gives nothing."""
+        self._check_arguments()
+        if not len(images):
+            side = max(_ANY_SIDE, self.smallest_side)
+            black = np.zeros((self.height or side, self.width or side, 3), np.uint8)
+            return self.encode(Images.from_arrays([black]))[:0]
+        if self._network is None:
+            self.use(self.load(self.files()[0]))
+        codes: npt.NDArray[np.float32] | None = None
+        done = 0
+        # Closed at once, whatever fails: otherwise its threads would live as long as somebody holds the error.
+        with torch.inference_mode(), _exact_convolutions(), contextlib.closing(self._batches(images)) as batches:
+            for batch in batches:
+                vectors = functional.normalize(self._described(batch).float(), dim=1).cpu().numpy()
+                if not np.isfinite(vectors).all():
+                    raise BadInput(
+                        f"{type(self).__name__} gives numbers that are not finite in {self.precision}: "
+                        + ("give other weights" if self.precision == "float32" else "set method.precision=float32")
+                    )
+                if codes is None:
+                    codes = np.empty((len(images), vectors.shape[1]), np.float32)
+                codes[done : done + len(vectors)] = vectors
+                done += len(vectors)
+        return cast(npt.NDArray[np.float32], codes)
+
+    def target(self, height: int, width: int) -> tuple[int, int]:
+        """Return the height and width that an image of `height` x `width` pixels is resized to."""
+        wanted = (self.height or height, self.width or width)
+        return cast(tuple[int, int], tuple(max(1, round(side / self.multiple)) * self.multiple for side in wanted))
+
+    def pixels(self, levels: Tensor) -> Tensor:
+        """Return what the network sees of RGB levels 0..255, (n, 3, height, width): ImageNet's normalisation."""
+        mean, deviation = (levels.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_DEVIATION))
+        return (levels / 255 - mean) / deviation
+
+    def _described(self, batch: npt.NDArray[np.uint8]) -> Tensor:
+        """Return the output for images of one size, (n, height, width, 3)."""
+        network = cast(nn.Module, self._network)
+        levels = torch.from_numpy(batch)
+        if self.device != "cpu":
+            levels = levels.pin_memory().to(self.device, non_blocking=True)
+        # Channels come last in the array already, which convolutions like best.
+        seen = self.pixels(levels.permute(0, 3, 1, 2).float())
+        if self.resize == "tensor":
+            seen = resize_batch(seen, *self.target(*batch.shape[1:3]), self.interpolation)
+        return cast(Tensor, network(seen.to(getattr(torch, self.precision))))
+
+    def _batches(self, images: Images) -> Generator[npt.NDArray[np.uint8]]:
+        """Yield the images in order, in batches of one size, the next one made while the last is looked at."""
+        batches = self._made(images)
+        if self.device == "cpu":  # another thread would take the cores from the network
+            yield from batches
+            return
+        with ThreadPoolExecutor(1) as ahead:
+            coming = ahead.submit(next, batches, None)
+            while (batch := coming.result()) is not None:
+                coming = ahead.submit(next, batches, None)
+                yield batch
+
+    def _made(self, images: Images) -> Iterator[npt.NDArray[np.uint8]]:
+        batch: list[Image] = []
+        for image in images:
+            image = self._sized(image)
+            if batch and (image.shape != batch[0].shape or len(batch) == self._at_most(batch[0])):
+                yield np.stack(batch)
+                batch = []
+            batch.append(image)
+        yield np.stack(batch)
+
+    def _at_most(self, image: Image) -> int:
+        """Return how many such images go through the network together."""
+        n_pixels = max(image.size // 3, math.prod(self.target(*image.shape[:2])))  # a tensor may become larger
+        return min(self.batch_size, max(1, _BATCH_BYTES // (12 * n_pixels)))
+
+    def _sized(self, image: Image) -> Image:
+        """Resize an image where that comes before its levels become floats; raises BadInput for one too small."""
+        height, width = self.target(*image.shape[:2])
+        if min(height, width) < self.smallest_side:
+            raise BadInput(
+                f"an image of {image.shape[1]}x{image.shape[0]} pixels, seen as {width}x{height}: "
+                f"{type(self).__name__} needs {self.smallest_side} pixels a side; set method.height and method.width"
+            )
+        return image if self.resize == "tensor" else resize_image(image, height, width, self.resize, self.interpolation)
+
+    def _check_arguments(self) -> None:
+        """Raise BadInput for arguments that do not fit."""
+        if self.batch_size < 1:
+            raise BadInput(f"method.batch_size={self.batch_size}: give at least 1 image")
+        for name in ("height", "width"):
+            side = getattr(self, name)
+            if side is not None and (side < 1 or side % self.multiple):
+                raise BadInput(f"method.{name}={side}: give a multiple of {self.multiple}, or null for the image's own")
+        if self.precision != "float32" and self.device == "cpu":
+            raise BadInput(f"method.precision={self.precision}: on the CPU float32 alone is offered; set device=cuda")
+
+
+@contextlib.contextmanager
+def _exact_convolutions() -> Iterator[None]:
+    """Keep TF32 out of float32 convolutions on a GPU: it changes descriptors by thousandths."""
+    kept = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.allow_tf32 = kept
