@@ -5,10 +5,10 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
 
-.PHONY: help install table bench gpu-check test test-triton check clean
+.PHONY: help install table bench bench-descriptors gpu-check test test-triton check clean
 
 help: ## Say what can be made.
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
 install: $(READY) ## Make .venv and install the pinned packages (PIP_ARGS passes options to pip).
 
@@ -18,11 +18,14 @@ table: $(READY) ## Run SAD and VPRTempo on the embedded journey and write result
 bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json (ARGS passes options).
 	$(RUN) -m vprbench bench $(ARGS)
 
+bench-descriptors: $(READY) ## Measure how fast descriptors are, no weights needed, write results/descriptors.md (ARGS passes options).
+	$(RUN) -m vprbench bench-descriptors $(ARGS)
+
 gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
 	$(RUN) -m vprbench gpu-check $(ARGS)
 
-test: $(READY) ## Run all tests.
-	$(RUN) -m pytest $(ARGS)
+test: $(READY) ## Run all tests, a worker with one thread for each core (ARGS passes options).
+	OMP_NUM_THREADS=1 $(RUN) -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 test-triton: $(READY) ## Run the tests of the GPU training in Triton's interpreter, without a GPU; installs triton (280 MB).
 	$(RUN) -c "import triton" 2>/dev/null || $(RUN) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) triton==3.9.0

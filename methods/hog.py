@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.images import Images
-from vprbench.interface import BadInput, DescriptorMethod, Places
+from vprbench.interface import BadInput, DescriptorMethod
 
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 
@@ -39,12 +39,6 @@ class HOG(DescriptorMethod):
     signed: bool = False  # whether orientations run over 360 degrees, not 180
     gamma: bool = False  # whether the square root of the levels is taken first
     sigma: float | None = None  # pixels, of a block's Gaussian weights; None: block / 4
-
-    def fit(self, references: Images, places: Places) -> Self:
-        """Encode the references into one array: it is large, and joining blocks would need it twice."""
-        self._references = self.encode(references)
-        self._places = places.copy()
-        return self
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return unit vectors, (n_images, blocks * cells of a block * bins), one image in memory at a time.

@@ -161,6 +161,7 @@ def a_run(**changes: Any) -> Run:
         fit_compute_seconds=11.5,
         load_seconds=None,
         network=None,
+        search={"index": "hnsw", "bytes_per_place": 4352, "recall_at_1": 0.984375, "recall_at_10": 0.975},
         peak_memory_bytes=512_000_000,
         harness_seconds=0.125,
         method_seconds=11.75,

@@ -70,6 +70,7 @@ def test_the_benchmark_ends_well_and_prints_what_it_writes(done: Done) -> None:
         ("The fit that users ask for", ["paper", "reference"]),
         ("Preprocessing", ["64x32", "64x32", "40x24", "40x24"]),
         ("Queries at", ["sad", *(f"vprtempo{kind} {r}" for kind in ("", "_int8") for r in ("paper", "reference"))]),
+        ("Matching beside", ["exact search", "exact search", "sad"]),
         ("Growth with", ["paper"] * 3 + ["reference"] * 3 + ["paper"] * 3 + ["reference"] * 3),
     ],
 )
@@ -146,6 +147,20 @@ def test_a_training_step_is_compared_with_the_floor_and_with_the_other_engine(do
         wanted = [readable, fused, readable / fused, floor, readable / floor, fused / floor]
         printed = [float(text.strip("x").replace(",", "")) for text in row[4:]]
         assert printed == pytest.approx(wanted, rel=0.006)
+
+
+def test_matching_is_compared_with_a_library_by_medians_of_as_many_calls(done: Done) -> None:
+    cells, found = done.raw["search"], rows(done.text, "Matching beside")
+    assert [(cell["library"], cell["images_per_call"]) for cell in cells] == [
+        ("faiss.IndexFlatIP", 1),
+        ("faiss.IndexFlatIP", 4),
+        ("torch.cdist", 1),
+    ]
+    for cell, row in zip(cells, found, strict=True):
+        assert len(cell["seconds"]) == len(cell["library_seconds"]) >= 2
+        ours, library = (np.median(cell[name]) for name in ("seconds", "library_seconds"))
+        printed = [float(text.strip("x").replace(",", "")) for text in row[3:6]]
+        assert printed == pytest.approx([1000 * ours, 1000 * library, ours / library], rel=0.006)
 
 
 def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
@@ -253,10 +268,11 @@ def test_what_cannot_be_measured_says_why_in_its_cell() -> None:
 
     report = bench.measure(quick_settings("sizes=[10]"), make)
     text = bench_text.text_of(report)
-    assert len(report.failures) == 2 + 2 + 6 + 2
+    assert len(report.failures) == 2 + 2 + 6 + 1 + 2
     assert not any(isinstance(cell, Failed) for cell in report.preprocessing)
     for heading in ("A training step", "The fit that users", "Queries at", "Growth with"):
         assert "MemoryError: only 3 bytes are left" in rows(text, heading)[0]
+    assert "MemoryError: only 3 bytes are left" in rows(text, "Matching beside")[-1]
     assert "its network could not be trained, see above" in text
     assert "Measured fits" not in text
     assert "second line" not in text

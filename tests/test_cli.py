@@ -131,6 +131,28 @@ def test_a_sweep_runs_every_combination_and_survives_a_failing_cell() -> None:
     assert "method.patch=4" in json.loads(failure.read_text())["error"]
 
 
+def test_a_sweep_says_in_a_line_each_which_weights_are_missing_and_runs_the_rest() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "vprbench", "-m", "method=gcl,salad,sad", *QUICK],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1", "VPRBENCH_OFFLINE": "1"}
+        | {"VPRBENCH_WEIGHTS": str(Path("weights").absolute())},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2
+    (run,) = Path().rglob("run.json")
+    assert json.loads(run.read_text())["method"] == "sad"
+    complaints = [line for line in done.stderr.splitlines() if " needs " in line]
+    assert [re.split(r" which is not in", line)[0] for line in complaints] == [
+        "vprbench: GCL needs MSLS_resnet152_GeM_480_GCL.pth,",
+        "vprbench: SALAD needs dino_salad.ckpt,",
+    ]
+    assert "Traceback" not in done.stderr
+    assert len(list(Path().rglob("failure.json"))) == 2
+
+
 def test_list_shows_methods_and_datasets_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     printed = capsys.readouterr().out
@@ -172,7 +194,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
         (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
-        (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad?"),
+        (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad or salad?"),
         (["method.pach=5"], "option method.pach is unknown to sad: did you mean patch?"),
         (
             ["method=vprtempo", "method.max_modul=5"],

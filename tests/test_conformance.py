@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -14,8 +15,12 @@ from vprbench import registry
 from vprbench.conformance import RULES, Journey, check
 from vprbench.images import Images
 from vprbench.interface import DescriptorMethod, Method, NotFittedError, Places, Scores
+from vprbench.neural import NeuralDescriptor
 
-METHODS = sorted(registry.entries("method"))
+ENTRIES = registry.entries("method")
+# Published networks need files that no test can have: tests/test_<name>.py writes one of random values for each.
+NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]  # type: ignore[arg-type]
+METHODS = [name for name in ENTRIES if name not in NETWORKS]
 
 
 def configuration(name: str) -> dict[str, Any]:
@@ -32,6 +37,13 @@ def configuration(name: str) -> dict[str, Any]:
 @pytest.mark.parametrize("name", METHODS)
 def test_method_keeps_the_rule(name: str, rule: str, results: dict[str, dict[str, str]]) -> None:
     assert results[name][rule] in ("", "excepted")
+
+
+def test_the_rules_are_put_to_every_network_where_its_weights_are_written() -> None:
+    tests = Path(__file__).parent
+    families = {ENTRIES[name].target().__module__.rpartition(".")[2] for name in NETWORKS}
+    assert len(families) >= 9
+    assert [f for f in sorted(families) if "conformance.check(" not in (tests / f"test_{f}.py").read_text()] == []
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +236,7 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
 
     module = types.ModuleType("wrong_methods")
     others = (WritesOnCodes, NotFinite, KeepsTheEarlierFit, LosesWhatItStores, StoresUnfitted, KeepsNoNetwork)
+    others += (FewCandidates, OtherCandidatesInABatch, NoCandidateAtAll)
     for wrong in (Pixels, Excused, ExcusedForNothing, *others, *WRONG.values()):
         setattr(module, wrong.__name__, wrong)
     monkeypatch.setitem(sys.modules, "wrong_methods", module)
@@ -266,6 +279,47 @@ def test_the_rule_catches_what_breaks_it(rule: str) -> None:
 
 def test_scores_that_are_not_finite_break_the_rule_on_scores() -> None:
     assert "scores are finite float32 of shape (n_queries, n_places)" in broken(NotFinite)
+
+
+class FewCandidates(Pixels):
+    """Of each query only the ten best places are candidates."""
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        scores = super().match(codes)
+        return np.where(scores >= np.sort(scores, axis=1)[:, -10, None], scores, np.float32(-np.inf))
+
+
+class OtherCandidatesInABatch(FewCandidates):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        scores = super().match(codes)
+        if len(codes) == 1:
+            scores[scores == scores.min(where=scores > -np.inf, initial=np.inf)] = -np.inf
+        return scores
+
+
+class NoCandidateAtAll(Pixels):
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        return np.full_like(super().match(codes), -np.inf)
+
+
+def test_places_that_are_no_candidates_break_no_rule() -> None:
+    assert broken(FewCandidates) == []
+
+
+def test_other_candidates_in_a_batch_break_the_rule_on_batches_alone() -> None:
+    assert broken(OtherCandidatesInABatch) == ["a batch gives what its single images give"]
+
+
+def test_a_query_without_any_candidate_breaks_the_rule_on_scores() -> None:
+    assert "scores are finite float32 of shape (n_queries, n_places)" in broken(NoCandidateAtAll)
+
+
+@pytest.mark.parametrize("index", ["hnsw", "sq8"])
+@pytest.mark.parametrize("neighbours", [5, 100])
+@pytest.mark.parametrize("method", ["hog", "densevlad"])
+def test_an_approximate_index_breaks_no_rule(method: str, neighbours: int, index: str) -> None:
+    config = {**configuration(method), "index": index, "neighbours": neighbours}
+    assert [str(result) for result in check(config) if result.state == "broken"] == []
 
 
 def test_changed_codes_break_the_rule_on_inputs() -> None:

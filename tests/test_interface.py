@@ -1,8 +1,14 @@
 """The contract: what a descriptor method gets for free, and parts of a dataset that do not fit."""
 
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
+from vprbench import registry
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, DescriptorMethod, NotFittedError, best_image_of_place
 
@@ -83,6 +89,148 @@ def test_a_descriptor_method_keeps_its_own_copy_of_the_places():
 def test_a_descriptor_method_without_a_map_says_what_to_do():
     with pytest.raises(NotFittedError, match=r"Colour has no map yet: call fit\(references, places\) first"):
         Colour().match(np.zeros((1, 3), np.float32))
+
+
+def test_a_descriptor_method_without_references_is_refused():
+    with pytest.raises(BadInput, match="Colour was given no reference images"):
+        Colour().fit(plain(), np.empty(0, np.int64))
+
+
+def test_descriptors_that_are_encoded_already_give_the_same_map():
+    method = Colour()
+    descriptors = method.encode(plain(RED, GREEN, OLIVE))
+    scores = method.fit_descriptors(descriptors, np.array([0, 1, 1])).match(descriptors)
+    assert np.array_equal(scores, Colour().fit(plain(RED, GREEN, OLIVE), np.array([0, 1, 1])).match(descriptors))
+    assert method.encoded == [3]
+
+
+def test_a_failed_fit_leaves_no_earlier_map():
+    method = Colour().fit(plain(RED, GREEN), np.arange(2))
+    with pytest.raises(BadInput):
+        method.fit_descriptors(np.zeros((2, 3), np.float32), np.arange(3))
+    with pytest.raises(NotFittedError):
+        method.match(np.zeros((1, 3), np.float32))
+
+
+@dataclass
+class Drawn(DescriptorMethod):
+    """A random unit vector for each image."""
+
+    n_dimensions: int = 1000
+
+    def encode(self, images):
+        vectors = np.array([np.random.default_rng(image[0, 0]).standard_normal(self.n_dimensions) for image in images])
+        return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+
+
+def drawn(n):
+    return Images.from_arrays([np.full((2, 2, 3), (*divmod(i, 256), 7), np.uint8) for i in range(n)])
+
+
+def test_fitting_holds_the_descriptors_once():
+    references = drawn(2000)
+    tracemalloc.start()
+    Drawn().fit(references, np.arange(2000))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.2 * 2000 * 1000 * 4
+
+
+@pytest.mark.parametrize(("height", "at_most"), [(2, 64), (1024, 21), (10_000, 2)])  # 1024x1024 pixels are 3 MiB
+def test_large_references_are_encoded_in_smaller_blocks(height, at_most):
+    method = Colour()
+    method.fit(Images.from_arrays([np.full((height, 1024, 3), 9, np.uint8)] * 70), np.zeros(70, np.int64))
+    assert max(method.encoded) == at_most
+
+
+@pytest.mark.parametrize("index", ["exact", "hnsw", "ivfpq", "sq8"])
+def test_every_index_finds_most_references_at_their_own_place(index):
+    images = drawn(300)
+    scores = Drawn(16, index=index).fit(images, np.arange(300)).query(images)
+    assert (scores.argmax(1) == np.arange(300)).mean() > 0.9
+
+
+def test_neighbours_bound_the_candidates_of_an_approximate_index():
+    images = drawn(300)
+    scores = Drawn(16, index="hnsw", neighbours=5).fit(images, np.arange(300)).query(images)
+    assert set(np.isfinite(scores).sum(1)) == {5}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        ({"index": "lsh"}, r"method\.index=lsh.*: lsh is unknown: give exact, hnsw, ivfpq, sq8"),
+        ({"neighbours": 0}, r"method\.neighbours=0: 0 neighbours: give at least 1"),
+        ({"index": "ivfpq"}, r"ivfpq needs at least 256 reference images, 3 came"),
+    ],
+)
+def test_a_search_that_cannot_be_is_bad_input(arguments, wanted):
+    with pytest.raises(BadInput, match=wanted):
+        Drawn(**arguments).fit(drawn(3), np.arange(3))
+
+
+def test_an_index_that_is_unknown_is_refused_on_the_command_line():
+    with pytest.raises(BadInput, match=r"method\.index=lsh: wanted 'exact', 'hnsw', 'ivfpq' or 'sq8'"):
+        registry.make_method({"_target_": "vprbench.methods.hog.HOG", "index": "lsh"})
+
+
+def test_arguments_of_the_search_fit_any_network_and_come_by_name_alone():
+    assert Drawn.query_arguments == {"index", "neighbours"}
+    assert Drawn(5).n_dimensions == 5
+    with pytest.raises(TypeError):
+        Drawn(5, "hnsw")
+
+
+def test_a_plain_class_with_a_constructor_of_its_own_searches_exactly_and_is_equal_to_itself_alone():
+    assert (Colour().index, Colour().neighbours) == ("exact", 100)
+    assert len({Colour(), Colour()}) == 2
+
+
+def test_an_exact_index_finds_all_there_is():
+    method = Drawn().fit(drawn(30), np.arange(30))
+    audit = method.audit(method.encode(drawn(5)))
+    assert (audit.recall_at_1, audit.recall_at_10) == (1, 1)
+
+
+def by_hand(index, codes, references):
+    """Return how much of the best 1 and 10 by plain products an index finds among its own, image by image."""
+    exact = np.argsort(-(codes @ references.T), axis=1)
+    own = np.argsort(-index.scores(codes), axis=1)
+    return [
+        np.mean([len({*mine[:n]} & {*theirs[:n]}) / n for mine, theirs in zip(own, exact, strict=True)])
+        for n in (1, 10)
+    ]
+
+
+@pytest.mark.parametrize("index", ["hnsw", "ivfpq", "sq8"])
+def test_an_audit_counts_what_an_index_finds_of_the_best(index, monkeypatch):
+    monkeypatch.setattr("vprbench.search._CELLS", 600 * 7)  # seven queries at a time
+    method = Drawn(32, index=index, neighbours=20).fit(drawn(600), np.arange(600))
+    codes = method.encode(Images.from_arrays([np.full((2, 2, 3), (i, 3, 3), np.uint8) for i in range(60)]))
+    audit = method.audit(codes)
+    wanted = by_hand(method.searched, codes, method.searched.references)
+    assert [audit.recall_at_1, audit.recall_at_10] == pytest.approx(wanted, abs=1e-9)
+    assert method.searched.kind == index
+    assert index != "ivfpq" or 0.05 < audit.recall_at_10 < 0.95
+
+
+def test_an_audit_goes_through_what_a_method_makes_of_matching():
+    class Halved(Drawn):
+        """Searches by every second number."""
+
+        def fit_descriptors(self, descriptors, places):
+            return super().fit_descriptors(descriptors[:, ::2], places)
+
+        def match(self, codes):
+            return super().match(codes[:, ::2])
+
+    method = Halved(32, index="hnsw").fit(drawn(300), np.arange(300))
+    assert method.audit(method.encode(drawn(20))).recall_at_1 > 0.9
+
+
+def test_the_contract_imports_neither_torch_nor_faiss():
+    code = "import sys, vprbench.interface; sys.exit('torch' in sys.modules or 'faiss' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,15 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From the bottom up; a file may import only what stands before it.
 ORDER = [
+    "compiled",
+    "search",
     "interface",
     "progress",
+    "download",
+    "weights",
     "images",
+    "resize",
+    "neural",
     "preprocess_compiled",
     "preprocess",
     "networks",
@@ -23,6 +29,9 @@ ORDER = [
     "stopwatch",
     "environment",
     "records",
+    "sources",
+    "descriptor_cache",
+    "described",
     "runner",
     "summary",
     "tables",
@@ -37,11 +46,12 @@ ORDER = [
     "bench_report",
     "bench",
     "bench_text",
+    "descriptor_bench",
     "gpu_check",
     "cli",
     "__main__",
 ]
-FOR_PLUGINS = {"interface", "images", "preprocess", "progress"}
+FOR_PLUGINS = {"compiled", "interface", "images", "preprocess", "progress", "weights", "resize", "neural"}
 
 
 def imported(path: Path) -> set[str]:

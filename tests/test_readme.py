@@ -8,7 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hydra
 import pytest
+
+from vprbench import registry
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -55,3 +58,21 @@ def test_what_it_shows_of_a_run_is_filled_in() -> None:
         shown = re.search(rf"<!-- {name} -->(.*?)<!-- /{name} -->", README, re.DOTALL)
         assert shown
         assert "vprtempo" in shown.group(1)
+
+
+def test_every_method_stands_in_the_readme_and_in_the_table_of_methods() -> None:
+    for document in ("README.md", "docs/methods.md"):
+        text = (ROOT / document).read_text(encoding="utf-8")
+        assert [name for name in registry.entries("method") if f"`{name}`" not in text] == []
+
+
+def test_the_table_of_methods_names_the_file_that_each_network_takes() -> None:
+    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
+    files = {}
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        for name in registry.entries("method"):
+            config = hydra.compose("run", overrides=[f"method={name}"]).method
+            if "weights" in config:
+                files[name] = config.weights.file.removesuffix(".pth.tar")
+    assert len(files) >= 15
+    assert [name for name, file in files.items() if file not in text] == ["mixvpr_128", "mixvpr_512"]  # "two others"

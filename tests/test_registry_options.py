@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
+import hydra
 import pytest
+from omegaconf import OmegaConf
 
 from vprbench import registry
+from vprbench.interface import Method
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -61,3 +64,10 @@ def test_a_mapping_among_the_defaults_is_passed_over(method) -> None:
 def test_the_options_of_a_method_are_the_arguments_of_its_class(name: str, kind: type) -> None:
     arguments = {field.name for field in fields(kind) if not field.name.startswith("_")}
     assert set(registry.entries("method")[name].options) == arguments
+
+
+@pytest.mark.parametrize("name", registry.entries("method"))
+def test_every_method_can_be_built_without_any_file_of_weights(name: str) -> None:
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = OmegaConf.to_container(hydra.compose("run", overrides=[f"method={name}"]).method, resolve=True)
+    assert isinstance(registry.make_method(config), Method)  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ import gc
 import importlib.util
 import itertools
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -19,11 +20,12 @@ import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in, picture, pictures, slow_pictures
 
-from vprbench import environment, progress, runner
+from vprbench import environment, progress, runner, tables
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Method, Places, Scores
+from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores
 from vprbench.ranking import Outcome, outcome
-from vprbench.records import Run
+from vprbench.records import Run, Store
+from vprbench.search import Audit, Kind
 from vprbench.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
@@ -221,6 +223,150 @@ def test_an_error_of_the_method_reaches_the_caller() -> None:
 
     with pytest.raises(ZeroDivisionError, match="of the method"):
         run_of(Broken(table(6, 4)), journey(6, 4))
+
+
+def test_many_places_are_scored_in_smaller_blocks_and_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores, dataset = table(300, 40, 5), journey(300, 40)
+    usual = run_of(Lookup(scores), dataset)
+    monkeypatch.setattr(runner, "_BLOCK_CELLS", 40 * 7)
+    monkeypatch.setattr(runner, "_RANKED_CELLS", 40 * 3)
+    method = Lookup(scores)
+    blocked = run_of(method, dataset)
+    assert [len(numbers) for numbers in method.asked[:43]] == [7] * 42 + [6]
+    assert np.array_equal(blocked.top_places, usual.top_places)
+    assert np.array_equal(blocked.top_scores, usual.top_scores)
+    assert all(np.array_equal(getattr(blocked.outcome, n), getattr(usual.outcome, n)) for n in Outcome.__annotations__)
+
+
+# Places that are no candidates, and the search of descriptors
+
+
+def with_few_candidates(n_queries: int = 12, n_places: int = 40) -> Scores:
+    """Return scores under which of each ten places one is a candidate."""
+    scores = table(n_queries, n_places, 100_000)
+    scores[:, np.arange(n_places) % 10 != 3] = -np.inf
+    return scores
+
+
+def test_candidates_stand_before_places_that_are_none() -> None:
+    run = run_of(Lookup(with_few_candidates()), journey(12, 40), depth=6)
+    assert set(run.top_places[:, :4].ravel().tolist()) == {3, 13, 23, 33}
+    assert run.top_places[:, 4:].tolist() == [[0, 1]] * 12
+    assert np.isfinite(run.top_scores[:, :4]).all()
+    assert np.isneginf(run.top_scores[:, 4:]).all()
+
+
+@pytest.mark.parametrize("candidates", ["few", "none"])
+def test_places_that_are_no_candidates_pass_the_audit_and_give_plain_numbers(candidates: str, tmp_path: Path) -> None:
+    scores = with_few_candidates() if candidates == "few" else np.full((12, 40), -np.inf, np.float32)
+    run = run_of(Lookup(scores), journey(12, 40))
+    assert not any("audit" in note for note in run.notes)
+    json.dumps(tables.numbers(run), allow_nan=False)
+    assert tables.readable_row(run)["R@1 % [95 %]"]
+    stored = Store(tmp_path)
+    stored.save(run)
+    found = stored.find("journey", "little", "key")
+    assert found is not None
+    assert np.array_equal(found.top_scores, run.top_scores)
+
+
+def test_a_timed_answer_that_is_no_candidate_in_the_scored_run_fails_the_audit() -> None:
+    @dataclass
+    class Elsewhere(Lookup):
+        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+            scores = self.table[codes]
+            return np.roll(scores, 1, axis=1) if len(codes) == 1 else scores
+
+    assert "audit failed" in notes_of(Elsewhere(with_few_candidates()), journey(12, 40))
+
+
+@dataclass
+class Angles(DescriptorMethod):
+    """Describes image number i by cosines of i, in 16 dimensions."""
+
+    shown: list[int] = field(default_factory=list, init=False)
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        self.shown.append(len(images))
+        numbers = np.array([number_in(image) for image in images])
+        vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
+
+
+def searching(index: Kind, n_queries: int = 300, **arguments: Any) -> Run:
+    return run_of(Angles(index=index, **arguments), journey(n_queries, 300))
+
+
+def test_a_run_records_how_good_its_index_is() -> None:
+    run = searching("hnsw", neighbours=20)
+    assert run.search is not None
+    assert run.search["index"] == "hnsw"
+    assert 0.9 < run.search["recall_at_1"] <= 1
+    assert 0.9 < run.search["recall_at_10"] <= 1
+    assert 16 * 4 + 64 * 4 <= run.search["bytes_per_place"] < 16 * 4 + 64 * 4 + 40  # vector, links, and where they lie
+    assert np.isneginf(run.scores).sum(1).tolist() == [280] * 300
+
+
+def test_what_an_index_misses_is_recorded_and_said() -> None:
+    run = searching("hnsw", neighbours=5)
+    assert run.search is not None
+    assert run.search["recall_at_1"] > 0.9
+    assert run.search["recall_at_10"] == pytest.approx(0.5, abs=0.02)  # 5 of the best 10
+    (note,) = (note for note in run.notes if note.startswith("index"))
+    assert re.fullmatch(
+        r"index hnsw: (100\.0|9\d\.\d) % of the exactly best places found, (50\.0|4\d\.\d) % of the best 10; "
+        r"3\d\d bytes a place",
+        note,
+    )
+
+
+def test_exact_search_finds_everything_and_goes_without_saying() -> None:
+    run = searching("exact")
+    assert run.search == {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
+    assert not any(note.startswith("index") for note in run.notes)
+
+
+def test_a_method_that_searches_no_descriptors_records_no_search() -> None:
+    assert run_of(Lookup(table(6, 4)), journey(6, 4)).search is None
+
+
+def test_a_descriptor_method_that_matches_in_its_own_way_records_no_search() -> None:
+    class OwnWay(Angles):
+        def fit(self, references: Images, places: Places) -> Self:
+            return self
+
+        def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+            return codes[:, :4]
+
+    assert run_of(OwnWay(), journey(6, 4)).search is None
+
+
+@pytest.mark.parametrize(("n_queries", "n_audited"), [(3, 3), (700, 256)])
+def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(n_queries: int, n_audited: int) -> None:
+    seen: list[npt.NDArray[np.float32]] = []
+
+    class Watched(Angles):
+        def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
+            seen.append(codes)
+            return super().audit(codes)
+
+    queries = journey(n_queries, 300)
+    run_of(Watched(index="hnsw"), queries)
+    every = Angles().encode(queries.queries)
+    (codes,) = seen
+    assert len(codes) == n_audited
+    assert np.array_equal(codes[[0, -1]], every[[0, -1]])
+    spread = [int(np.flatnonzero((every == code).all(1))[0]) for code in codes]
+    assert set(np.diff(spread)) <= {1, 2, 3}
+
+
+def test_an_audit_shows_the_method_no_image_again() -> None:
+    shown = []
+    for index in ("exact", "hnsw"):
+        method = Angles(index=index)  # type: ignore[arg-type]
+        run_of(method, journey(30, 300), replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1]))
+        shown.append(sum(method.shown))
+    assert shown[0] == shown[1]
 
 
 # Notes
@@ -534,19 +680,13 @@ def test_a_change_in_the_file_of_a_method_changes_its_hash(given: type[Method], 
     assert runner.code_hash(given) != before
 
 
-def test_a_change_beside_the_file_of_a_method_changes_its_hash(given: type[Method], tmp_path: Path) -> None:
-    before = runner.code_hash(given)
-    (tmp_path / "plugin" / "network.py").write_text("layers = 3\n")
-    assert runner.code_hash(given) != before
-
-
 def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Method], tmp_path: Path) -> None:
     before = runner.code_hash(given)
     (tmp_path / "other.py").write_text("layers = 3\n")
     assert runner.code_hash(given) == before
 
 
-@pytest.mark.parametrize("name", ["interface", "images", "preprocess", "preprocess_compiled", "stopwatch", "runner"])
+@pytest.mark.parametrize("name", ["interface", "search", "images", "ranking", "networks", "stopwatch", "runner"])
 def test_a_change_in_what_all_methods_use_changes_their_hash(
     given: type[Method], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -153,6 +153,10 @@ def test_a_row_of_a_loaded_network_says_so_where_the_time_of_its_fit_would_stand
     assert readable_row(loaded_run())["fit s"] == "loaded"
 
 
+def test_a_row_of_descriptors_from_an_earlier_run_says_so_where_the_time_of_its_fit_would_stand() -> None:
+    assert readable_row(replace(loaded_run(), network=None))["fit s"] == "kept"
+
+
 def test_a_table_explains_what_loaded_means() -> None:
     assert "loaded: a stored network was used" in table_text([loaded_run()])
 

@@ -10,9 +10,11 @@ from typing import Any
 
 from vprbench import environment, networks, registry, runner
 from vprbench.console import progress_shown
+from vprbench.descriptor_cache import DescriptorCache
 from vprbench.interface import BadInput
 from vprbench.options import Settings, n_threads
 from vprbench.records import Run, Store
+from vprbench.weights import content_hash
 
 
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
@@ -24,6 +26,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     method = registry.make_method(asked["method"])
     dataset = registry.make_dataset(asked["dataset"])
     fingerprint = runner.fingerprint(dataset)
+    asked["files"] = {path.name: content_hash(path) for path in method.files()}
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
     run = None if settings.force else store.find(dataset.name, name, key)
     if run is not None and files.save is not None and networks.made_by(files.save) != key:
@@ -33,8 +36,9 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     if run is not None:  # whoever stored it may have asked in other words
         run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
     else:
+        cache = DescriptorCache(store.root / "descriptors") if settings.cache else None
         with progress_shown(f"{name} on {dataset.name}"):
-            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files)
+            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, cache)
     try:
         folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
     except BadInput:

@@ -10,6 +10,7 @@ from functools import partial
 from itertools import count
 from typing import Any, TypeVar
 
+import numpy as np
 import psutil
 
 from vprbench import environment, progress
@@ -26,6 +27,7 @@ from vprbench.bench_report import (
     QueryCell,
     Report,
     ScalingCell,
+    SearchCell,
     Settings,
     TrainingCell,
 )
@@ -33,6 +35,7 @@ from vprbench.interface import BadInput, Method
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
 from vprbench.preprocess import Engine, PatchNormalisation
 from vprbench.progress import listening
+from vprbench.search import Search
 from vprbench.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 
@@ -41,6 +44,7 @@ Cell = TypeVar("Cell")
 _LITTLE = 8  # places of a fit that only compiles; too few to be judged as diverged
 _SHORT = 2.0  # seconds; a shorter fit is repeated
 _BYTES = 4  # of a float32
+_BEST = 100  # references that a library's search returns
 
 
 def measure(settings: Settings, make: Make) -> Report:
@@ -56,6 +60,7 @@ def measure(settings: Settings, make: Make) -> Report:
         "fits": partial(_fits, settings, make, route, networks),
         "preprocessing": partial(_preprocessing, settings),
         "queries": partial(_queries, settings, make, route, networks),
+        "search": partial(_search, settings, make, route),
         "scaling": partial(_scaling, settings, make, route),
     }
     cells = {}
@@ -209,6 +214,71 @@ def _query_cell(
     device = settings.device if bytes_each == _BYTES else "cpu"  # where 8-bit networks answer
     floor = floor_laps("read", n_bytes, device, settings.minimum_seconds / 4)
     return QueryCell(label, settings.places, rates, counted, n_bytes, floor)
+
+
+def _search(settings: Settings, make: Make, route: Route) -> Iterator[SearchCell | Failed]:
+    for images_per_call in (1, settings.batch):
+        what = {"method": "exact search", "images a call": str(images_per_call)}
+        yield _attempt(what, partial(_exact_search_cell, settings, images_per_call))
+    yield _attempt({"method": "sad"}, partial(_sad_cell, settings, make, route))
+
+
+def _exact_search_cell(settings: Settings, images_per_call: int) -> SearchCell:
+    import faiss
+
+    progress.report(f"exact search, {images_per_call} a call", 0.0)
+    generator = np.random.default_rng(settings.seed)
+    shape = (settings.search_references + images_per_call, settings.search_dimensions)
+    vectors = generator.standard_normal(shape, np.float32)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    codes, references = vectors[:images_per_call], vectors[images_per_call:]
+    exact = Search(references, np.arange(len(references)))
+    library = faiss.IndexFlatIP(settings.search_dimensions)
+    library.add(references)
+    best = min(_BEST, len(references))
+    return _beside(
+        settings,
+        ("exact search", "faiss.IndexFlatIP", *references.shape, images_per_call),
+        lambda: exact.scores(codes),
+        lambda: library.search(codes, best),
+    )
+
+
+def _sad_cell(settings: Settings, make: Make, route: Route) -> SearchCell:
+    import torch
+
+    progress.report("sad beside torch.cdist", 0.0)
+    references, places = route.references(settings.places, 1)
+    sad = make("sad", "cpu", height=settings.pixels, width=settings.pixels, patch=PATCH).fit(references, places)
+    code = sad.encode(route.queries(settings.places, 1)[0])
+    floats, query = (torch.from_numpy(levels).float() for levels in (sad.encode(references), code))
+    return _beside(
+        settings,
+        ("sad", "torch.cdist", *floats.shape, 1),
+        lambda: sad.match(code),
+        lambda: torch.cdist(query, floats, p=1),
+    )
+
+
+def _beside(
+    settings: Settings,
+    what: tuple[str, str, int, int, int],
+    ours: Callable[[], object],
+    library: Callable[[], object],
+) -> SearchCell:
+    watch = Stopwatch(Protocol())
+    environment.reset_peak_memory()
+    before = psutil.Process().memory_info().rss
+    ours()
+    memory_bytes = max(0, environment.peak_memory_bytes() - before)
+    library()
+    laps: list[list[float]] = [[], []]
+    while len(laps[0]) < settings.rounds or sum(map(sum, laps)) < settings.minimum_seconds:
+        for call, seconds in zip((ours, library), laps, strict=True):
+            with watch.lap() as lap:
+                call()
+            seconds += lap
+    return SearchCell(*what, rounded(laps[0]), rounded(laps[1]), memory_bytes)
 
 
 def _scaling(settings: Settings, make: Make, route: Route) -> Iterator[ScalingCell | Failed]:

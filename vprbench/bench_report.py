@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, get_type_hints
@@ -40,6 +41,8 @@ class Settings:
     batch: int = 128  # images preprocessed together
     batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])  # of offline queries
     sample: int = 128  # different queries
+    search_references: int = 3300  # descriptors that are searched; 27592 are all of Nordland, for which 2 GB are needed
+    search_dimensions: int = 4096
     rounds: int = 3
     minimum_seconds: float = 1.0  # of each rate
     minimum_queries: int = 64
@@ -51,7 +54,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check that something will be measured."""
-        for name in ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds"):
+        counts = ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds")
+        for name in (*counts, "search_references", "search_dimensions"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
         if not self.sizes or min(self.sizes) < 1:
@@ -90,6 +94,8 @@ QUICK: Mapping[str, Any] = {
     "batch": 4,
     "batch_sizes": [1, 4],
     "sample": 4,
+    "search_references": 300,
+    "search_dimensions": 16,
     "rounds": 2,
     "minimum_seconds": 0.0,
     "minimum_queries": 4,
@@ -141,6 +147,20 @@ class QueryCell:
 
 
 @dataclass(frozen=True)
+class SearchCell:
+    """Matching by this project and by a library, a call of each after the other."""
+
+    method: str
+    library: str
+    references: int
+    dimensions: int
+    images_per_call: int
+    seconds: list[float]  # per call
+    library_seconds: list[float]
+    memory_bytes: int  # that this project's calls took beyond what was resident, at most
+
+
+@dataclass(frozen=True)
 class ScalingCell:
     """Fit and rates at one number of places."""
 
@@ -173,12 +193,13 @@ class Report:
     fits: list[FitCell | Failed]
     preprocessing: list[PreprocessingCell | Failed]
     queries: list[QueryCell | Failed]
+    search: list[SearchCell | Failed]
     scaling: list[ScalingCell | Failed]
 
     @property
     def failures(self) -> list[Failed]:
         """The cells that could not be measured."""
-        cells = [*self.training, *self.fits, *self.preprocessing, *self.queries, *self.scaling]
+        cells = [*self.training, *self.fits, *self.preprocessing, *self.queries, *self.search, *self.scaling]
         return [cell for cell in cells if isinstance(cell, Failed)]
 
 
@@ -198,6 +219,6 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
         try:
             value = json.loads(text)
         except ValueError:
-            value = text
+            value = text[1:-1].split(",") if re.fullmatch(r"\[[\w.,-]+\]", text) else text  # [hog,pca]
         given[name] = registry.checked(name, value, hints[name])
     return kind(**{**(quick if given.get("quick") else {}), **given})

@@ -19,6 +19,7 @@ from vprbench.bench_report import (
     QueryCell,
     Report,
     ScalingCell,
+    SearchCell,
     TrainingCell,
 )
 from vprbench.measures import Growth, growth, median
@@ -77,6 +78,11 @@ def text_of(report: Report) -> str:
         "counted, with the same threads. Single queries of the paper's rules leave out the output weights of silent "
         "features, so they may read less than what is counted.",
         _table(report.queries, _query_row),
+        "## Matching beside a library",
+        "The same arrays in the same process, a call of each in turn, libraries first set up. Ours scores every place; "
+        "faiss returns the best 100, torch.cdist all distances of floats. The memory is what a call of ours takes "
+        "beyond what was resident.",
+        _table(report.search, _search_row),
         "## Growth with the number of places",
         f"1 traverse, {settings.scaling_epochs} epoch{'s' * (settings.scaling_epochs != 1)}, modules of up to "
         f"{settings.max_module:,} places: up to there one module grows, from there on their number.",
@@ -139,6 +145,20 @@ def _query_row(cell: QueryCell) -> dict[str, str]:
         "floor us": _figures(1e6 * floor),
         "streaming match / floor": _ratio(1 / cell.rates.streaming.match, floor),
         "floor reads": f"{_figures(cell.floor_bytes / 1e6)} MB: {_COUNTED[cell.counted]}",
+    }
+
+
+def _search_row(cell: SearchCell) -> dict[str, str]:
+    ours, library = median(cell.seconds), median(cell.library_seconds)
+    return {
+        "method": cell.method,
+        "references": f"{cell.references:,} x {cell.dimensions:,}",
+        "images a call": str(cell.images_per_call),
+        "ours: ms": _milliseconds(ours),
+        "library: ms": _milliseconds(library),
+        "ours / library": _ratio(ours, library),
+        "library": cell.library,
+        "memory MB": _megabytes(cell.memory_bytes),
     }
 
 

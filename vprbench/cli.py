@@ -41,6 +41,7 @@ python -m vprbench table [option=value ...]                      run the rows of
 python -m vprbench list                                          show the methods and datasets
 python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
 python -m vprbench bench [option=value ...]                      measure the speed here, write bench.md and .json
+python -m vprbench bench-descriptors [option=value ...]          measure how fast descriptors are, write descriptors.md
 python -m vprbench gpu-check [option=value ...]                  compare a GPU with the CPU, write gpu.md
 
 Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, save, load, ...
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "check": _check,
         "table": _table,
         "bench": _bench,
+        "bench-descriptors": _bench_descriptors,
         "gpu-check": _gpu_check,
     }
     try:
@@ -177,6 +179,20 @@ def _bench(options: list[str]) -> int:
     with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
         report = bench.measure(settings, _maker(settings.seed))
     bench_text.write(report, results)
+    return 1 if report.failures else 0
+
+
+def _bench_descriptors(options: list[str]) -> int:
+    """Measure how fast each method describes frames and searches, and write the numbers."""
+    from vprbench import descriptor_bench
+    from vprbench.bench_report import chosen
+
+    settings = chosen(descriptor_bench.Settings, options, descriptor_bench.QUICK)
+    _check_names([f"method={','.join(settings.methods)}"])
+    title = "bench-descriptors"
+    with _prepared(title, settings.device, settings.threads, settings.results, settings.seed) as results:
+        report = descriptor_bench.measure(settings, _maker(settings.seed))
+    descriptor_bench.write(report, results)
     return 1 if report.failures else 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from vprbench import networks
 from vprbench.images import Images
 from vprbench.interface import Dataset, Image, Method, NotFittedError, Places
-from vprbench.registry import make_method
+from vprbench.registry import checked, make_method
 
 N_PLACES = 20
 _RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
@@ -75,9 +75,10 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none.
+    stored networks to a method that keeps none. Raises BadInput where a file is missing that the method needs.
     """
     method = make_method(config)
+    method.files()
     arguments = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
     config = {**config, **arguments}
     exceptions = dict(method.conformance_exceptions)
@@ -102,7 +103,9 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
 def _constructor(make: Make, config: Mapping[str, Any]) -> None:
     method = make()
     for name, value in config.items():
-        if name != "_target_" and getattr(method, name, None) != value:
+        stored = getattr(method, name, None)
+        wanted = checked(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
+        if name != "_target_" and stored != wanted:
             _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
 
 
@@ -172,8 +175,7 @@ def _shape(make: Make, _: Mapping[str, Any]) -> None:
     wanted = (len(world.queries), N_PLACES)
     if not isinstance(scores, np.ndarray) or scores.shape != wanted or scores.dtype != np.float32:
         _broken(f"{getattr(scores, 'shape', type(scores))} {getattr(scores, 'dtype', '')}; wanted {wanted} float32")
-    if not np.isfinite(scores).all():
-        _broken(f"{np.count_nonzero(~np.isfinite(scores))} scores are not finite")
+    _only_numbers_or_no_candidates(scores, "scores are not finite")
 
 
 def _higher_is_alike(make: Make, _: Mapping[str, Any]) -> None:
@@ -202,8 +204,7 @@ def _any_image(make: Make, _: Mapping[str, Any]) -> None:
     black = [np.zeros_like(world.references[0]), *world.references[1:]]
     larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
     scores = make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
-    if not np.isfinite(scores).all():
-        _broken("a black image or one of another size gives scores that are not finite")
+    _only_numbers_or_no_candidates(scores, "scores of a black image and one of another size are not finite")
 
 
 def _stored(make: Make, config: Mapping[str, Any]) -> None:
@@ -259,9 +260,20 @@ def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:
     return method.query(Images.from_arrays(world.queries))
 
 
+def _only_numbers_or_no_candidates(scores: npt.NDArray[np.float32], complaint: str) -> None:
+    wrong = ~np.isfinite(scores) & ~np.isneginf(scores)
+    if wrong.any():
+        _broken(f"{np.count_nonzero(wrong)} {complaint}")
+    if np.isneginf(scores).all(axis=1).any():
+        _broken("a query has no candidate: all its scores are -inf")
+
+
 def _same(scores: npt.NDArray[np.float32], others: npt.NDArray[np.float32], complaint: str) -> None:
-    difference = float(np.abs(scores - others).max())
-    scale = float(np.abs(scores).max())
+    candidate = ~np.isneginf(scores)
+    if not np.array_equal(candidate, ~np.isneginf(others)):
+        _broken(f"{complaint}: other places are candidates")
+    difference = float(np.abs(scores[candidate] - others[candidate]).max(initial=0))
+    scale = float(np.abs(scores[candidate]).max(initial=0))
     if not difference <= _RELATIVE * scale:
         _broken(f"{complaint} (by {difference:.2g} where the largest score is {scale:.2g})")
 

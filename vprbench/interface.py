@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 
 import numpy as np
 import numpy.typing as npt
+
+from vprbench.search import Audit, Kind, Search, agreement
 
 if TYPE_CHECKING:
     from vprbench.images import Images
 
 Image = npt.NDArray[np.uint8]  # (height, width, 3), RGB
 Places = npt.NDArray[np.int64]  # (n_references,), the place that each reference image shows
-Scores = npt.NDArray[np.float32]  # (n_queries, n_places), higher means more alike
+Scores = npt.NDArray[np.float32]  # (n_queries, n_places), higher means more alike; -inf: no candidate
+
+_BLOCK = 64  # references encoded together
+_BLOCK_BYTES = 1 << 26  # of decoded images in such a block
 
 
 class BadInput(ValueError):
@@ -36,7 +42,7 @@ class Method(ABC):
 
     A subclass is best a dataclass: its constructor only stores its arguments, and their type hints are what
     the command line checks. `references` and `images` are `Images`; codes are arrays whose first axis is the
-    image. Scores are finite float32, higher means more alike.
+    image. Scores are finite float32, higher means more alike; -inf marks a place that is no candidate.
     """
 
     #: Rules of the conformance suite that a method cannot meet, each with the reason.
@@ -77,6 +83,13 @@ class Method(ABC):
         """
         raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
 
+    def files(self) -> Sequence[Path]:
+        """Return the files, beside the images, that its answers come from; their content is part of a run's key.
+
+        Raises BadInput where one is missing.
+        """
+        return ()
+
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Keep `query` what it is: encode and match."""
         super().__init_subclass__(**arguments)
@@ -89,26 +102,86 @@ class Method(ABC):
         return self.match(self.encode(images))
 
 
+@dataclass(kw_only=True, eq=False)
 class DescriptorMethod(Method):
     """A method whose codes are unit vectors: only `encode` -> float32 (n_images, n_dimensions) is left to write.
 
-    Matching is exact: the inner product with every reference, and of several images of a place the best.
+    A place scores the inner product with its most similar image. `index` chooses how they are found; approximate ones
+    (`hnsw`, `ivfpq`) retrieve `neighbours` images, and a place without any of these scores -inf.
     """
 
-    _references: npt.NDArray[np.float32] | None = None  # (n_references, n_dimensions)
-    _places: Places
+    query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
+
+    index: Kind = "exact"
+    neighbours: int = 100
+
+    #: The references, indexed; None before `fit`, and in a method that matches in a way of its own.
+    searched: Search | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Encode the references, block by block."""
-        self._references = np.concatenate([self.encode(block) for block in references.blocks(64)])
-        self._places = places.copy()
+        """Encode the references block by block, into one array, and learn the map from it."""
+        self.searched = None
+        if not len(references):
+            raise BadInput(f"{type(self).__name__} was given no reference images: give at least one")
+        blocks = references.blocks(_block_size(references))
+        codes = self.encode(next(blocks))
+        if len(codes) == len(references):
+            return self.fit_descriptors(codes, places)
+        descriptors = np.empty((len(references), codes.shape[1]), np.float32)
+        descriptors[: len(codes)] = codes
+        done = len(codes)
+        for block in blocks:
+            descriptors[done : done + len(block)] = self.encode(block)
+            done += len(block)
+        return self.fit_descriptors(descriptors, places)
+
+    def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
+        """Learn the map from what `encode` gave of the references, (n_references, n_dimensions), and forget any other.
+
+        The array is not copied and may be memory-mapped. Raises BadInput where `index` cannot be made of it.
+        """
+        self.searched = None
+        try:
+            self.searched = Search(descriptors, places.copy(), self.index, self.neighbours)
+        except ValueError as error:
+            raise BadInput(f"method.index={self.index}, method.neighbours={self.neighbours}: {error}") from error
         return self
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
-        """Return the inner product with the best reference image of each place."""
-        if self._references is None:
+        """Return the inner product with the best reference image of each place; -inf where none was retrieved."""
+        return self._indexed().scores(codes)
+
+    def keeps_descriptors(self) -> bool:
+        """Tell whether the descriptors of whole traverses are worth keeping on disk; never where a map shapes them."""
+        return False
+
+    def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
+        """Return how much of what exact search finds for `codes` the index finds too."""
+        index = self._indexed()
+        if index.kind == "exact":
+            return Audit(1.0, 1.0)
+        exact = index.exactly()
+        blocks = [*index.blocks(codes)]
+        shares = [agreement(self._matched(index, block), self._matched(exact, block)) for block in blocks]
+        return Audit(*np.concatenate(shares).mean(0).tolist())
+
+    def _matched(self, index: Search, codes: npt.NDArray[np.float32]) -> Scores:
+        """Match by another index, through whatever a subclass makes of `match`."""
+        kept, self.searched = self.searched, index
+        try:
+            return self.match(codes)
+        finally:
+            self.searched = kept
+
+    def _indexed(self) -> Search:
+        if self.searched is None:
             raise NotFittedError(f"{type(self).__name__} has no map yet: call fit(references, places) first")
-        return best_image_of_place(codes @ self._references.T, self._places)
+        return self.searched
+
+
+def _block_size(references: Images) -> int:
+    """Return how many images are encoded together, fewer where they are large."""
+    return max(1, min(_BLOCK, _BLOCK_BYTES // references[0].nbytes))
 
 
 def best_image_of_place(similarity: Scores, places: Places) -> Scores:

@@ -26,7 +26,7 @@ from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 2
+SCHEMA = 3
 _SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _PARTIAL = ".partial-"
 _DAMAGED = ".damaged"
@@ -49,10 +49,11 @@ class Run:
     environment: Mapping[str, Any]
     notes: tuple[str, ...]  # what a reader of the numbers has to know: a noisy machine, an audit that failed
     n_references: int
-    fit_seconds: float | None  # wall time, reading the images included; None: a stored network was loaded
+    fit_seconds: float | None  # wall time, reading the images included; None: a network or descriptors were loaded
     fit_compute_seconds: float | None  # without the time that the method waited for images
-    load_seconds: float | None  # wall time of reading, checking and restoring a stored network
+    load_seconds: float | None  # wall time of reading, checking and restoring those
     network: str | None  # SHA-256 of the file that was loaded
+    search: Mapping[str, Any] | None  # of descriptors: index, bytes_per_place, recall_at_1, recall_at_10; None: no such
     peak_memory_bytes: int
     harness_seconds: float  # spent neither in the method nor in reading images
     method_seconds: float  # spent in the method
@@ -60,7 +61,7 @@ class Run:
     outcome: Outcome
     positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places
     top_places: npt.NDArray[np.int32]  # (n_queries, depth), best first
-    top_scores: npt.NDArray[np.float32]  # (n_queries, depth)
+    top_scores: npt.NDArray[np.float32]  # (n_queries, depth); -inf: no candidate
     scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
 
 
@@ -238,6 +239,7 @@ _PLAIN = (
     "fit_compute_seconds",
     "load_seconds",
     "network",
+    "search",
     "peak_memory_bytes",
     "harness_seconds",
     "method_seconds",

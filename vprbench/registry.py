@@ -46,19 +46,27 @@ class Entry:
         """The names of the arguments that the yaml holds, those of the one it builds on included."""
         content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
         names = [name for name in content if name not in ("_target_", "defaults")]
-        for base in content.get("defaults", []):
-            if isinstance(base, str) and base in (known := entries(self.group)) and base != self.name:
-                names += known[base].options
-        return list(dict.fromkeys(names))
+        return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
 
     def target(self) -> Callable[..., Any]:
-        """Import and return the class or function; raises BadInput with the reason where that fails."""
+        """Import and return the class or function, its own or that of the one it builds on.
+
+        Raises BadInput with the reason where that fails.
+        """
         try:
             content = yaml.safe_load(self.path.read_text(encoding="utf-8"))
+            if "_target_" not in content and (bases := self._bases(content)):
+                return bases[-1].target()
             return _locate(content["_target_"])
         except (yaml.YAMLError, KeyError, TypeError) as error:
             reason = str(error).splitlines()[0]
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
+
+    def _bases(self, content: Mapping[str, Any]) -> list[Entry]:
+        """Return the ones that the yaml builds on."""
+        known = entries(self.group)
+        named = [base for base in content.get("defaults", []) if isinstance(base, str) and base != self.name]
+        return [known[base] for base in named if base in known]
 
 
 def entries(group: Group) -> dict[str, Entry]:
@@ -185,7 +193,8 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
 def checked(option: str, value: Any, hint: Any) -> Any:
     """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
     try:
-        adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+        own = is_dataclass(hint)  # which brings its own rules
+        adapter = TypeAdapter(hint, config=None if own else ConfigDict(arbitrary_types_allowed=True))
         return adapter.validate_json(json.dumps(value), strict=True)  # in JSON a list may become a tuple, a text a path
     except ValidationError as error:
         wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))

@@ -7,26 +7,34 @@ import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, networks, preprocess_compiled, progress
+from vprbench import environment, networks, progress
+from vprbench.described import Described, source_hash
+from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Method, Places, Scores
-from vprbench.preprocess import PatchNormalisation
+from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores
 from vprbench.ranking import Outcome, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
+from vprbench.search import Audit, Search
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
 _BLOCK_BYTES = 1 << 28  # of decoded images in such a block
+_BLOCK_CELLS = 1 << 25  # scores of such a block
+_RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
+_AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
 _CACHING = 0.75  # known images that need less than this share of the time of new ones are suspicious
+Answer = TypeVar("Answer")
+
 _NO_FILES = networks.Files()  # a run that neither loads nor stores a network
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
@@ -52,6 +60,7 @@ def run_key(
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
             "images": fingerprint,
+            "files": config.get("files", {}),
             "seed": config["seed"],
             "device": environment.device_class(config["device"]),
             "threads": threads,
@@ -64,16 +73,10 @@ def run_key(
 
 
 def code_hash(method: type[Method]) -> str:
-    """Return the hash of the source behind a method: its folder (in `methods/`, its file) and what all methods use."""
-    own = Path(inspect.getfile(method))
-    package = method.__module__.rpartition(".")[0]
-    sources = [own] if package in ("", "vprbench.methods") else sorted(own.parent.rglob("*.py"))
-    parts = (Method, Images, PatchNormalisation, Outcome, Stopwatch, networks.load, run)
-    sources += [Path(inspect.getfile(part)) for part in parts]
-    sources.append(Path(preprocess_compiled.__file__))
-    digest = hashlib.sha256()
-    for source in sources:
-        digest.update(source.read_bytes())
+    """Return the hash of the source behind a method and of what runs, ranks and times all methods."""
+    digest = hashlib.sha256(source_hash(method).encode())
+    for part in (Method, Images, Outcome, Stopwatch, networks.load, run):
+        digest.update(Path(inspect.getfile(part)).read_bytes())
     return digest.hexdigest()
 
 
@@ -98,11 +101,13 @@ def run(
     protocol: Protocol,
     threads: int,
     files: networks.Files = _NO_FILES,
+    cache: DescriptorCache | None = None,
 ) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     `config` holds what was asked for (method, dataset, seed, device, depth); raises whatever the method raises.
-    A network is stored before the first query; whether it can be is seen before it is trained.
+    A network is stored before the first query; whether it can be is seen before it is trained. Descriptors worth
+    keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case.
     """
     device = config["device"]
     started = time.perf_counter()
@@ -111,14 +116,20 @@ def run(
     stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
     environment.reset_peak_memory()
 
-    learnt = _learn(stopwatch, method, dataset, config["method"], key, files)
+    described = Described.of(cache, method, config)
+    learnt = _learn(stopwatch, method, dataset, config["method"], key, files, described)
 
     before = dataset.queries.reading.seconds
     answers = _Answers(dataset, config["depth"])
+    audited = _Audited(method, len(dataset.queries))
+    from_cache = False
     with stopwatch.lap() as querying:
-        for block in dataset.queries.unnamed().blocks(_block_size(dataset.queries)):
-            answers.add(len(block), *_timed_scores(stopwatch, method, block))
-            progress.report("query", answers.done / len(dataset.queries))
+        if described is None:
+            for block in dataset.queries.unnamed().blocks(_block_size(dataset.queries, dataset.n_places)):
+                answers.add(len(block), *_query(stopwatch, method, block, audited, answers.done))
+                progress.report("query", answers.done / len(dataset.queries))
+        else:
+            from_cache = _answer_from_descriptors(stopwatch, method, dataset, described, answers, audited)
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     with stopwatch.lap() as measuring:
@@ -127,6 +138,9 @@ def run(
 
     pressure = environment.cpu_pressure()
     slowdown = environment.canary_seconds() / canary
+    peak_memory_bytes = environment.peak_memory_bytes()
+    with stopwatch.lap() as auditing:
+        search = _search(method, audited)
     result = concatenate(answers.outcomes)
     return Run(
         method=name,
@@ -141,14 +155,26 @@ def run(
             "cpu_pressure_avg10_after": pressure,
             "device_memory_bytes": environment.peak_device_memory_bytes(device),
         },
-        notes=(*learnt.notes, *_notes(slowdown, pressure, timing, answers)),
+        notes=(
+            *learnt.notes,
+            *_cache_notes(dataset, learnt.from_cache, from_cache),
+            *_notes(slowdown, pressure, timing, answers),
+            *_search_notes(search),
+        ),
         n_references=len(dataset.references),
         fit_seconds=learnt.fit_seconds,
         fit_compute_seconds=learnt.fit_compute_seconds,
         load_seconds=learnt.load_seconds,
         network=files.sha256,
-        peak_memory_bytes=environment.peak_memory_bytes(),
-        harness_seconds=time.perf_counter() - started - learnt.seconds - querying[0] - measuring[0] + harness,
+        search=search,
+        peak_memory_bytes=peak_memory_bytes,
+        harness_seconds=time.perf_counter()
+        - started
+        - learnt.seconds
+        - querying[0]
+        - measuring[0]
+        - auditing[0]
+        + harness,
         method_seconds=learnt.method_seconds + answers.method_seconds,
         timing=timing,
         outcome=result,
@@ -167,6 +193,7 @@ class _Learnt:
     fit_compute_seconds: float | None = None
     load_seconds: float | None = None
     notes: tuple[str, ...] = ()
+    from_cache: bool = False  # the descriptors of the references
 
     @property
     def seconds(self) -> float:
@@ -186,6 +213,7 @@ def _learn(
     arguments: Mapping[str, Any],
     key: str,
     files: networks.Files,
+    described: Described | None,
 ) -> _Learnt:
     """Load the method's network, or fit the method and store its network where that was asked for."""
     if files.load is not None:
@@ -197,8 +225,17 @@ def _learn(
     destination = networks.prepare(files, method, arguments, dataset)
     before = dataset.references.reading.seconds
     progress.report("fit", 0.0)
+    references, places = dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places)
+    from_cache = False
     with stopwatch.lap() as fit:
-        method.fit(dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places))
+        if described is None:
+            method.fit(references, places)
+        else:
+            assert isinstance(method, DescriptorMethod)
+            descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
+            method.fit_descriptors(descriptors, places)
+    if from_cache:
+        return _Learnt(load_seconds=fit[0], from_cache=True)
     computing = fit[0] - (dataset.references.reading.seconds - before)
     if destination is not None:
         networks.save(destination, method, key, fit[0], computing)
@@ -227,7 +264,9 @@ class _Answers:
             raise BadInput(f"the method gave scores of shape {scores.shape}; wanted {wanted}, one for each place")
         scores = checked_scores(scores, self.done)
         self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
-        best = _best_places(scores, self._depth)
+        rows = max(1, _RANKED_CELLS // scores.shape[1])
+        parts = [_best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
+        best = np.concatenate(parts)
         values = np.take_along_axis(scores, best, axis=1)
         order = np.argsort(-values, axis=1, kind="stable")
         self.top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
@@ -238,13 +277,36 @@ class _Answers:
         self.method_seconds += seconds
 
 
+class _Audited:
+    """Keeps the codes of some queries, spread over all, by which an approximate index is compared with exact search."""
+
+    def __init__(self, method: Method, n_queries: int) -> None:
+        """Keep none where a fitted method does not search by an approximate index."""
+        index = _index(method)
+        wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, n_queries)
+        self._queries = np.linspace(0, n_queries - 1, wanted).astype(np.int64)
+        self.codes: list[npt.NDArray[Any]] = []
+
+    def take(self, first: int, codes: npt.NDArray[Any]) -> None:
+        """Keep those of `codes` that are wanted; they are of query `first` and the next ones."""
+        rows = self._queries - first
+        rows = rows[(rows >= 0) & (rows < len(codes))]
+        if len(rows):
+            self.codes.append(codes[rows])
+
+
 def _best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
     """Return the `depth` best places of each query in ascending order, (n_queries, depth); of equals the lower ones."""
     worst = np.partition(scores, -depth, axis=1)[:, -depth, None]
-    better, equal = scores > worst, scores == worst
-    room = depth - np.count_nonzero(better, axis=1, keepdims=True)
-    chosen = better | (equal & (np.cumsum(equal, axis=1) <= room))
-    return np.nonzero(chosen)[1].reshape(len(scores), depth)
+    chosen = scores >= worst
+    cells = np.flatnonzero(chosen)
+    if len(cells) > len(scores) * depth:  # some equal the worst: counting them takes longer than all the rest
+        crowded = np.bincount(cells // scores.shape[1], minlength=len(scores)) > depth
+        better, equal = scores[crowded] > worst[crowded], scores[crowded] == worst[crowded]
+        room = depth - np.count_nonzero(better, axis=1, keepdims=True)
+        chosen[crowded] = better | (equal & (np.cumsum(equal, axis=1) <= room))
+        cells = np.flatnonzero(chosen)
+    return np.asarray(cells.reshape(len(scores), depth) % scores.shape[1])
 
 
 def _reading(total: int) -> Callable[[int], None]:
@@ -252,15 +314,59 @@ def _reading(total: int) -> Callable[[int], None]:
     return lambda done: progress.report("fit, reading images", done / total)
 
 
-def _block_size(queries: Images) -> int:
-    """Return how many queries are decoded and scored together, fewer where they are large."""
-    return max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes))
+def _block_size(queries: Images, n_places: int) -> int:
+    """Return how many queries are decoded and scored together, fewer where images are large or places many."""
+    return max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes, _BLOCK_CELLS // n_places))
 
 
-def _timed_scores(stopwatch: Stopwatch, method: Method, block: Images) -> tuple[Scores, float]:
+def _timed(stopwatch: Stopwatch, call: Callable[[], Answer]) -> tuple[Answer, float]:
     with stopwatch.lap() as lap:
-        scores = method.query(block)
-    return scores, lap[0]
+        answer = call()
+    return answer, lap[0]
+
+
+def _query(stopwatch: Stopwatch, method: Method, block: Images, audited: _Audited, first: int) -> tuple[Scores, float]:
+    """Score images, of which the first is query `first`; their codes, which may be large, are not kept."""
+    codes, encoding = _timed(stopwatch, partial(method.encode, block))
+    audited.take(first, codes)
+    scores, matching = _timed(stopwatch, partial(method.match, codes))
+    return scores, encoding + matching
+
+
+def _answer_from_descriptors(
+    stopwatch: Stopwatch,
+    method: Method,
+    dataset: Dataset,
+    described: Described,
+    answers: _Answers,
+    audited: _Audited,
+) -> bool:
+    """Score the queries by descriptors that are kept; returns whether they were kept already."""
+    queries = dataset.queries.unnamed()
+
+    def encode(block: Images) -> Descriptors:
+        codes, seconds = _timed(stopwatch, lambda: method.encode(block))
+        answers.method_seconds += seconds
+        return np.asarray(codes)
+
+    descriptors, from_cache = described.descriptors(
+        queries, encode, lambda done: progress.report("query", done / len(queries))
+    )
+    size = _block_size(queries, dataset.n_places)
+    for start in range(0, len(queries), size):
+        codes = descriptors[start : start + size]
+        audited.take(answers.done, codes)
+        answers.add(len(codes), *_timed(stopwatch, partial(method.match, codes)))
+        progress.report("search", answers.done / len(queries))
+    return from_cache
+
+
+def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[str]:
+    """Yield what was not encoded because its descriptors were kept."""
+    kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
+    if kept:
+        nothing = "nothing was encoded" if references and queries else "none of these was encoded"
+        yield f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
 
 
 def _read_only(places: Places) -> Places:
@@ -283,10 +389,33 @@ def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _An
         yield "audit failed: the timed run gave other answers than the scored run"
 
 
+def _search(method: Method, audited: _Audited) -> dict[str, Any] | None:
+    """Return what a method searches its descriptors by, and how much of what exact search finds that finds."""
+    index = _index(method)
+    if index is None or not isinstance(method, DescriptorMethod):
+        return None
+    audit = Audit(1.0, 1.0) if index.kind == "exact" else method.audit(np.concatenate(audited.codes))
+    return {"index": index.kind, "bytes_per_place": index.bytes_per_place, **asdict(audit)}
+
+
+def _index(method: Method) -> Search | None:
+    return method.searched if isinstance(method, DescriptorMethod) else None
+
+
+def _search_notes(search: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield how good an approximate index is."""
+    if search is not None and search["index"] != "exact":
+        yield (
+            f"index {search['index']}: {100 * search['recall_at_1']:.1f} % of the exactly best places found, "
+            f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place"
+        )
+
+
 def _same_answers(timing: Timing, answers: _Answers) -> bool:
     """Tell whether the places named in the timed run score best in the scored run too."""
     queries = timing.sample[timing.answers >= 0]
     named = timing.answers[timing.answers >= 0]
     places, scores = np.concatenate(answers.top_places)[queries], np.concatenate(answers.top_scores)[queries]
-    close = scores >= scores[:, :1] - _SAME_SCORE * np.abs(scores).max(1, keepdims=True)
+    largest = np.abs(scores).max(1, initial=0, where=scores > -np.inf, keepdims=True)
+    close = scores >= scores[:, :1] - _SAME_SCORE * largest
     return bool(((places == named[:, None]) & close).any(axis=1).all())

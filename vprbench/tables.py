@@ -17,7 +17,8 @@ _LEGEND = (
     "R@N: share of all queries with a right place among the best N, expected value under ties; interval: Wilson, 95 %. "
     "AUC-PR (A): recall over all answerable queries, trapezoid. Rates: images in memory; streaming is one image at a "
     "time (1 / median), offline the best batch size (images / time); enc needs no map, match scores all places. "
-    "fit: wall time, reading the images included; loaded: a stored network was used and nothing trained."
+    "fit: wall time, reading the images included; loaded: a stored network was used and nothing trained; "
+    "kept: descriptors of an earlier run were used and nothing encoded."
 )
 
 
@@ -35,11 +36,18 @@ def readable_row(run: Run) -> dict[str, str]:
         "R@1 % [95 %]": _recall_with_interval(summary),
         **{f"R@{n} %": _percent(summary.recalls[n]) for n in RECALLS[1:]},
         "AUC-PR (A)": _number(summary.auc_pr),
-        "fit s": "loaded" if run.fit_seconds is None else f"{run.fit_seconds:.1f}",
+        "fit s": _fit(run),
         "streaming Hz enc/match/total": _rates(summary.streaming),
         "offline Hz enc/match/total": f"{_rates(summary.offline)} (batch {summary.offline_batch})",
         "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
     }
+
+
+def _fit(run: Run) -> str:
+    """Return the seconds of the fit, or what stood in for it."""
+    if run.fit_seconds is not None:
+        return f"{run.fit_seconds:.1f}"
+    return "kept" if run.network is None else "loaded"
 
 
 def failed_row(failure: Failure) -> dict[str, str]:

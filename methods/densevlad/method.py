@@ -61,13 +61,11 @@ class DenseVLAD(DescriptorMethod):
     _words: Tensor | None = field(default=None, init=False, repr=False, compare=False)  # (words, 128)
     # (words * 128, n_components); none: no whitening
     _projection: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
-    # (n_references, n_components or words * 128)
-    _references: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Learn the words and the whitening, each from a sample where there are many references, and encode all."""
         self._check_arguments()
-        self._words = self._references = self._projection = None
+        self._words = self.searched = self._projection = None
         generator = np.random.default_rng(self.seed)
         words = torch.from_numpy(
             self._learn_words(references, generator)
@@ -81,12 +79,9 @@ class DenseVLAD(DescriptorMethod):
         self._projection = whitening(vlads, max(1, n_components)) if self.n_components else None
         self._words = words
         if len(chosen) == len(references):
-            self._references = _projected(vlads, self._projection)
-        else:
-            del vlads
-            self._references = self.encode(references.watched(_reporting("encoding", len(references))))
-        self._places = places.copy()
-        return self
+            return self.fit_descriptors(_projected(vlads, self._projection), places)
+        del vlads
+        return self.fit_descriptors(self.encode(references.watched(_reporting("encoding", len(references)))), places)
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the whitened VLAD of each image, (n_images, n_components), unit vectors."""
@@ -102,15 +97,16 @@ class DenseVLAD(DescriptorMethod):
 
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return the words, the whitening where there is one, and the references with their places."""
-        if self._words is None or self._references is None:
+        if self._words is None or self.searched is None:
             raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
-        learnt = {"words": self._words.cpu().numpy(), "references": self._references, "places": self._places}
+        known = self.searched
+        learnt = {"words": self._words.cpu().numpy(), "references": known.references, "places": known.places}
         return learnt if self._projection is None else {**learnt, "projection": self._projection}
 
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over what `state` gave."""
         self._check_arguments()
-        self._words = self._references = self._projection = None
+        self._words = self.searched = self._projection = None
         n_dimensions = self.words * DIMENSIONS
         places, projection = state.get("places", np.empty(0)), state.get("projection")
         n_components = projection.shape[-1] if projection is not None and projection.ndim else n_dimensions
@@ -125,9 +121,7 @@ class DenseVLAD(DescriptorMethod):
             raise BadInput(f"the stored network holds {found}; wanted {wanted} for method.words={self.words}")
         self._words = torch.tensor(state["words"], dtype=torch.float32, device=self.device)
         self._projection = None if projection is None else projection.astype(np.float32)
-        self._references = state["references"].astype(np.float32)
-        self._places = places.astype(np.int64)
-        return self
+        return self.fit_descriptors(state["references"].astype(np.float32), places.astype(np.int64))
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments under which there is no descriptor."""

@@ -1,0 +1,273 @@
+"""BoQ: learnt queries gather what they look for from an image's local features, as a method."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.resize import Interpolation, Resize
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones import vit
+from .backbones.resnet import n_channels, resnet
+from .backbones.vit import VisionTransformer
+
+_HEAD = 64  # dimensions of an attention head
+_RESNET, _STAGES = "resnet50", 3
+_DINO = "backbone.dino."
+_BLOCK = re.compile(r"aggregator\.boqs\.(\d+)\.")
+
+#: What the published ResNet's parts may be called, by another wrapper of the same network, and what they are here.
+_OTHER_NAMES = {
+    "backbone.frozen_layers.0.0.": "backbone.net.0.",
+    "backbone.frozen_layers.0.1.": "backbone.net.1.",
+    "backbone.frozen_layers.1.": "backbone.net.4.",
+    "backbone.frozen_layers.2.": "backbone.net.5.",
+    "backbone.unfrozen_layers.0.": "backbone.net.6.",
+}
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the tensors of BoQ's aggregator are sized by."""
+
+    dim: int  # a multiple of 64: one attention head for each 64
+    n_queries: int = 64  # of a block
+    n_blocks: int = 2
+    n_hidden: int | None = None  # between the two linear layers of an encoder; None: 4 * dim
+    n_rows: int = 32  # that the outputs of all queries become
+
+
+@dataclass(kw_only=True)
+class BoQ(NeuralDescriptor):
+    """Bag of queries on DINOv2 ViT-B/14: 12288 numbers.
+
+    The patch tokens, without DINOv2's final norm, pass a 3x3 convolution and two blocks. In each an encoder refines
+    them and 64 learnt queries attend to them; the outputs of all queries are joined linearly. The published input is
+    322x322 pixels, bicubic and antialiased on floats.
+    Source: Ali-bey et al. 2024 and amaralibey/Bag-of-Queries (1a4965e).
+    """
+
+    height: int | None = 322
+    width: int | None = 322
+    resize: Resize = "tensor"
+    interpolation: Interpolation = "bicubic"
+
+    multiple: ClassVar[int] = 14
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file; raises BadInput for any other file.
+
+        Sizes are the file's own. DINOv2's final norm and mask token may be in it or not.
+        """
+        tensors = state_dict(path, "state_dict")
+        sizes = _sizes(tensors, path)
+        dino = {name.removeprefix(_DINO): tensor for name, tensor in tensors.items() if name.startswith(_DINO)}
+        with torch.device("meta"):
+            try:
+                backbone = _Dino(VisionTransformer.for_checkpoint(dino))
+            except BadInput as error:
+                raise BadInput(f"{path}, {_DINO}*: {error}") from error
+            network = _Network(backbone, sizes)
+        load_strictly(network, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of 12288 dimensions, without the published values."""
+        return _Network(_Dino(VisionTransformer(vit.SIZES["vitb14"], norm=False)), Sizes(dim=384))
+
+
+@dataclass(kw_only=True)
+class BoQResNet50(BoQ):
+    """Bag of queries on ResNet50 without its last stage: 16384 numbers; all else is as in BoQ.
+
+    The published input is 384x384 pixels. The backbone's tensors may bear the names of either public wrapper,
+    backbone.net or backbone.frozen_layers and unfrozen_layers.
+    """
+
+    height: int | None = 384
+    width: int | None = 384
+
+    multiple: ClassVar[int] = 1
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file; raises BadInput for any other file."""
+        tensors = _renamed(state_dict(path, "state_dict"), path)
+        sizes = _sizes(tensors, path)
+        with torch.device("meta"):
+            network = _Network(_ResNet(), sizes)
+        load_strictly(network, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of 16384 dimensions, without the published values."""
+        return _Network(_ResNet(), Sizes(dim=512))
+
+
+class _Network(nn.Module):
+    """Images (n, 3, height, width) in, descriptors (n, dim * n_rows) out, not yet of unit length."""
+
+    def __init__(self, backbone: _Dino | _ResNet, sizes: Sizes) -> None:
+        super().__init__()
+        self.backbone = backbone
+        self.aggregator = _Aggregator(backbone.n_channels, sizes)
+
+    def forward(self, images: Tensor) -> Tensor:
+        out: Tensor = self.aggregator(self.backbone(images))
+        return out
+
+
+class _Dino(nn.Module):
+    """DINOv2's patch tokens as an image, without the final norm."""
+
+    def __init__(self, dino: VisionTransformer) -> None:
+        super().__init__()
+        self.dino = dino
+        self.n_channels = dino.sizes.dim
+
+    def forward(self, images: Tensor) -> Tensor:
+        return self.dino.tokens(images, normalised=False).patches.permute(0, 3, 1, 2)
+
+
+class _ResNet(nn.Module):
+    """ResNet50 up to its third stage."""
+
+    n_channels = n_channels(_RESNET, _STAGES)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.net = resnet(_RESNET, _STAGES, names="numbers")
+
+    def forward(self, images: Tensor) -> Tensor:
+        out: Tensor = self.net(images)
+        return out
+
+
+class _Aggregator(nn.Module):
+    """Local features (n, n_channels, rows, columns) in, descriptors (n, dim * n_rows) out."""
+
+    def __init__(self, n_channels: int, sizes: Sizes) -> None:
+        super().__init__()
+        self.proj_c = nn.Conv2d(n_channels, sizes.dim, 3, padding=1)
+        self.norm_input = nn.LayerNorm(sizes.dim)
+        self.boqs = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
+        self.fc = nn.Linear(sizes.n_blocks * sizes.n_queries, sizes.n_rows)
+
+    def forward(self, features: Tensor) -> Tensor:
+        x = self.norm_input(self.proj_c(features).flatten(2).transpose(1, 2))  # (n, positions, dim)
+        found = []
+        for block in self.boqs:
+            x, gathered = block(x)
+            found.append(gathered)
+        joined: Tensor = self.fc(torch.cat(found, 1).transpose(1, 2))  # (n, dim, n_rows)
+        return joined.flatten(1)
+
+
+class _Block(nn.Module):
+    """Refines the features, and gathers from them what its queries attend to."""
+
+    def __init__(self, sizes: Sizes) -> None:
+        super().__init__()
+        self.encoder = _Encoder(sizes.dim, sizes.n_hidden or 4 * sizes.dim)
+        self.queries = nn.Parameter(torch.zeros(1, sizes.n_queries, sizes.dim))
+        self.self_attn = _Attention(sizes.dim)
+        self.norm_q = nn.LayerNorm(sizes.dim)
+        self.cross_attn = _Attention(sizes.dim)
+        self.norm_out = nn.LayerNorm(sizes.dim)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the refined features (n, positions, dim) and what was gathered (n, n_queries, dim)."""
+        x = self.encoder(x)
+        queries = self.norm_q(self.queries + self.self_attn(self.queries, self.queries))  # the same for all images
+        return x, self.norm_out(self.cross_attn(queries.expand(len(x), -1, -1), x))
+
+
+class _Encoder(nn.Module):
+    """A transformer layer that normalises after each addition."""
+
+    def __init__(self, dim: int, n_hidden: int) -> None:
+        super().__init__()
+        self.self_attn = _Attention(dim)
+        self.linear1 = nn.Linear(dim, n_hidden)
+        self.linear2 = nn.Linear(n_hidden, dim)
+        self.norm1 = nn.LayerNorm(dim)
+        self.norm2 = nn.LayerNorm(dim)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.norm1(x + self.self_attn(x, x))
+        out: Tensor = self.norm2(x + self.linear2(functional.relu(self.linear1(x))))
+        return out
+
+
+class _Attention(nn.Module):
+    """Attention in heads of 64 dimensions, under the names of `torch.nn.MultiheadAttention`."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.in_proj_weight = nn.Parameter(torch.zeros(3 * dim, dim))
+        self.in_proj_bias = nn.Parameter(torch.zeros(3 * dim))
+        self.out_proj = nn.Linear(dim, dim)
+
+    def forward(self, asking: Tensor, asked: Tensor) -> Tensor:
+        """Return for each of (n, n_asking, dim) what it takes from (n, n_asked, dim)."""
+        dim = asking.shape[-1]
+        weight, bias = self.in_proj_weight, self.in_proj_bias
+        query = functional.linear(asking, weight[:dim], bias[:dim])
+        key, value = functional.linear(asked, weight[dim:], bias[dim:]).chunk(2, -1)
+        seen = functional.scaled_dot_product_attention(_heads(query), _heads(key), _heads(value))
+        out: Tensor = self.out_proj(seen.transpose(1, 2).flatten(2))
+        return out
+
+
+def _heads(x: Tensor) -> Tensor:
+    """Return what each head gets of (n, positions, dim): (n, heads, positions, 64)."""
+    return x.view(*x.shape[:2], -1, _HEAD).transpose(1, 2)
+
+
+def _sizes(tensors: Mapping[str, Tensor], path: Path) -> Sizes:
+    """Read the sizes of the aggregator off a checkpoint's tensors; raises BadInput where they are none of BoQ's."""
+    dim = _shape(tensors, "aggregator.proj_c.weight", 4, path)[0]
+    if dim % _HEAD:
+        raise BadInput(
+            f"{path}: aggregator.proj_c.weight makes {dim} dimensions; wanted a multiple of {_HEAD}, one attention "
+            "head for each: give the weights of BoQ"
+        )
+    return Sizes(
+        dim=dim,
+        n_queries=_shape(tensors, "aggregator.boqs.0.queries", 3, path)[1],
+        # Counted, not the highest number: strict loading finds a gap.
+        n_blocks=len({found[1] for name in tensors if (found := _BLOCK.match(name))}),
+        n_hidden=_shape(tensors, "aggregator.boqs.0.encoder.linear1.weight", 2, path)[0],
+        n_rows=_shape(tensors, "aggregator.fc.weight", 2, path)[0],
+    )
+
+
+def _shape(tensors: Mapping[str, Tensor], name: str, n_axes: int, path: Path) -> tuple[int, ...]:
+    """Return the shape of a tensor that has to be there with so many axes, none of length 0."""
+    if name not in tensors:
+        raise BadInput(f"{path} holds no {name} (it holds {next(iter(tensors))}, ...): give the weights of BoQ")
+    shape = tuple(tensors[name].shape)
+    if len(shape) != n_axes or 0 in shape:
+        raise BadInput(f"{path}: {name} has the shape {shape}; wanted {n_axes} axes: give the weights of BoQ")
+    return shape
+
+
+def _renamed(tensors: Mapping[str, Tensor], path: Path) -> dict[str, Tensor]:
+    """Return tensors of either wrapper under the names of this network; raises BadInput where two get one name."""
+    renamed: dict[str, Tensor] = {}
+    for name, tensor in tensors.items():
+        old = next((old for old in _OTHER_NAMES if name.startswith(old)), "")
+        new = _OTHER_NAMES.get(old, "") + name.removeprefix(old)
+        if new in renamed:
+            raise BadInput(f"{path} holds {new} twice, under names of two wrappers: give a file with one network")
+        renamed[new] = tensor
+    return renamed

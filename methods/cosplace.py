@@ -1,0 +1,115 @@
+"""CosPlace and EigenPlaces: one network, trained in two ways, as methods."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.resize import Resize
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones.resnet import n_channels, resnet
+from .backbones.vgg import N_CHANNELS, vgg16_features
+from .pooling import GeM
+
+Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
+
+_BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
+
+
+@dataclass(kw_only=True)
+class CosPlace(NeuralDescriptor):
+    """Scores a place by the cosine between the projected GeM of query and most similar reference image.
+
+    Channels are of unit length at each position before they are pooled, and what is pooled goes through one linear
+    layer to `n_dimensions`, which has to be that of the file. Images keep their size unless `height` and `width` are
+    given. Source: Berton et al. 2022 and gmberton/CosPlace 33ce8d0.
+    """
+
+    backbone: Backbone = "ResNet50"
+    n_dimensions: int = 2048
+    resize: Resize = "tensor"
+
+    #: The dimensions that there are published files for.
+    published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType(
+        {
+            "VGG16": (64, 128, 256, 512),
+            "ResNet18": (32, 64, 128, 256, 512),
+            **dict.fromkeys(("ResNet50", "ResNet101", "ResNet152"), (32, 64, 128, 256, 512, 1024, 2048)),
+        }
+    )
+
+    @property
+    def smallest_side(self) -> int:  # type: ignore[override]  # here it depends on an argument
+        """The pixels under which nothing is left to pool: VGG16 halves four times, a ResNet rounds up."""
+        return 16 if self.backbone == "VGG16" else 1
+
+    def files(self) -> Sequence[Path]:
+        """Return the file of weights; raises BadInput where it is missing, and for one that was never published."""
+        there = self.published.get(self.backbone, ())
+        if self.weights.path is None and self.n_dimensions not in there:
+            known = "; ".join(f"{name} {', '.join(map(str, sizes))}" for name, sizes in self.published.items())
+            raise BadInput(
+                f"method.backbone={self.backbone}, method.n_dimensions={self.n_dimensions}: {type(self).__name__} was "
+                f"published with {known}; give one of these, or method.weights.path=FILE"
+            )
+        return super().files()
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network; raises BadInput for a file of another backbone or of other dimensions."""
+        tensors = state_dict(path)
+        weight = tensors.get("aggregation.3.weight")
+        if weight is not None and weight.ndim == 2 and len(weight) != self.n_dimensions:
+            raise BadInput(
+                f"{path} holds a network of {len(weight)} dimensions: set method.n_dimensions={len(weight)}, "
+                f"or give weights of {self.n_dimensions}"
+            )
+        with torch.device("meta"):
+            network = self.blank()
+        load_strictly(network, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of this backbone and these dimensions, without values."""
+        return _CosPlace(self.backbone, self.n_dimensions)
+
+
+@dataclass(kw_only=True)
+class EigenPlaces(CosPlace):
+    """CosPlace's network trained for robustness to viewpoint: Berton et al. 2023, gmberton/EigenPlaces a2969f7."""
+
+    published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType(
+        {
+            "VGG16": (512,),
+            "ResNet18": (256, 512),
+            **dict.fromkeys(("ResNet50", "ResNet101"), (128, 256, 512, 1024, 2048)),
+        }
+    )
+
+
+class _CosPlace(nn.Module):
+    """Images (n, 3, height, width) to descriptors (n, n_dimensions), not yet of unit length."""
+
+    def __init__(self, backbone: Backbone, n_dimensions: int) -> None:
+        super().__init__()
+        if backbone == "VGG16":
+            self.backbone, n_inputs = vgg16_features(_BEFORE_RELU), N_CHANNELS
+        else:
+            self.backbone, n_inputs = resnet(backbone.lower()), n_channels(backbone.lower())
+        # Under these numbers the published files know them.
+        self.aggregation = nn.ModuleDict({"1": GeM(), "3": nn.Linear(n_inputs, n_dimensions)})
+
+    def forward(self, images: Tensor) -> Tensor:
+        features = functional.normalize(self.backbone(images).float(), dim=1)
+        project = self.aggregation["3"]
+        descriptors: Tensor = project(self.aggregation["1"](features).to(images.dtype))
+        return descriptors

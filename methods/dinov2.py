@@ -1,0 +1,87 @@
+"""DINOv2: the token of the whole image, or its patch tokens pooled, as a global descriptor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor, nn
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones.vit import SIZES, VisionTransformer
+
+Backbone = Literal["vits14", "vitb14", "vitl14", "vitg14"]
+Pooling = Literal["cls", "mean", "gem"]
+
+_POWER = 3.0  # of the generalised mean
+_EPSILON = 1e-6
+
+
+@dataclass(kw_only=True)
+class DINOv2(NeuralDescriptor):
+    """DINOv2 as it was published, not trained for places: 384 (vits14), 768, 1024 or 1536 (vitg14) numbers.
+
+    After the final norm, `cls` takes the token of the whole image; `mean` and `gem` pool the patch tokens, the latter
+    by the generalised mean of power 3 over values clamped at 1e-6. `backbone` names the published file; sizes are the
+    file's own. The input of 322x322 pixels and both poolings are this project's choice.
+    Source: Oquab et al. 2024 and facebookresearch/dinov2 (b8931f7).
+    """
+
+    backbone: Backbone = "vitb14"
+    pooling: Pooling = "cls"
+    height: int | None = 322
+    width: int | None = 322
+
+    multiple: ClassVar[int] = 14
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file; raises BadInput for any other file."""
+        tensors = state_dict(path)
+        model = transformer(tensors, path)
+        load_strictly(model, tensors, path)
+        return _Network(model, self.pooling)
+
+    def blank(self) -> nn.Module:
+        """Return the network in the sizes of `backbone`, without the published values."""
+        with torch.device("meta"):
+            return _Network(VisionTransformer(SIZES[self.backbone]), self.pooling)
+
+
+def transformer(tensors: Mapping[str, Tensor], path: Path, prefix: str = "") -> VisionTransformer:
+    """Return the transformer, still without values, that fits the tensors of `path` under a prefix.
+
+    Raises BadInput that names the file where they are no DINOv2 transformer's with its final norm.
+    """
+    own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+    try:
+        with torch.device("meta"):
+            model = VisionTransformer.for_checkpoint(own)
+    except BadInput as error:
+        raise BadInput(f"{path}, {prefix or 'its top'}: {error}") from error
+    if model.norm is None:
+        raise BadInput(f"{path} holds no {prefix}norm.weight: give the file with DINOv2's final norm")
+    return model
+
+
+class _Network(nn.Module):
+    """Images (n, 3, height, width) in, descriptors (n, dim) out, not yet of unit length."""
+
+    def __init__(self, model: VisionTransformer, pooling: Pooling) -> None:
+        super().__init__()
+        self.model = model
+        self.pooling = pooling
+
+    def forward(self, images: Tensor) -> Tensor:
+        tokens = self.model.tokens(images, normalised=True)
+        if self.pooling == "cls":
+            return tokens.cls
+        patches = tokens.patches.flatten(1, 2).float()
+        if self.pooling == "mean":
+            return patches.mean(1)
+        return patches.clamp(min=_EPSILON).pow(_POWER).mean(1).pow(1 / _POWER)

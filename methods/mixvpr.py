@@ -1,0 +1,130 @@
+"""MixVPR: feature maps mixed as wholes, by layers that see all positions of a channel at once, as a method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import ClassVar, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.resize import Resize
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones.resnet import n_channels, resnet
+
+_BACKBONE, _N_STAGES = "resnet50", 3
+_SIDE = 320  # pixels
+_PIXELS = 16  # along a side of a position
+_N_MIXERS = 4
+_PUBLISHED: Mapping[int, tuple[int, int]] = MappingProxyType(  # channels and rows, by dimensions
+    {4096: (1024, 4), 512: (256, 2), 128: (64, 2)}
+)
+
+
+@dataclass(kw_only=True)
+class MixVPR(NeuralDescriptor):
+    """Scores a place by the cosine between the mixed feature maps of query and most similar reference image.
+
+    A mixer is made for a number of positions, one for each 16x16 pixels: the published ones for 320x320 images.
+    `n_dimensions` has to be that of the file. Source: Ali-bey et al. 2023 and amaralibey/MixVPR 4043915.
+    """
+
+    n_dimensions: int = 4096
+    height: int | None = _SIDE
+    width: int | None = _SIDE
+    resize: Resize = "tensor"
+
+    fixed_size: ClassVar[bool] = True
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network in the sizes of the file; raises BadInput for a file of anything else."""
+        tensors = state_dict(path)
+        n_positions = _size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2)
+        channels = _size(tensors, "aggregator.channel_proj.weight", 0, 1)
+        rows = _size(tensors, "aggregator.row_proj.weight", 0, 1)
+        with torch.device("meta"):
+            network = _MixVPR(n_positions, channels, rows)
+        load_strictly(network, tensors, path)
+        if channels * rows != self.n_dimensions:
+            raise BadInput(
+                f"{path} holds a network of {channels * rows} dimensions: "
+                f"set method.n_dimensions={channels * rows}, or give weights of {self.n_dimensions}"
+            )
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return a published network without its values; raises BadInput for dimensions that none has."""
+        if self.n_dimensions not in _PUBLISHED:
+            raise BadInput(
+                f"method.n_dimensions={self.n_dimensions}: MixVPR was published with {', '.join(map(str, _PUBLISHED))}"
+            )
+        return _MixVPR((_SIDE // _PIXELS) ** 2, *_PUBLISHED[self.n_dimensions])
+
+
+class _MixVPR(nn.Module):
+    """Images (n, 3, height, width) to descriptors (n, channels * rows), not yet of unit length."""
+
+    def __init__(self, n_positions: int, channels: int, rows: int) -> None:
+        super().__init__()
+        self.backbone = nn.ModuleDict({"model": resnet(_BACKBONE, _N_STAGES, names="words")})
+        self.aggregator = _Aggregator(n_positions, channels, rows)
+
+    def forward(self, images: Tensor) -> Tensor:
+        features = self.backbone["model"](images)
+        n_positions = self.aggregator.n_positions
+        if features[0, 0].numel() != n_positions:
+            down, across = features.shape[-2:]
+            side = round(n_positions**0.5) * _PIXELS
+            raise BadInput(
+                f"images of {images.shape[-1]}x{images.shape[-2]} pixels have {down * across} positions, these weights "
+                f"are for {n_positions}: set method.height={side} and method.width={side}"
+            )
+        return cast(Tensor, self.aggregator(features))
+
+
+class _Aggregator(nn.Module):
+    """Feature maps (n, channels, height, width) to descriptors, the rows of each output channel side by side."""
+
+    def __init__(self, n_positions: int, channels: int, rows: int) -> None:
+        super().__init__()
+        self.n_positions = n_positions
+        self.mix = nn.Sequential(*(_Mixer(n_positions) for _ in range(_N_MIXERS)))
+        self.channel_proj = nn.Linear(n_channels(_BACKBONE, _N_STAGES), channels)
+        self.row_proj = nn.Linear(n_positions, rows)
+
+    def forward(self, features: Tensor) -> Tensor:
+        mixed = self.mix(features.flatten(2))  # (n, channels, positions)
+        # The published order, channels first and then rows, is a hundred times the work and gives the same: what the
+        # first projection's bias becomes in the second is what each row's weights sum to.
+        projected = self.channel_proj.weight @ functional.linear(mixed, self.row_proj.weight)
+        projected = projected + torch.outer(self.channel_proj.bias, self.row_proj.weight.sum(1)) + self.row_proj.bias
+        return projected.flatten(1)
+
+
+class _Mixer(nn.Module):
+    """Two linear layers over the positions of each channel, beside a shortcut."""
+
+    def __init__(self, n_positions: int) -> None:
+        super().__init__()
+        self.mix = nn.Sequential(
+            nn.LayerNorm(n_positions),
+            nn.Linear(n_positions, n_positions),
+            nn.ReLU(inplace=True),
+            nn.Linear(n_positions, n_positions),
+        )
+
+    def forward(self, maps: Tensor) -> Tensor:
+        return cast(Tensor, maps + self.mix(maps))
+
+
+def _size(tensors: Mapping[str, Tensor], name: str, axis: int, otherwise: int) -> int:
+    """Return a size of a matrix of the file; `otherwise` where it lacks that, which strict loading then tells."""
+    matrix = tensors.get(name)
+    return otherwise if matrix is None or matrix.ndim != 2 else matrix.shape[axis]

@@ -1,0 +1,173 @@
+"""SALAD: patches are assigned to clusters, or to a dustbin, by optimal transport, as a method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones.vit import SIZES, VisionTransformer
+from .dinov2 import transformer
+
+_BACKBONE, _AGGREGATOR = "backbone.model.", "aggregator."
+_ITERATIONS = 3  # of Sinkhorn's algorithm
+
+
+@dataclass(kw_only=True)
+class SALAD(NeuralDescriptor):
+    """SALAD on DINOv2 ViT-B/14: 8448 numbers, 256 of the image's token and 128 of each of 64 clusters.
+
+    Needs more patches than clusters: 126x126 pixels are enough. The authors evaluate at 322x322.
+    Source: Izquierdo and Civera 2024 and serizba/salad (e593005).
+    """
+
+    height: int | None = 322
+    width: int | None = 322
+
+    multiple: ClassVar[int] = 14
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file; raises BadInput for any other file.
+
+        Sizes are the file's own.
+        """
+        tensors = state_dict(path, "state_dict")
+        sizes = Sizes.of(tensors, path, _AGGREGATOR)
+        model = transformer(tensors, path, _BACKBONE)
+        with torch.device("meta"):
+            network = _Network(model, sizes)
+        load_strictly(network, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of 8448 dimensions, without the published values."""
+        with torch.device("meta"):
+            return _Network(VisionTransformer(SIZES["vitb14"]), Sizes())
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the tensors of SALAD's aggregator are sized by."""
+
+    n_hidden: int = 512  # between the two layers of each of its networks
+    n_clusters: int = 64
+    cluster_dim: int = 128
+    token_dim: int = 256
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, Tensor], path: Path, prefix: str) -> Self:
+        """Read the sizes off the tensors of `path` under a prefix; raises BadInput where one has none."""
+        first, token, cluster, score = (
+            n_outputs(tensors, path, prefix + name)
+            for name in (
+                "token_features.0.weight",
+                "token_features.2.weight",
+                "cluster_features.3.weight",
+                "score.3.weight",
+            )
+        )
+        return cls(n_hidden=first, n_clusters=score, cluster_dim=cluster, token_dim=token)
+
+    @property
+    def n_dimensions(self) -> int:
+        """The numbers of a descriptor."""
+        return self.token_dim + self.cluster_dim * self.n_clusters
+
+
+def n_outputs(tensors: Mapping[str, Tensor], path: Path, name: str) -> int:
+    """Return the first length of a weight of `path`; raises BadInput where it is missing or no weight."""
+    if name not in tensors:
+        raise BadInput(f"{path} ({len(tensors)} tensors) holds no {name}: give the weights that belong to this method")
+    if tensors[name].ndim < 2 or 0 in tensors[name].shape:
+        raise BadInput(f"{path} holds {name} of shape {tuple(tensors[name].shape)}: wanted (outputs, inputs, ...)")
+    return len(tensors[name])
+
+
+class Aggregator(nn.Module):
+    """What SALAD makes of DINOv2's normalised tokens: unit vectors, float32 (n, n_dimensions).
+
+    The parts are the image's token through a small network, of unit length, then for each dimension l and cluster k,
+    as l * n_clusters + k, the sum of the patches' features weighted by their assignment, of unit length per cluster.
+    Raises BadInput for an image that has no more patches than there are clusters.
+    """
+
+    def __init__(self, dim: int, sizes: Sizes) -> None:
+        super().__init__()
+        self.token_features = nn.Sequential(
+            nn.Linear(dim, sizes.n_hidden), nn.ReLU(), nn.Linear(sizes.n_hidden, sizes.token_dim)
+        )
+        self.cluster_features = _patch_network(dim, sizes.n_hidden, sizes.cluster_dim)
+        self.score = _patch_network(dim, sizes.n_hidden, sizes.n_clusters)
+        self.dust_bin = nn.Parameter(torch.ones(()))
+
+    def forward(self, cls: Tensor, patches: Tensor) -> Tensor:
+        """Gather the token (n, dim) and the patches (n, rows, columns, dim) of images."""
+        grid = patches.permute(0, 3, 1, 2)  # its memory is channels-last already
+        # In float32 whatever the network's precision: a sum over hundreds of patches, exponentials and lengths.
+        token = functional.normalize(self.token_features(cls).float(), dim=1)
+        features = self.cluster_features(grid).flatten(2).float()  # (n, cluster_dim, n_patches)
+        scores = self.score(grid).flatten(2).float()  # (n, n_clusters, n_patches)
+        gathered = features @ assignment(scores, self.dust_bin.float()).transpose(1, 2)
+        clusters = functional.normalize(gathered, dim=1).flatten(1)
+        return functional.normalize(torch.cat([token, clusters], 1), dim=1)
+
+
+def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
+    """Return how much of each patch goes to each cluster, (n, n_clusters, n_patches), from scores of that shape.
+
+    The optimal transport, after 3 iterations of Sinkhorn's algorithm on logarithms, that gives every cluster the mass
+    of one patch and the dustbin, whose score is the same for all patches, the rest; the dustbin's row is left out.
+    Raises BadInput where there is no rest.
+    """
+    n, n_clusters, n_patches = scores.shape
+    if n_patches <= n_clusters:
+        raise BadInput(
+            f"an image gave {n_patches} patches of 14x14 pixels; the {n_clusters} clusters need more: set "
+            f"method.height and method.width to {14 * (math.isqrt(n_clusters) + 1)} pixels each, or more"
+        )
+    scores = torch.cat([scores, dust_bin.expand(n, 1, n_patches)], 1)
+    log_patch = -math.log(n_patches + n_clusters)  # the mass of one patch
+    log_rows = scores.new_full((n_clusters + 1, 1), log_patch)
+    log_rows[-1] += math.log(n_patches - n_clusters)
+    columns = scores.new_zeros(n, 1, n_patches)
+    for _ in range(_ITERATIONS):
+        rows = log_rows - (scores + columns).logsumexp(2, keepdim=True)
+        columns = log_patch - (scores + rows).logsumexp(1, keepdim=True)
+    return (scores + rows + columns - log_patch).exp()[:, :-1]
+
+
+class _Network(nn.Module):
+    """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out."""
+
+    def __init__(self, model: VisionTransformer, sizes: Sizes) -> None:
+        super().__init__()
+        self.backbone = _Backbone(model)
+        self.aggregator = Aggregator(model.sizes.dim, sizes)
+
+    def forward(self, images: Tensor) -> Tensor:
+        tokens = self.backbone.model.tokens(images, normalised=True)
+        out: Tensor = self.aggregator(tokens.cls, tokens.patches)
+        return out
+
+
+class _Backbone(nn.Module):
+    """The transformer under its published name, which has one more part than its own."""
+
+    def __init__(self, model: VisionTransformer) -> None:
+        super().__init__()
+        self.model = model
+
+
+def _patch_network(dim: int, n_hidden: int, n_out: int) -> nn.Sequential:
+    """Return two layers for each patch; between them stood the dropout of the training, whose number stays."""
+    return nn.Sequential(nn.Conv2d(dim, n_hidden, 1), nn.Identity(), nn.ReLU(), nn.Conv2d(n_hidden, n_out, 1))

@@ -1,0 +1,200 @@
+"""The benchmark of descriptors times what it says, needs no weights, and loses no row to another's failure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from vprbench import registry
+from vprbench.cli import main
+from vprbench.descriptor_bench import METHODS, Cell, Failed, Settings, measure, randomised, text_of
+from vprbench.interface import BadInput, DescriptorMethod, Method
+from vprbench.neural import NeuralDescriptor
+from vprbench.weights import Weights
+
+NO_FILE = Weights(file="none.pth", licence="", trained_on="")
+
+
+class Two(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.convolution = nn.Conv2d(3, 5, 3)
+        self.norm = nn.BatchNorm2d(5)
+
+    def forward(self, images):
+        return self.norm(self.convolution(images)).amax((2, 3))
+
+
+@dataclass(kw_only=True)
+class Tiny(NeuralDescriptor):
+    """Five numbers an image; its file is never read."""
+
+    seen = ()
+
+    def load(self, path):
+        raise AssertionError("the benchmark loads nothing")
+
+    def blank(self):
+        with torch.device("meta"):
+            return Two()
+
+    def pixels(self, levels):
+        self.seen = (*self.seen, tuple(levels.shape))
+        return super().pixels(levels)
+
+
+@dataclass
+class Slow(DescriptorMethod):
+    """One number an image, and a fit of its own."""
+
+    n_references: int = 0
+
+    def fit(self, references, places):
+        self.n_references = len(references)
+        return super().fit(references, places)
+
+    def encode(self, images):
+        return np.ones((len(images), 1), np.float32)
+
+
+class Broken(Method):
+    def fit(self, references, places):
+        raise BadInput("no map today")
+
+    def encode(self, images): ...
+    def match(self, codes): ...
+
+
+def settings(**changed):
+    small = {"frames": [[32, 48]], "places": 30, "fitted_places": 6, "batch": 4, "minimum_seconds": 0.0}
+    return Settings(**{**small, **changed})
+
+
+def maker(**classes):
+    made = []
+
+    def make(name, device, **arguments):
+        method = classes[name](weights=NO_FILE, **arguments) if name == "tiny" else classes[name]()
+        made.append(method)
+        return method
+
+    return make, made
+
+
+def test_a_network_is_timed_without_its_weights_at_the_size_of_the_frame():
+    make, made = maker(tiny=Tiny)
+    (cell,) = measure(settings(methods=["tiny"]), make).cells
+    assert isinstance(cell, Cell)
+    assert (cell.seen, cell.n_dimensions, cell.places) == ((32, 48), 5, 30)
+    assert {shape[1:] for shape in made[-1].seen} == {(3, 32, 48)}
+    assert {shape[0] for shape in made[-1].seen} == {1, 4}
+    for laps in (cell.encode_one, cell.encode_batch, cell.match_one, cell.match_batch):
+        assert len(laps) >= 3
+        assert min(laps) > 0
+
+
+def test_frames_are_seen_at_the_nearest_size_that_a_network_takes():
+    class Fourteen(Tiny):
+        multiple = 14
+
+    make, made = maker(tiny=Fourteen)
+    (cell,) = measure(settings(methods=["tiny"]), make).cells
+    assert cell.seen == (28, 42)
+    assert {shape[2:] for shape in made[-1].seen} == {(28, 42)}
+
+
+def test_a_network_of_one_size_keeps_it():
+    class Fixed(Tiny):
+        fixed_size = True
+
+        def target(self, height, width):
+            return 20, 20
+
+    make, _ = maker(tiny=Fixed)
+    (cell,) = measure(settings(methods=["tiny"]), make).cells
+    assert cell.seen == (20, 20)
+
+
+def test_a_method_that_learns_from_references_has_few_of_them():
+    make, made = maker(slow=Slow)
+    (cell,) = measure(settings(methods=["slow"]), make).cells
+    assert (cell.places, made[0].n_references, cell.seen) == (6, 6, None)
+
+
+def test_a_failure_is_a_row_and_the_others_are_measured():
+    make, _ = maker(broken=Broken, slow=Slow)
+    report = measure(settings(methods=["broken", "slow"]), make)
+    assert report.cells[0] == Failed("broken", (32, 48), "float32", "no map today")
+    assert isinstance(report.cells[1], Cell)
+    assert "FAILED: no map today" in text_of(report)
+
+
+def test_rates_follow_from_the_laps():
+    report = measure(settings(methods=["slow"]), maker(slow=Slow)[0])
+    cell = Cell("m", (2, 3), None, "float32", 7, 11, [0.5, 0.25, 1.0], [0.4], [0.001], [0.002])
+    row = text_of(type(report)(report.settings, report.environment, [cell])).split("| m ")[1].splitlines()[0]
+    assert [part.strip() for part in row.split("|")[1:-1]] == [
+        "3x2",
+        "",
+        "7",
+        "500",
+        "2",
+        "10",
+        "11",
+        "1,000",
+        "2,000",
+    ]
+
+
+def test_random_networks_keep_their_activations_finite_and_alive():
+    with torch.device("meta"):
+        deep = nn.Sequential(*[layer for _ in range(20) for layer in (nn.Conv2d(32, 32, 3), nn.ReLU())])
+    out = randomised(deep, 0)(torch.ones(1, 32, 48, 48))
+    assert 1e-4 < float(out.detach().square().mean()) < 1e4
+
+
+def test_the_same_seed_draws_the_same_network():
+    def weights(seed):
+        return randomised(Two(), seed).convolution.weight.detach().numpy()
+
+    assert np.array_equal(weights(3), weights(3))
+    assert not np.array_equal(weights(3), weights(4))
+
+
+def test_every_method_here_but_the_spiking_ones_is_in_the_benchmark():
+    here = {name for name, entry in registry.entries("method").items() if entry.provider == "vprbench"}
+    variants = {"mixvpr_512", "mixvpr_128"}  # of one network, with other last layers
+    assert {name for name in here if not name.startswith("vprtempo")} - variants == set(METHODS)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"frames": [[3]]}, r"frames=\[\[3\]\]: give heights and widths"),
+        ({"batch": 0}, "batch=0: give at least 1"),
+        ({"minimum_seconds": math.inf}, "minimum_seconds=inf: give seconds"),
+        ({"precisions": ["half"]}, r"precisions=\['half'\]: give some of float32"),
+        ({"precisions": ["float16"]}, "on the CPU float32 alone"),
+    ],
+)
+def test_settings_that_measure_nothing_are_refused(changed, message):
+    with pytest.raises(BadInput, match=message):
+        settings(**changed)
+
+
+def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
+    assert main(["bench-descriptors", "quick=true", f"results={tmp_path}"]) == 0
+    printed = capsys.readouterr().out
+    assert "no number means anything" in printed
+    assert (tmp_path / "descriptors.md").read_text() in printed
+    assert "| hog " in printed
+
+
+def test_an_unknown_method_is_named(tmp_path, capsys):
+    assert main(["bench-descriptors", "methods=[hogg]", f"results={tmp_path}"]) == 2
+    assert "method=hogg is unknown: did you mean hog" in capsys.readouterr().err

@@ -1,0 +1,413 @@
+"""GCL against float64 versions written from the key names of its checkpoints, and its whitening against an SVD."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import backbones_oracle as oracle
+import cv2
+import hydra
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+from PIL import Image as PillowImage
+from torch.nn import functional
+
+from vprbench import conformance, registry
+from vprbench.images import Images
+from vprbench.interface import BadInput, NotFittedError
+from vprbench.methods.gcl import GCL, Whitening
+from vprbench.weights import Weights
+
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+KINDS = {"resnet50": "resnet50", "resnet152": "resnet152", "resnext": "resnext101_32x8d"}
+SIZE = {"height": 64, "width": 96}
+SMALL = ["method.backbone=resnet50", "method.height=16", "method.width=16", "method.batch_size=64"]
+
+
+def drawn(backbone: str, pooling: str = "GeM") -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(len(backbone))
+    if backbone == "vgg16":
+        tensors = oracle.vgg16_checkpoint(generator, "backbone.")
+    else:
+        tensors = oracle.resnet_checkpoint(generator, KINDS[backbone], "backbone.")
+    return tensors | ({"pool.p": torch.tensor([2.4])} if pooling == "GeM" else {})
+
+
+def written(path: Path, tensors: dict[str, torch.Tensor], key: str = "model_state_dict", prefix: str = "") -> Path:
+    """Write what the authors' training writes."""
+    named = {f"{prefix}{name}": tensor for name, tensor in tensors.items()}
+    optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "momentum": 0, "params": [0, 1]}]}
+    torch.save({key: named, "step": 1300, "optimizer": optimizer} if key else named, path)
+    return path
+
+
+def gcl(path: Path, **arguments: Any) -> GCL:
+    return GCL(weights=Weights("x.pth", "", "", path=str(path)), **{**SIZE, "backbone": "vgg16", **arguments})
+
+
+def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[np.ndarray]:
+    """Images of coarse and fine structure, (height, width, 3)."""
+    generator = np.random.default_rng(seed)
+    images = []
+    for height, width in sizes:
+        coarse = cv2.resize(generator.integers(0, 256, (5, 7, 3), dtype=np.uint8), (width, height))
+        images.append(np.clip(coarse + generator.normal(0, 30, (height, width, 3)), 0, 255).astype(np.uint8))
+    return images
+
+
+def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    return np.asarray(PillowImage.fromarray(image).resize((width, height), PillowImage.Resampling.BILINEAR))
+
+
+def expected(
+    tensors: dict[str, torch.Tensor],
+    images: Sequence[np.ndarray],
+    backbone: str = "vgg16",
+    pooling: str = "GeM",
+    *,
+    resized=lambda image: pillow(image, 64, 96),
+    last: int = 30,
+    unit_channels: bool = False,
+    p: float | None = None,
+) -> np.ndarray:
+    """Descriptors in float64; the options after `resized` step into traps."""
+    descriptors = []
+    for image in images:
+        x = torch.from_numpy(resized(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
+        x = (x - torch.tensor(MEAN).double()[:, None, None]) / torch.tensor(DEVIATION).double()[:, None, None]
+        if backbone == "vgg16":
+            x = oracle.vgg16(tensors, "backbone.", x, last)
+        else:
+            x = oracle.resnet(tensors, "backbone.", x, KINDS[backbone])
+        if unit_channels:
+            x = functional.normalize(x, dim=1)
+        if pooling == "GeM":
+            power = tensors["pool.p"].double().item() if p is None else p
+            y = x.clamp(min=1e-6).pow(power).mean((2, 3)).pow(1 / power)
+        else:
+            y = x.mean((2, 3)) if pooling == "avg" else x.amax((2, 3))
+        descriptors.append(functional.normalize(y, dim=1)[0].numpy())
+    return np.array(descriptors)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder that is emptied in the end: files of weights are large."""
+    folder = tmp_path_factory.mktemp("weights")
+    yield folder
+    for path in folder.iterdir():
+        path.unlink()
+
+
+@pytest.fixture(scope="module")
+def tensors() -> dict[str, torch.Tensor]:
+    return drawn("vgg16")
+
+
+@pytest.fixture(scope="module")
+def published(folder: Path, tensors: dict[str, torch.Tensor]) -> Path:
+    return written(folder / "MSLS_vgg16_GeM_480_GCL.pth", tensors)
+
+
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    return drawn_images((64, 96), (131, 187), (131, 187), (70, 51))
+
+
+@pytest.fixture(scope="module")
+def codes(published: Path, images: list[np.ndarray]) -> np.ndarray:
+    return gcl(published).encode(Images.from_arrays(images))
+
+
+def test_descriptors_are_those_of_the_published_layout(codes, tensors, images) -> None:
+    assert codes.shape == (4, 512)
+    assert codes.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(codes, expected(tensors, images), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("backbone", KINDS)
+def test_descriptors_of_a_resnet_are_those_of_the_published_layout(backbone: str, folder: Path, images) -> None:
+    tensors = drawn(backbone)
+    path = written(folder / f"{backbone}.pth", tensors)
+    codes = gcl(path, backbone=backbone).encode(Images.from_arrays(images[:1]))
+    path.unlink()
+    assert codes.shape == (1, 2048)
+    np.testing.assert_allclose(codes, expected(tensors, images[:1], backbone), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("pooling", ["avg", "max"])
+def test_other_poolings_have_no_power(pooling: str, folder: Path, images) -> None:
+    tensors = drawn("vgg16", pooling)
+    codes = gcl(written(folder / "other.pth", tensors), pooling=pooling).encode(Images.from_arrays(images[1:2]))
+    np.testing.assert_allclose(codes, expected(tensors, images[1:2], pooling=pooling), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "trap",
+    [
+        {"last": 28},  # without the last ReLU and pool, as NetVLAD and CosPlace have VGG16
+        {"last": 29},  # without the last pool
+        {"unit_channels": True},  # as CosPlace has it
+        {"p": 3.0},  # what the power starts from
+        {"resized": lambda image: cv2.resize(image, (96, 64), interpolation=cv2.INTER_LINEAR)},  # not antialiased
+        {"resized": lambda image: pillow(image[..., ::-1], 64, 96)},  # BGR
+        {"resized": lambda image: image},  # at its own size
+    ],
+)
+def test_each_trap_gives_other_descriptors(trap: dict[str, Any], codes, tensors, images) -> None:
+    assert np.abs(codes[1:2] - expected(tensors, images[1:2], **trap)).max() > 1e-3
+
+
+def test_images_one_by_one_and_again_give_the_same(published: Path, codes, images) -> None:
+    method = gcl(published, batch_size=3)
+    singles = np.concatenate([method.encode(Images.from_arrays([image])) for image in images])
+    np.testing.assert_allclose(singles, codes, rtol=0, atol=2e-6)
+    np.testing.assert_array_equal(gcl(published).encode(Images.from_arrays(images)), codes)
+
+
+@pytest.mark.parametrize(("key", "prefix"), [("state_dict", ""), ("model_state_dict", "module."), ("", "module.")])
+def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Path, tensors, codes, images) -> None:
+    path = written(folder / "nested.pth", tensors, key, prefix)
+    found = gcl(path).encode(Images.from_arrays(images[:1]))
+    np.testing.assert_allclose(found, codes[:1], rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(("shape", "seen"), [((80, 121), (48, 72)), ((121, 80), (72, 48)), ((50, 50), (48, 48))])
+def test_the_shorter_side_decides_the_longer_one_rounded_down(
+    shape: tuple[int, int], seen: tuple[int, int], published: Path, tensors
+) -> None:
+    images = drawn_images(shape)
+    method = gcl(published, height=None, width=None, shorter_side=48)
+    slow = expected(tensors, images, resized=lambda image: pillow(image, *seen))
+    np.testing.assert_allclose(method.encode(Images.from_arrays(images)), slow, rtol=0, atol=1e-4)
+
+
+def test_a_shorter_side_beside_height_and_width_is_refused(published: Path, images) -> None:
+    with pytest.raises(BadInput, match=r"shorter_side=48 with method.height=64.*set method.height=null"):
+        gcl(published, shorter_side=48).encode(Images.from_arrays(images))
+    with pytest.raises(BadInput, match="at least 1 pixel"):
+        gcl(published, height=None, width=None, shorter_side=0).encode(Images.from_arrays(images))
+
+
+def test_images_that_leave_vgg_nothing_to_pool_are_refused(published: Path, images) -> None:
+    with pytest.raises(BadInput, match="needs 32 pixels a side"):
+        gcl(published, height=31).encode(Images.from_arrays(images))
+
+
+def test_a_resnet_takes_the_smallest_image(folder: Path) -> None:
+    path = written(folder / "small.pth", drawn("resnet50"))
+    codes = gcl(path, backbone="resnet50", height=None, width=None).encode(Images.from_arrays(drawn_images((3, 5))))
+    assert np.isfinite(codes).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("backbone.28.bias", None, r"1 missing \(backbone.28.bias\)"),
+        ("pool.p", None, r"1 missing \(pool.p\)"),
+        ("backbone.30.weight", torch.zeros(1), r"1 unexpected \(backbone.30.weight\)"),
+        ("backbone.0.weight", torch.zeros(64, 3, 5, 5), r"backbone.0.weight real \(64, 3, 5, 5\)"),
+        ("pool.p", torch.zeros(512), r"pool.p real \(512,\), wanted real \(1,\)"),
+    ],
+)
+def test_a_file_that_differs_in_one_tensor_is_refused(name: str, value, told: str, folder: Path, tensors) -> None:
+    changed = {key: tensor for key, tensor in tensors.items() if key != name} | ({} if value is None else {name: value})
+    path = written(folder / "changed.pth", changed)
+    with pytest.raises(BadInput, match=told) as error:
+        gcl(path).load(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("arguments", [{"pooling": "avg"}, {"backbone": "resnet50"}])
+def test_the_wrong_pooling_or_backbone_is_refused(arguments: dict[str, Any], published: Path) -> None:
+    with pytest.raises(BadInput, match=r"unexpected .*the options that belong to these weights") as error:
+        gcl(published, **arguments).load(published)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("backbone", ["vgg16", *KINDS])
+def test_the_blank_network_has_the_published_tensors(backbone: str) -> None:
+    with torch.device("meta"):
+        blank = GCL(weights=Weights("", "", ""), backbone=backbone).blank()
+    published = {name: tensor.shape for name, tensor in drawn(backbone).items()}
+    assert {name: tensor.shape for name, tensor in blank.state_dict().items()} == published
+
+
+# Whitening
+
+
+def unit(n: int, n_dimensions: int, seed: int) -> np.ndarray:
+    """Unit vectors as networks give them: about a mean, with few strong directions and many weak ones."""
+    generator = np.random.default_rng(seed)
+    basis = np.random.default_rng(0).normal(size=(n_dimensions, n_dimensions)) / np.arange(1, n_dimensions + 1)[:, None]
+    vectors = 3 + generator.normal(size=(n, n_dimensions)) @ basis
+    return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+
+
+def whitened_slowly(
+    references: np.ndarray, vectors: np.ndarray, kept: slice, *, centred: bool = True, scaled: bool = True, half=True
+) -> np.ndarray:
+    """The authors' whitening from singular values; the options step into traps."""
+    if half:
+        references, vectors = references.astype(np.float16), vectors.astype(np.float16)
+    references, vectors = references.astype(np.float64), vectors.astype(np.float64)
+    mean = references.mean(0) if centred else 0
+    _, sizes, directions = np.linalg.svd(references - mean, full_matrices=False)
+    components = (vectors - mean) @ directions[kept].T / (sizes[kept] / np.sqrt(2 * len(references)) if scaled else 1)
+    return components / (np.linalg.norm(components, axis=1, keepdims=True) + 1e-6)
+
+
+def scores(references: np.ndarray, queries: np.ndarray, n_components: int | None) -> np.ndarray:
+    method = gcl(Path("none"), n_components=n_components)
+    method.fit_descriptors(references, np.arange(len(references)))
+    return method.match(queries)
+
+
+@pytest.mark.parametrize(("n_references", "n_components"), [(90, 10), (90, 40), (25, 10), (25, 24), (5000, 12)])
+def test_whitened_scores_are_those_of_singular_values(n_references: int, n_components: int) -> None:
+    references, queries = unit(n_references, 40, 1), unit(7, 40, 2)
+    kept = slice(n_components)
+    slow = whitened_slowly(references, queries, kept) @ whitened_slowly(references, references, kept).T
+    np.testing.assert_allclose(scores(references, queries, n_components), slow, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "trap", [{"centred": False}, {"scaled": False}, {"half": False}, {"kept": slice(-30, None)}, {"kept": slice(29)}]
+)
+def test_each_trap_of_whitening_gives_other_scores(trap: dict[str, Any]) -> None:
+    references, queries = unit(90, 40, 1), unit(7, 40, 2)
+    options = {"kept": slice(30), **trap}
+    wrong = whitened_slowly(references, queries, **options) @ whitened_slowly(references, references, **options).T
+    assert np.abs(scores(references, queries, 30) - wrong).max() > 3e-4
+
+
+def test_without_components_scores_are_plain_cosines() -> None:
+    references, queries = unit(9, 40, 1), unit(7, 40, 2)
+    np.testing.assert_allclose(scores(references, queries, None), queries @ references.T, atol=1e-6)
+
+
+def test_there_are_no_more_components_than_references_less_one() -> None:
+    whitening = Whitening.learn(unit(12, 40, 1), 2048)
+    assert whitening.projection.shape == (40, 11)
+
+
+def test_repeated_references_and_constant_dimensions_add_no_components() -> None:
+    references = np.tile(unit(6, 40, 1), (20, 1))
+    references[:, :3] = 0
+    assert Whitening.learn(references, 2048).projection.shape == (40, 5)
+
+
+def test_components_have_equal_variance_and_no_correlation_before_their_norm_is_taken() -> None:
+    references = unit(500, 40, 1)
+    whitening = Whitening.learn(references, 20)
+    components = (references.astype(np.float16).astype(np.float64) - whitening.mean) @ whitening.projection
+    np.testing.assert_allclose(components.T @ components / 1000, np.eye(20), atol=1e-3)
+
+
+@pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
+def test_equal_references_give_scores_of_zero(index: str) -> None:
+    method = gcl(Path("none"), n_components=8, index=index)
+    method.fit_descriptors(np.tile(unit(1, 40, 1), (5, 1)), np.arange(5))
+    np.testing.assert_array_equal(method.match(unit(3, 40, 2)), np.zeros((3, 5)))
+
+
+def test_whitened_descriptors_have_unit_length_and_the_mean_has_none() -> None:
+    whitening = Whitening.learn(unit(300, 40, 1), 20)
+    np.testing.assert_allclose(np.linalg.norm(whitening(unit(9, 40, 2)), axis=1), 1, atol=1e-5)
+    middle = Whitening(np.full(40, 0.125, np.float32), whitening.projection)
+    np.testing.assert_array_equal(middle(np.full((1, 40), 0.125, np.float32)), np.zeros((1, 20)))
+
+
+def test_whitening_is_learnt_anew_and_from_references_alone() -> None:
+    method = gcl(Path("none"), n_components=10)
+    first, second, queries = unit(60, 40, 1), unit(50, 40, 2), unit(7, 40, 3)
+    method.fit_descriptors(first, np.arange(60))
+    before = method.match(queries)
+    method.match(first)
+    np.testing.assert_array_equal(method.match(queries), before)
+    method.fit_descriptors(second, np.arange(50))
+    np.testing.assert_array_equal(method.match(queries), scores(second, queries, 10))
+
+
+@pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
+def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index: str) -> None:
+    references, queries = unit(90, 40, 1), unit(7, 40, 2)
+    method = gcl(Path("none"), n_components=10, index=index)
+    method.fit_descriptors(references, np.arange(90))
+    found = method.match(queries)
+    retrieved = np.isfinite(found)
+    np.testing.assert_allclose(found[retrieved], scores(references, queries, 10)[retrieved], rtol=0, atol=0.02)
+    assert method.audit(queries).recall_at_1 == 1
+
+
+def test_whitening_needs_a_map_and_a_component() -> None:
+    with pytest.raises(NotFittedError):
+        gcl(Path("none"), n_components=4).match(unit(2, 40, 1))
+    with pytest.raises(BadInput, match=r"method.n_components=0: give at least 1"):
+        scores(unit(9, 40, 1), unit(2, 40, 2), 0)
+
+
+# The yaml files and the contract
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)
+    return config["method"]  # type: ignore[index, call-overload, return-value]
+
+
+@pytest.mark.parametrize("name", ["gcl", "gcl_whitened"])
+def test_the_options_are_the_arguments(name: str) -> None:
+    arguments = {field.name for field in fields(GCL) if field.init}
+    assert set(registry.entries("method")[name].options) == arguments
+
+
+def test_the_yaml_is_the_published_default() -> None:
+    method = registry.make_method(composed("method=gcl"))
+    assert isinstance(method, GCL)
+    assert method.weights.file == "MSLS_resnet152_GeM_480_GCL.pth"
+    assert method.weights.url is None
+    assert "drive.google.com/drive/folders/1RHxrAj062ZxDp5817t1s4OXGLP_i8JFX" in (method.weights.by_hand or "")
+    assert "doi:10.34894/W4LIGP" in (method.weights.by_hand or "")
+    assert (method.height, method.width, method.resize, method.interpolation) == (480, 640, "pillow", "bilinear")
+    assert method.n_components is None
+
+
+def test_the_file_follows_the_arguments() -> None:
+    config = composed("method=gcl", "method.backbone=resnext", "method.pooling=avg", "method.loss=CL")
+    assert config["weights"]["file"] == "MSLS_resnext_avg_480_CL.pth"
+
+
+def test_the_whitened_yaml_differs_in_its_components_alone() -> None:
+    plain, whitened = composed("method=gcl"), composed("method=gcl_whitened")
+    assert whitened == {**plain, "n_components": 2048}
+
+
+def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    with pytest.raises(BadInput, match=re.escape("python -m gdown --folder")) as error:
+        registry.make_method(composed("method=gcl")).files()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "excepted"), [("gcl", []), ("gcl_whitened", ["a batch gives what its single images give"])]
+)
+def test_every_rule_of_the_contract_is_kept(
+    name: str, excepted: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(folder / "contract.pth", drawn("resnet50"))
+    network = gcl(path, backbone="resnet50").load(path)
+    monkeypatch.setattr(GCL, "load", lambda *_: network)  # read once, for the suite makes many methods
+    config = composed(f"method={name}", *SMALL)
+    config["weights"]["path"] = str(path)
+    results = [result for result in conformance.check(config) if result.reason != "it keeps no network"]
+    assert [str(result) for result in results if result.state == "broken"] == []
+    assert [result.rule for result in results if result.state == "excepted"] == excepted

@@ -1,0 +1,271 @@
+"""MixVPR against a float64 version written from the key names of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import backbones_oracle as oracle
+import cv2
+import hydra
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+from PIL import Image as PillowImage
+from torch.nn import functional
+
+from vprbench import conformance, registry
+from vprbench.images import Images
+from vprbench.interface import BadInput
+from vprbench.methods.mixvpr import MixVPR
+from vprbench.weights import Weights
+
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+SIZE = {"height": 64, "width": 96}  # 4x6 positions
+
+
+def drawn(n_positions: int = 24, channels: int = 16, rows: int = 3) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(5)
+
+    def normal(*shape: int, scale: float = 1.0, mean: float = 0.0) -> torch.Tensor:
+        return mean + scale * torch.randn(shape, generator=generator)
+
+    tensors = oracle.resnet_checkpoint(generator, "resnet50", "backbone.model.", n_stages=3, numbered=False)
+    for number in range(4):
+        at = f"aggregator.mix.{number}.mix"
+        tensors |= {
+            f"{at}.0.weight": normal(n_positions, scale=0.3, mean=1),
+            f"{at}.0.bias": normal(n_positions, scale=0.3),
+            f"{at}.1.weight": normal(n_positions, n_positions, scale=n_positions**-0.5),
+            f"{at}.1.bias": normal(n_positions, scale=0.3),
+            f"{at}.3.weight": normal(n_positions, n_positions, scale=n_positions**-0.5),
+            f"{at}.3.bias": normal(n_positions, scale=0.3),
+        }
+    return tensors | {
+        "aggregator.channel_proj.weight": normal(channels, 1024, scale=1 / 32),
+        "aggregator.channel_proj.bias": normal(channels),
+        "aggregator.row_proj.weight": normal(rows, n_positions, scale=n_positions**-0.5),
+        "aggregator.row_proj.bias": normal(rows),
+    }
+
+
+def written(path: Path, tensors: dict[str, torch.Tensor]) -> Path:
+    torch.save(tensors, path)
+    return path
+
+
+def mixvpr(path: Path, **arguments: Any) -> MixVPR:
+    return MixVPR(weights=Weights("x.ckpt", "", "", path=str(path)), **{**SIZE, "n_dimensions": 48, **arguments})
+
+
+def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[np.ndarray]:
+    """Images of coarse and fine structure, (height, width, 3)."""
+    generator = np.random.default_rng(seed)
+    images = []
+    for height, width in sizes:
+        coarse = cv2.resize(generator.integers(0, 256, (5, 7, 3), dtype=np.uint8), (width, height))
+        images.append(np.clip(coarse + generator.normal(0, 30, (height, width, 3)), 0, 255).astype(np.uint8))
+    return images
+
+
+def as_tensor(x: torch.Tensor, antialias: bool = True) -> torch.Tensor:
+    return functional.interpolate(x, (64, 96), mode="bilinear", align_corners=False, antialias=antialias)
+
+
+def expected(
+    tensors: dict[str, torch.Tensor],
+    images: Sequence[np.ndarray],
+    *,
+    resized=as_tensor,
+    before=lambda image: image,
+    flattened=lambda out: out.flatten(1),
+    shortcut: bool = True,
+    n_mixers: int = 4,
+) -> np.ndarray:
+    """Descriptors in float64; the options step into traps."""
+    t = {name: tensor.double() for name, tensor in tensors.items()}
+    descriptors = []
+    for image in images:
+        x = torch.from_numpy(before(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
+        x = resized((x - torch.tensor(MEAN).double()[:, None, None]) / torch.tensor(DEVIATION).double()[:, None, None])
+        x = oracle.resnet(tensors, "backbone.model.", x, "resnet50", n_stages=3, numbered=False).flatten(2)
+        for number in range(n_mixers):
+            at = f"aggregator.mix.{number}.mix"
+            inner = oracle.layer_norm(x, t[f"{at}.0.weight"], t[f"{at}.0.bias"], eps=1e-5)
+            inner = (inner @ t[f"{at}.1.weight"].T + t[f"{at}.1.bias"]).clamp(min=0)
+            inner = inner @ t[f"{at}.3.weight"].T + t[f"{at}.3.bias"]
+            x = x + inner if shortcut else inner
+        x = x.transpose(1, 2) @ t["aggregator.channel_proj.weight"].T + t["aggregator.channel_proj.bias"]
+        x = x.transpose(1, 2) @ t["aggregator.row_proj.weight"].T + t["aggregator.row_proj.bias"]
+        y = flattened(x)
+        descriptors.append((y / y.norm())[0].numpy())
+    return np.array(descriptors)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder that is emptied in the end: files of weights are large."""
+    folder = tmp_path_factory.mktemp("weights")
+    yield folder
+    for path in folder.iterdir():
+        path.unlink()
+
+
+@pytest.fixture(scope="module")
+def tensors() -> dict[str, torch.Tensor]:
+    return drawn()
+
+
+@pytest.fixture(scope="module")
+def published(folder: Path, tensors: dict[str, torch.Tensor]) -> Path:
+    return written(folder / "resnet50_MixVPR.ckpt", tensors)
+
+
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    return drawn_images((64, 96), (131, 187), (131, 187), (71, 53))
+
+
+@pytest.fixture(scope="module")
+def codes(published: Path, images: list[np.ndarray]) -> np.ndarray:
+    return mixvpr(published).encode(Images.from_arrays(images))
+
+
+def test_descriptors_are_those_of_the_published_layout(codes, tensors, images) -> None:
+    assert codes.shape == (4, 48)
+    assert codes.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(codes, expected(tensors, images), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "trap",
+    [
+        {"flattened": lambda out: out.transpose(1, 2).flatten(1)},  # r * C + c instead of c * R + r
+        {"shortcut": False},
+        {"n_mixers": 3},
+        {"resized": lambda x: as_tensor(x, antialias=False)},
+        {  # as an image, rounded to whole levels
+            "before": lambda image: np.asarray(
+                PillowImage.fromarray(image).resize((96, 64), PillowImage.Resampling.BILINEAR)
+            )
+        },
+        {"before": lambda image: image[..., ::-1]},  # BGR
+    ],
+)
+def test_each_trap_gives_other_descriptors(trap: dict[str, Any], codes, tensors, images) -> None:
+    assert np.abs(codes[1:2] - expected(tensors, images[1:2], **trap)).max() > 5e-4
+
+
+def test_images_one_by_one_and_again_give_the_same(published: Path, codes, images) -> None:
+    method = mixvpr(published, batch_size=3)
+    singles = np.concatenate([method.encode(Images.from_arrays([image])) for image in images])
+    np.testing.assert_allclose(singles, codes, rtol=0, atol=2e-6)
+    np.testing.assert_array_equal(mixvpr(published).encode(Images.from_arrays(images)), codes)
+
+
+def test_a_file_of_the_published_sizes_describes_images_of_320x320(folder: Path) -> None:
+    path = written(folder / "large.ckpt", drawn(400, 64, 2))
+    method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
+    assert method.encode(Images.from_arrays(drawn_images((90, 120)))).shape == (1, 128)
+
+
+def test_images_of_another_size_than_the_weights_are_refused(folder: Path) -> None:
+    path = written(folder / "large.ckpt", drawn(400, 64, 2))
+    with pytest.raises(BadInput, match=r"24 positions, .* for 400: set method.height=320 and method.width=320"):
+        mixvpr(path, n_dimensions=128).encode(Images.from_arrays(drawn_images((90, 120))))
+
+
+def test_images_are_never_left_as_they_are(published: Path) -> None:
+    for side in ("height", "width"):
+        with pytest.raises(BadInput, match="positions, these weights are for 24"):
+            mixvpr(published, **{side: None}).encode(Images.from_arrays(drawn_images((90, 120))))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("aggregator.mix.3.mix.3.bias", None, r"1 missing \(aggregator.mix.3.mix.3.bias\)"),
+        ("aggregator.row_proj.weight", None, r"1 missing \(aggregator.row_proj.weight\)"),
+        ("backbone.model.layer4.0.conv1.weight", torch.zeros(512, 1024, 1, 1), r"1 unexpected \(backbone.model.layer4"),
+        ("aggregator.channel_proj.weight", torch.zeros(16, 2048), r"channel_proj.weight real \(16, 2048\)"),
+        ("aggregator.channel_proj.weight", torch.zeros(16), r"channel_proj.weight real \(16,\)"),
+        ("aggregator.mix.0.mix.0.weight", torch.zeros(25), r"aggregator.mix.0.mix.0.weight real \(25,\)"),
+    ],
+)
+def test_a_file_that_differs_in_one_tensor_is_refused(name: str, value, told: str, folder: Path, tensors) -> None:
+    changed = {key: tensor for key, tensor in tensors.items() if key != name} | ({} if value is None else {name: value})
+    path = written(folder / "changed.ckpt", changed)
+    with pytest.raises(BadInput, match=told) as error:
+        mixvpr(path).load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_of_other_dimensions_is_refused_with_the_argument_that_it_wants(published: Path) -> None:
+    with pytest.raises(BadInput, match=r"48 dimensions: set method.n_dimensions=48, or give weights of 4096"):
+        mixvpr(published, n_dimensions=4096).load(published)
+
+
+def test_a_file_of_another_method_is_refused(folder: Path) -> None:
+    path = written(folder / "cosplace.pth", oracle.resnet_checkpoint(torch.Generator(), "resnet18", "backbone."))
+    with pytest.raises(BadInput, match=r"missing \(backbone.model.conv1.weight.*unexpected \(backbone.0") as error:
+        mixvpr(path).load(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("n_dimensions", "sizes"), [(4096, (1024, 4)), (512, (256, 2)), (128, (64, 2))])
+def test_the_blank_network_has_the_published_tensors(n_dimensions: int, sizes: tuple[int, int]) -> None:
+    with torch.device("meta"):
+        blank = MixVPR(weights=Weights("", "", ""), n_dimensions=n_dimensions).blank()
+    published = {name: tensor.shape for name, tensor in drawn(400, *sizes).items()}
+    assert {name: tensor.shape for name, tensor in blank.state_dict().items()} == published
+
+
+def test_there_is_no_blank_network_of_other_dimensions() -> None:
+    with pytest.raises(BadInput, match=r"method.n_dimensions=64: MixVPR was published with 4096, 512, 128"):
+        mixvpr(Path("none"), n_dimensions=64).blank()
+
+
+# The yaml files and the contract
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)
+    return config["method"]  # type: ignore[index, call-overload, return-value]
+
+
+@pytest.mark.parametrize("name", ["mixvpr", "mixvpr_512", "mixvpr_128"])
+def test_the_options_are_the_arguments(name: str) -> None:
+    arguments = {field.name for field in fields(MixVPR) if field.init}
+    assert set(registry.entries("method")[name].options) == arguments
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "identifier"),
+    [
+        ("mixvpr", "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt", "1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"),
+        ("mixvpr_512", "resnet50_MixVPR_512_channels(256)_rows(2).ckpt", "1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj"),
+        ("mixvpr_128", "resnet50_MixVPR_128_channels(64)_rows(2).ckpt", "1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz"),
+    ],
+)
+def test_each_yaml_is_a_published_network(name: str, file: str, identifier: str) -> None:
+    method = registry.make_method(composed(f"method={name}"))
+    assert isinstance(method, MixVPR)
+    assert method.weights.file == file
+    assert method.weights.url == f"https://drive.google.com/uc?id={identifier}"
+    assert f"_{method.n_dimensions}_" in file
+    assert (method.height, method.width, method.resize, method.interpolation) == (320, 320, "tensor", "bilinear")
+
+
+def test_every_rule_of_the_contract_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(folder / "contract.ckpt", drawn(4))
+    network = mixvpr(path).load(path)
+    monkeypatch.setattr(MixVPR, "load", lambda *_: network)  # read once, for the suite makes many methods
+    config = composed("method=mixvpr", "method.n_dimensions=48", "method.height=32", "method.width=32")
+    config["weights"]["path"] = str(path)
+    broken = [str(result) for result in conformance.check(config) if result.state == "broken"]
+    assert broken == []

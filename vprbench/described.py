@@ -1,0 +1,73 @@
+"""The descriptors of a run's traverses: from the cache where they are kept, encoded and kept where they are not."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from vprbench import environment, sources
+from vprbench.descriptor_cache import DescriptorCache, Descriptors
+from vprbench.images import Images
+from vprbench.interface import DescriptorMethod, Method
+from vprbench.records import content_key
+
+_BLOCK = 64  # images encoded together
+
+
+class Described:
+    """Gives the descriptors of whole traverses; a method whose descriptors are not worth keeping has none."""
+
+    def __init__(self, cache: DescriptorCache, method: DescriptorMethod, origin: Mapping[str, Any]) -> None:
+        """Take `origin`, all but the images that a descriptor comes from."""
+        self._cache = cache
+        self._method = method
+        self._origin = origin
+
+    @classmethod
+    def of(cls, cache: DescriptorCache | None, method: Method, config: Mapping[str, Any]) -> Described | None:
+        """Return what gives the descriptors of a run's method; None where none are kept."""
+        if cache is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
+            return None
+        apart = {"device", *type(method).query_arguments}
+        return cls(
+            cache,
+            method,
+            {
+                "arguments": {name: value for name, value in config["method"].items() if name not in apart},
+                "code": source_hash(type(method)),
+                "files": config.get("files", {}),
+                "device": environment.device_class(config["device"]),
+                "libraries": environment.library_versions(),
+            },
+        )
+
+    def descriptors(
+        self, images: Images, encode: Callable[[Images], Descriptors], done: Callable[[int], None]
+    ) -> tuple[Descriptors, bool]:
+        """Return the descriptors of a traverse, (n_images, n_dimensions), and whether they were kept already.
+
+        `encode` describes a block of images, `done` is told how many are.
+        """
+        origin = {**self._origin, "images": images.fingerprint()}
+        key = content_key(origin)
+        kept = self._cache.find(key, len(images))
+        if kept is not None:
+            return kept, True
+
+        def blocks() -> Iterator[Descriptors]:
+            count = 0
+            for block in images.blocks(_BLOCK):
+                yield encode(block)
+                count += len(block)
+                done(count)
+
+        return self._cache.keep(key, len(images), blocks(), origin), False
+
+
+def source_hash(method: type[Method]) -> str:
+    """Return the hash of the source behind a method."""
+    digest = hashlib.sha256()
+    for name, path in sources.behind(method).items():
+        digest.update(name.encode() + path.read_bytes())
+    return digest.hexdigest()
