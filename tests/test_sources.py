@@ -19,7 +19,8 @@ def package(tmp_path, monkeypatch):
     (folder / "inner").mkdir(parents=True)
     (folder / "__init__.py").write_text("")
     (folder / "method.py").write_text(
-        "import numpy\nfrom vprbench.resize import Resize\nfrom .near import thing\nfrom . import beside\nimport meadow.dotted\n"
+        "import numpy\nfrom vprbench.resize import Resize\n"
+        "from .near import thing\nfrom . import beside\nimport meadow.dotted\n"
         "class Method:\n    def fit(self):\n        from meadow.inner.late import x\n"
     )
     (folder / "near.py").write_text("from .behind_near import thing\nfrom .method import Method\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -70,7 +70,7 @@ class DenseVLAD(DescriptorMethod):
         words = torch.from_numpy(
             self._learn_words(references, generator)
             if self.vocabulary is None
-            else _read_words(self.vocabulary, self.words)
+            else _read_words(self.files()[0], self.words)
         ).to(self.device)
         wanted = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
         chosen = _sample(references, wanted if self.n_components else len(references), generator)
@@ -122,6 +122,17 @@ class DenseVLAD(DescriptorMethod):
         self._words = torch.tensor(state["words"], dtype=torch.float32, device=self.device)
         self._projection = None if projection is None else projection.astype(np.float32)
         return self.fit_descriptors(state["references"].astype(np.float32), places.astype(np.int64))
+
+    def files(self) -> Sequence[Path]:
+        """Return the file of the vocabulary where one was given; raises BadInput where it is missing."""
+        if self.vocabulary is None:
+            return ()
+        if not Path(self.vocabulary).is_file():
+            raise BadInput(
+                f"method.vocabulary={self.vocabulary} is no file: {_wanted(self.words)}, or leave it out for words of "
+                "the references"
+            )
+        return (Path(self.vocabulary),)
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments under which there is no descriptor."""
@@ -182,11 +193,13 @@ class DenseVLAD(DescriptorMethod):
         return torch.from_numpy(grey).to(self.device, torch.float32) / 255
 
 
-def _read_words(path: str, n_words: int) -> npt.NDArray[np.float32]:
+def _wanted(n_words: int) -> str:
+    return f"wanted the variable CX of {DIMENSIONS}x{n_words} numbers, as in the authors' dnscnt_RDSIFT_K128.mat"
+
+
+def _read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
     """Return the words of a published vocabulary, (n_words, 128): the columns of its variable CX, made unit vectors."""
-    wanted = f"wanted the variable CX of {DIMENSIONS}x{n_words} numbers, as in the authors' dnscnt_RDSIFT_K128.mat"
-    if not Path(path).is_file():
-        raise BadInput(f"method.vocabulary={path} is no file: {wanted}, or leave it out for words of the references")
+    wanted = _wanted(n_words)
     try:
         centres = scipy.io.loadmat(path, variable_names=["CX"]).get("CX")
     except (OSError, ValueError, TypeError, NotImplementedError, zlib.error, scipy.io.matlab.MatReadError) as error:
