@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,13 +17,11 @@ from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError, Places
 from vprbench.neural import NeuralDescriptor
+from vprbench.search import faiss_module
 from vprbench.weights import Weights, find, load_strictly, state_dict, tensor
 
 from .backbones.vit import SIZES, VisionTransformer, first_blocks
 from .dinov2 import Backbone, transformer
-
-logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
-import faiss  # noqa: E402  # loaded here and not in `fit`, for threads are pinned in libraries that are there already
 
 Domain = Literal["indoor", "urban", "aerial", "structured", "unstructured", "global"]
 Vocabulary = Literal["published", "references"]
@@ -183,7 +180,7 @@ class AnyLoc(NeuralDescriptor):
                 f"{n} reference images gave {n_different} different values for method.words={self.words}: give fewer "
                 "words, or more or larger images"
             )
-        kmeans = faiss.Kmeans(
+        kmeans = faiss_module().Kmeans(
             values.shape[1],
             self.words,
             niter=_ITERATIONS,

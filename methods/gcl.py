@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +98,8 @@ class GCL(NeuralDescriptor):
     width: int | None = 640
     shorter_side: int | None = None  # pixels; wants height and width to be none
     n_components: int | None = None  # of the whitening; None: no whitening
+
+    search_arguments: ClassVar[frozenset[str]] = NeuralDescriptor.search_arguments | {"loss", "n_components"}
 
     _whitening: Whitening | None = field(default=None, init=False, repr=False, compare=False)
 

@@ -31,7 +31,7 @@ Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the qu
 
 _RECEPTIVE_FIELD, _PADDING = 196, 90  # pixels of a local descriptor
 _TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
-_FEWEST_PAIRS = 4
+_FEWEST_PAIRS: Mapping[Geometry, int] = MappingProxyType({"homography": 4, "displacement": 1})
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ class PatchNetVLAD(NeuralDescriptor):
 
     The `candidates` places of the highest cosine are compared patch by patch, each by its image of the highest cosine.
     For each patch size the pairs of patches that are nearest to one another score: by the inliers of a homography
-    (`configuration`=performance), or by how little their displacements differ (speed, storage); fewer than 4 pairs
-    score 0. These scores become standard scores among a query's candidates and are summed with the paper's weights.
-    A place's score is its cosine, at most 1; that of one of n candidates is the sum + 2 + sqrt(n - 1), which is at
-    least 2, and of equal sums the higher cosine scores higher by one rounding step. An approximate `index` retrieves
-    the images that candidates are taken from.
+    (`configuration`=performance), for which fewer than 4 pairs score 0, or by how little their displacements differ
+    (speed, storage). These scores become standard scores among a query's candidates and are summed with the paper's
+    weights. A place's score is its cosine, at most 1; that of one of n candidates is the sum + 2 + sqrt(n - 1), which
+    is at least 2, and of equal sums the higher cosine scores higher by one rounding step. An approximate `index`
+    retrieves the images that candidates are taken from.
 
     `encode` gives the descriptor of the image and those of its patches one after the other as one unit vector.
     `components` says how many principal components the file of each configuration has; a patch takes 4 bytes for each
@@ -90,16 +90,20 @@ class PatchNetVLAD(NeuralDescriptor):
     width: int | None = 640
 
     fixed_size: ClassVar[bool] = True
+    search_arguments: ClassVar[frozenset[str]] = NeuralDescriptor.search_arguments | {"candidates", "patches"}
 
     _map: Map | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Encode the references, block by block."""
         self._map = None
-        n_descriptors = 1 + sum(len(grid) for grid in self._grids())
-        kind = np.dtype(self.patches)
-        self._insist_on_memory(len(references), n_descriptors * kind.itemsize, "reference images")
-        codes = np.empty((len(references), n_descriptors * self.components[self.configuration]), kind)
+        length, kind = self._code_length(), np.dtype(self.patches)
+        _insist_on_memory(
+            f"{len(references)} reference images",
+            len(references) * length * kind.itemsize,
+            "set method.configuration=storage or method.patches=float16, or take fewer images",
+        )
+        codes = np.empty((len(references), length), kind)
         done = 0
         for block in references.blocks(self.batch_size):
             codes[done : done + len(block)] = self.encode(block)
@@ -120,10 +124,21 @@ class PatchNetVLAD(NeuralDescriptor):
         """Tell whether descriptors are worth keeping on disk: only where a traverse does not fill it."""
         return self.configuration == "storage"
 
+    @property
+    def code_bytes(self) -> int:
+        """Bytes of the descriptors of one image and of its patches, as `encode` gives them.
+
+        Raises BadInput for arguments that do not fit.
+        """
+        return self._code_length() * np.dtype(np.float32).itemsize
+
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the descriptors of each image and of its patches, (n_images, (1 + n_patches) * n_components)."""
-        n_descriptors = 1 + sum(len(grid) for grid in self._grids())
-        self._insist_on_memory(len(images), n_descriptors * np.dtype(np.float32).itemsize, "images at once")
+        _insist_on_memory(
+            f"{len(images)} images at once",
+            len(images) * self.code_bytes,
+            "set method.configuration=storage, or encode fewer images together",
+        )
         return super().encode(images)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
@@ -210,15 +225,9 @@ class PatchNetVLAD(NeuralDescriptor):
         shapes = [(height - side + 1, width - side + 1) for side in sides]
         return [np.stack(np.divmod(np.arange(rows * columns), columns)[::-1], axis=1) for rows, columns in shapes]
 
-    def _insist_on_memory(self, n_images: int, bytes_a_component: int, what: str) -> None:
-        """Raise BadInput where descriptors do not fit into memory."""
-        needed = n_images * bytes_a_component * self.components[self.configuration]
-        free = psutil.virtual_memory().available
-        if needed > free:
-            raise BadInput(
-                f"the patches of {n_images} {what} need {needed / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free: "
-                "set method.configuration=storage or method.patches=float16, or take fewer images"
-            )
+    def _code_length(self) -> int:
+        """Return how many numbers a code has: (1 + n_patches) * n_components."""
+        return (1 + sum(len(grid) for grid in self._grids())) * self.components[self.configuration]
 
     def _check_arguments(self) -> None:
         super()._check_arguments()
@@ -271,9 +280,12 @@ def mutual(best_of_query: npt.NDArray[np.int64], best_of_reference: npt.NDArray[
 
 
 def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pairs) -> float:
-    """Return how well pairs of patches fit together, 0 or more; 0 for fewer than 4. `grid` is (n_patches, 2)."""
+    """Return how well pairs of patches fit together, 0 or more. `grid` is (n_patches, 2).
+
+    Fewer than 4 pairs have no homography and score 0; of displacements one pair is enough.
+    """
     query, reference = (grid[ends] for ends in pairs)
-    if len(query) < _FEWEST_PAIRS:
+    if len(query) < _FEWEST_PAIRS[geometry]:
         return 0.0
     if geometry == "homography":
         return inliers(centres(query, side), centres(reference, side)) / len(grid)
@@ -311,6 +323,16 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
     result = np.empty_like(scores)
     result[order] = scores
     return result
+
+
+def _insist_on_memory(images: str, needed_bytes: int, advice: str) -> None:
+    """Raise BadInput where the descriptors of images do not fit into memory."""
+    free = psutil.virtual_memory().available
+    if needed_bytes > free:
+        raise BadInput(
+            f"the patches of {images} need {needed_bytes / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free: "
+            f"{advice}"
+        )
 
 
 def _most_similar(query: npt.NDArray[np.float32], known: Map, place: int) -> int:

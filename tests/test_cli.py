@@ -7,7 +7,9 @@ import json
 import re
 import subprocess
 import sys
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -151,6 +153,40 @@ def test_a_sweep_says_in_a_line_each_which_weights_are_missing_and_runs_the_rest
     ]
     assert "Traceback" not in done.stderr
     assert len(list(Path().rglob("failure.json"))) == 2
+
+
+class Page(BaseHTTPRequestHandler):
+    """Serves the same bytes, no network, under every name."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000")
+        self.end_headers()
+        self.wfile.write(b"x" * 1000)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
+def test_a_download_shows_its_progress(
+    command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_OFFLINE", "0")
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", "weights")
+    with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            url = f"http://127.0.0.1:{server.server_port}/file"
+            main([*command, "method=salad", f"method.weights.url={url}", *QUICK])
+        finally:
+            server.shutdown()
+            thread.join()
+    assert Path("weights/dino_salad.ckpt").read_bytes() == b"x" * 1000
+    assert "downloading dino_salad.ckpt" in [
+        line.partition(": ")[2].removesuffix(" 100 %") for line in capsys.readouterr().err.splitlines()
+    ]
 
 
 def test_list_shows_methods_and_datasets_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:

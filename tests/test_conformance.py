@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,33 @@ def test_the_rules_are_put_to_every_network_where_its_weights_are_written() -> N
     tests = Path(__file__).parent
     families = {ENTRIES[name].target().__module__.rpartition(".")[2] for name in NETWORKS}
     assert len(families) >= 9
-    assert [f for f in sorted(families) if "conformance.check(" not in (tests / f"test_{f}.py").read_text()] == []
+    assert [f for f in sorted(families) if not puts_the_rules((tests / f"test_{f}.py").read_text("utf-8"))] == []
+
+
+def puts_the_rules(text: str) -> bool:
+    """Tell whether a test of a file calls conformance.check."""
+    tests = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    calls = [node for test in tests for node in ast.walk(test) if isinstance(node, ast.Call)]
+    return any(ast.unparse(call.func) == "conformance.check" for call in calls)
+
+
+@pytest.mark.parametrize(
+    ("text", "puts"),
+    [
+        ("def test_rules():\n    assert list(conformance.check(config))", True),
+        ("class TestRules:\n    def test_all(self):\n        conformance.check(config)", True),
+        ("def test_rules():\n    pass  # conformance.check(config)", False),
+        ("def test_rules():\n    'conformance.check(config)'", False),
+        ("def results():\n    return conformance.check(config)", False),
+        ("def test_rules():\n    conformance.check", False),
+    ],
+)
+def test_only_a_call_in_a_test_puts_the_rules(text: str, puts: bool) -> None:
+    assert puts_the_rules(text) is puts
 
 
 @pytest.fixture(scope="module")
@@ -292,7 +319,7 @@ class FewCandidates(Pixels):
 class OtherCandidatesInABatch(FewCandidates):
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         scores = super().match(codes)
-        if len(codes) == 1:
+        if len(codes) > 1:
             scores[scores == scores.min(where=scores > -np.inf, initial=np.inf)] = -np.inf
         return scores
 

@@ -349,6 +349,16 @@ def test_a_published_vocabulary_decides_the_codes(published):
     np.testing.assert_allclose(code, vlad.vlad(blocks, torch.from_numpy(unit(centres.T)).double()), atol=2e-3)
 
 
+def test_a_vocabulary_may_stand_in_the_home_folder(published, monkeypatch):
+    path, centres = published
+    for variable in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(variable, str(path.parent))
+    method = DenseVLAD(vocabulary=f"~/{path.name}", words=6)
+    assert list(method.files()) == [path]
+    words = fitted(vocabulary=f"~/{path.name}").state()["words"]
+    np.testing.assert_allclose(words, unit(centres.T), atol=1e-6)
+
+
 def test_a_missing_vocabulary_is_named():
     with pytest.raises(BadInput, match=r"method\.vocabulary=nowhere\.mat is no file: wanted the variable CX of 128x6"):
         fitted(vocabulary="nowhere.mat")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import journey, number_in
+from PIL import Image as PillowImage
 
-from vprbench import runner
+from vprbench import described, runner
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.images import Images
-from vprbench.interface import Dataset, DescriptorMethod
+from vprbench.interface import BadInput, Dataset, DescriptorMethod
 from vprbench.records import Run
 from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.weights import Weights
 
 N_QUERIES, N_PLACES = 70, 80
 PROTOCOL = Protocol(minimum_seconds=0, minimum_queries=2, sample=2, warmup_queries=1, batch_sizes=[1])
@@ -46,6 +48,13 @@ class Learning(Counting):
         return False
 
 
+@dataclass(kw_only=True)
+class Weighted(Counting):
+    """Has a file of weights."""
+
+    weights: Weights
+
+
 @pytest.fixture
 def dataset() -> Dataset:
     return journey(N_QUERIES, N_PLACES, [[i] for i in range(N_QUERIES)])
@@ -59,7 +68,7 @@ def run(method: DescriptorMethod, dataset: Dataset, folder: Path | None, **chang
         "device": "cpu",
         **changes.pop("arguments", {}),
     }
-    config = {"method": arguments, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": {}, **changes}
+    config = {"method": arguments, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
     cache = None if folder is None else DescriptorCache(folder)
     return runner.run("counting", method, dataset, config, "key", "fingerprint", PROTOCOL, 1, cache=cache)
 
@@ -118,7 +127,9 @@ def test_another_index_takes_the_same_descriptors(dataset: Dataset, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "changes", [{"arguments": {"turn": 0.02}}, {"files": {"weights.pth": "ab" * 32}}], ids=["argument", "weights"]
+    "changes",
+    [{"arguments": {"turn": 0.02}}, {"files": [["weights.pth", "ab" * 32]]}],
+    ids=["argument", "weights"],
 )
 def test_other_arguments_and_other_weights_are_encoded_anew(
     dataset: Dataset, tmp_path: Path, changes: dict[str, Any]
@@ -126,6 +137,66 @@ def test_other_arguments_and_other_weights_are_encoded_anew(
     run(Counting(), dataset, tmp_path)
     method = Counting()
     assert encoded_for_answers(method, run(method, dataset, tmp_path, **changes)) == N_QUERIES + N_PLACES
+
+
+def test_images_that_changed_under_their_names_are_encoded_anew(dataset: Dataset, tmp_path: Path) -> None:
+    run(Counting(), dataset, tmp_path)
+    arrays = [image.copy() for image in dataset.references]
+    arrays[50][2, 3, 2] ^= 1  # one that a glance at some of them leaves out, in its last pixel
+    changed = replace(dataset, references=Images.from_arrays(arrays, dataset.references.names))
+    method = Counting()
+    assert encoded_for_answers(method, run(method, changed, tmp_path)) == N_PLACES
+
+
+def test_one_changed_byte_in_the_middle_of_a_file_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "image.bmp"
+    PillowImage.fromarray(np.random.default_rng(0).integers(0, 256, (100, 100, 3), np.uint8)).save(path)
+    before = Images.from_files([path])
+    hashes = [before.content_hash()]
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert Images.from_files([path]).content_hash() not in hashes
+
+
+def test_the_same_images_under_other_names_are_not_encoded_again(dataset: Dataset, tmp_path: Path) -> None:
+    run(Counting(), dataset, tmp_path)
+    renamed = Images.from_arrays(list(dataset.references), [f"other {i}" for i in range(N_PLACES)])
+    method = Counting()
+    assert encoded_for_answers(method, run(method, replace(dataset, references=renamed), tmp_path)) == 0
+
+
+def test_other_code_is_encoded_anew(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(Counting(), dataset, tmp_path)
+    monkeypatch.setattr(described, "source_hash", lambda method: "changed")
+    method = Counting()
+    assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
+
+
+def test_another_device_encodes_anew(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(Counting(), dataset, tmp_path)
+    monkeypatch.setattr(described.environment, "device_class", lambda device: "another")
+    method = Counting()
+    assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
+
+
+def test_where_a_file_of_weights_lies_does_not_count(dataset: Dataset, tmp_path: Path) -> None:
+    def weighted(path: str) -> Weighted:
+        return Weighted(weights=Weights(file="w", licence="", trained_on="", path=path))
+
+    files = [["w", "ab" * 32]]
+    run(weighted("here"), dataset, tmp_path, arguments={"weights": {"path": "here"}}, files=files)
+    method = weighted("there")
+    found = run(method, dataset, tmp_path, arguments={"weights": {"path": "there"}}, files=[["v", "ab" * 32]])
+    assert encoded_for_answers(method, found) == 0
+
+
+def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(dataset: Dataset, tmp_path: Path) -> None:
+    for folder in (None, tmp_path):
+        method = Counting(index="ivfpq")
+        with pytest.raises(BadInput, match="ivfpq needs at least 256 reference images, 80 came"):
+            run(method, dataset, folder)
+        assert method.encoded == 0
 
 
 def test_other_queries_of_the_same_map_are_all_that_is_encoded(dataset: Dataset, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from torch import nn
 
 from vprbench import registry
 from vprbench.cli import main
-from vprbench.descriptor_bench import METHODS, Cell, Failed, Settings, measure, randomised, text_of
+from vprbench.descriptor_bench import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
 from vprbench.interface import BadInput, DescriptorMethod, Method
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import Weights
@@ -123,20 +123,31 @@ def test_a_network_of_one_size_keeps_it():
 def test_a_method_that_learns_from_references_has_few_of_them():
     make, made = maker(slow=Slow)
     (cell,) = measure(settings(methods=["slow"]), make).cells
-    assert (cell.places, made[0].n_references, cell.seen) == (6, 6, None)
+    assert (cell.places, made[-1].n_references, cell.seen) == (6, 6, None)
+
+
+def test_on_a_gpu_networks_are_timed_in_all_numbers_and_what_takes_no_device_not_at_all():
+    gpu = "cpu:0"  # to PyTorch the CPU, to the benchmark another device
+    make, _ = maker(tiny=Tiny, slow=Slow)
+    both = settings(methods=["tiny", "slow"], devices=["cpu", gpu], precisions=["float32", "bfloat16"])
+    ways = {name: _ways(both, make, name) for name in both.methods}
+    assert ways == {
+        "tiny": [Way("cpu", "float32"), Way(gpu, "float32"), Way(gpu, "bfloat16")],
+        "slow": [Way("cpu", "float32")],
+    }
 
 
 def test_a_failure_is_a_row_and_the_others_are_measured():
     make, _ = maker(broken=Broken, slow=Slow)
     report = measure(settings(methods=["broken", "slow"]), make)
-    assert report.cells[0] == Failed("broken", (32, 48), "float32", "no map today")
+    assert report.cells[0] == Failed("broken", (32, 48), Way("cpu", "float32"), "no map today")
     assert isinstance(report.cells[1], Cell)
     assert "FAILED: no map today" in text_of(report)
 
 
 def test_rates_follow_from_the_laps():
     report = measure(settings(methods=["slow"]), maker(slow=Slow)[0])
-    cell = Cell("m", (2, 3), None, "float32", 7, 11, [0.5, 0.25, 1.0], [0.4], [0.001], [0.002])
+    cell = Cell("m", (2, 3), None, Way("cpu", "float32"), 7, 11, [0.5, 0.25, 1.0], [0.4], [0.001], [0.002])
     row = text_of(type(report)(report.settings, report.environment, [cell])).split("| m ")[1].splitlines()[0]
     assert [part.strip() for part in row.split("|")[1:-1]] == [
         "3x2",
@@ -166,10 +177,18 @@ def test_the_same_seed_draws_the_same_network():
     assert not np.array_equal(weights(3), weights(4))
 
 
-def test_every_method_here_but_the_spiking_ones_is_in_the_benchmark():
-    here = {name for name, entry in registry.entries("method").items() if entry.provider == "vprbench"}
-    variants = {"mixvpr_512", "mixvpr_128"}  # of one network, with other last layers
-    assert {name for name in here if not name.startswith("vprtempo")} - variants == set(METHODS)
+def test_every_method_here_but_vprtempo_is_in_the_benchmark(tmp_path, monkeypatch):
+    for name in ("own/method/new", "own/method/vprtempo_new", "other/method/strange"):
+        path = tmp_path / f"{name}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    folders = {"vprbench": tmp_path / "own", "other": tmp_path / "other"}
+    monkeypatch.setattr(registry, "conf_folders", lambda: folders)
+    assert Settings().methods == ["new"]
+
+
+def test_the_methods_of_the_benchmark_hold_learnt_and_simple_ones():
+    assert {"sad", "hog", "netvlad", "megaloc"} <= set(Settings().methods)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +198,7 @@ def test_every_method_here_but_the_spiking_ones_is_in_the_benchmark():
         ({"batch": 0}, "batch=0: give at least 1"),
         ({"minimum_seconds": math.inf}, "minimum_seconds=inf: give seconds"),
         ({"precisions": ["half"]}, r"precisions=\['half'\]: give some of float32"),
-        ({"precisions": ["float16"]}, "on the CPU float32 alone"),
+        ({"devices": []}, r"devices=\[\]: give cpu, cuda or both"),
     ],
 )
 def test_settings_that_measure_nothing_are_refused(changed, message):

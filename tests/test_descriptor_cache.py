@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
+import socket
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -113,3 +116,15 @@ def test_descriptors_go_through_memory_block_by_block(tmp_path):
     finally:
         tracemalloc.stop()
     assert peak < 10 * 100 * 1000 * 4
+
+
+def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
+    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    left, living = (
+        tmp_path / f".partial-{socket.gethostname()}-{pid}-abc.npy" for pid in (dead.stdout.strip(), os.getpid())
+    )
+    left.write_bytes(b"half")
+    living.write_bytes(b"half")
+    DescriptorCache(tmp_path).keep("key", 10, in_blocks(some()), {})
+    assert not left.exists()
+    assert living.exists()

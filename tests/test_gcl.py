@@ -395,6 +395,7 @@ def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(BadInput, match=re.escape("python -m gdown --folder")) as error:
         registry.make_method(composed("method=gcl")).files()
     assert "\n" not in str(error.value)
+    assert "pip install" not in str(error.value)  # what that would install is here already
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ ORDER = [
     "cli",
     "__main__",
 ]
-FOR_PLUGINS = {"compiled", "interface", "images", "preprocess", "progress", "weights", "resize", "neural"}
+FOR_PLUGINS = {"compiled", "search", "interface", "images", "preprocess", "progress", "weights", "resize", "neural"}
 
 
 def imported(path: Path) -> set[str]:

@@ -459,6 +459,10 @@ def test_the_yaml_names_the_published_files(method: str, file: str, url: str) ->
     assert (weights["file"], weights["url"]) == (file, url)
 
 
+def test_the_licence_of_a_converted_file_is_that_of_its_origin() -> None:
+    assert composed("method=netvlad")["weights"]["licence"].startswith("MIT, that of github.com/Relja/netvlad;")
+
+
 def test_the_file_of_the_pytorch_family_has_to_be_fetched_by_hand() -> None:
     weights = composed("method=netvlad_pytorch")["weights"]
     assert weights["url"] is None

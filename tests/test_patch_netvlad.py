@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +22,7 @@ from torch.nn import functional
 
 from vprbench import conformance
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
+from vprbench.interface import BadInput, NotFittedError, held_together
 from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines, centres, inliers, mutual, score
 from vprbench.weights import Weights
@@ -167,8 +168,6 @@ def cells(rows: int, columns: int) -> np.ndarray:
 
 def slow_displacement_score(pairs: Sequence[tuple[int, int]], rows: int, columns: int) -> float:
     grid = cells(rows, columns)
-    if len(pairs) < 4:
-        return 0.0
     mean = [sum(grid[r][axis] - grid[q][axis] for q, r in pairs) / len(pairs) for axis in (0, 1)]
     total = 0.0
     for q, r in pairs:
@@ -189,12 +188,27 @@ def test_one_common_displacement_scores_highest() -> None:
     assert score("displacement", cells(3, 5), 5, (query, np.array([1, 2, 6, 13]))) < 4 * 20 / 15
 
 
-@pytest.mark.parametrize("geometry", ["displacement", "homography"])
-def test_fewer_than_four_pairs_score_nothing(geometry: Any) -> None:
+def test_fewer_than_four_pairs_have_no_homography() -> None:
     three = np.array([0, 4, 11])
-    assert score(geometry, cells(3, 5), 5, (three, three)) == 0
+    assert score("homography", cells(3, 5), 5, (three, three)) == 0
     four = np.array([0, 4, 11, 13])
-    assert score(geometry, cells(3, 5), 5, (four, four)) > 0
+    assert score("homography", cells(3, 5), 5, (four, four)) > 0
+
+
+def test_one_pair_has_a_displacement() -> None:
+    pair = np.array([6]), np.array([13])  # its own mean: no residual
+    assert score("displacement", cells(3, 5), 5, pair) == pytest.approx((4**2 + 2**2) / 15)
+
+
+def test_two_pairs_are_as_far_from_their_mean_displacement() -> None:
+    query, reference = np.array([0, 6]), np.array([2, 6])  # displacements (2, 0) and (0, 0), their mean (1, 0)
+    assert score("displacement", cells(3, 5), 5, (query, reference)) == pytest.approx(2 * (3**2 + 2**2) / 15)
+
+
+@pytest.mark.parametrize("geometry", ["displacement", "homography"])
+def test_no_pairs_score_nothing(geometry: Any) -> None:
+    none = np.empty(0, np.int64)
+    assert score(geometry, cells(3, 5), 5, (none, none)) == 0
 
 
 def test_the_homography_score_is_the_share_of_patches_that_are_inliers() -> None:
@@ -326,7 +340,9 @@ def slow_scores(world: SimpleNamespace, code: np.ndarray, configuration: str, n_
             pairs = [
                 (q, r) for r in range(len(other)) for q in [int(distances[:, r].argmin())] if distances[q].argmin() == r
             ]
-            if configuration == "performance" and len(pairs) > 3:
+            if not pairs or (configuration == "performance" and len(pairs) < 4):
+                raw.append(0.0)
+            elif configuration == "performance":
                 middle = 16 * cells(rows, columns) + 8 * (side - 1) + 7.0
                 ends = [middle[[pair[end] for pair in pairs]] for end in (1, 0)]
                 _, mask = cv2.findHomography(*ends, cv2.RANSAC, 24)
@@ -434,13 +450,34 @@ def test_match_before_fit_is_refused() -> None:
         made().match(np.zeros((1, 10), np.float32))
 
 
-@pytest.mark.parametrize("call", ["fit", "encode"])
-def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(call: str, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("call", "advice"),
+    [
+        ("fit", "set method.configuration=storage or method.patches=float16, or take fewer images"),
+        ("encode", "set method.configuration=storage, or encode fewer images together"),
+    ],
+)
+def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(
+    call: str, advice: str, monkeypatch
+) -> None:
     monkeypatch.setattr(patch_netvlad.psutil, "virtual_memory", lambda: SimpleNamespace(available=3e9))
     method = made(n_components=4096, height=480, width=640)
     images = Images(lambda _: pytest.fail("an image was read"), ["x"] * 1000)
-    with pytest.raises(BadInput, match=r"need 46\.3 GB of memory, 3\.0 GB are free: set method\.configuration=storage"):
+    with pytest.raises(BadInput, match=rf"need 46\.3 GB of memory, 3\.0 GB are free: {re.escape(advice)}$"):
         method.fit(images, np.arange(1000)) if call == "fit" else method.encode(images)
+
+
+@pytest.mark.parametrize("configuration", SIDES)
+def test_the_bytes_of_a_code_are_those_that_encode_gives(configuration: str, file: Path) -> None:
+    method = made(file, configuration=configuration)
+    (code,) = method.encode(Images.from_arrays([picture(150, 170)]))
+    assert method.code_bytes == code.nbytes
+
+
+def test_a_gibibyte_holds_23_codes_of_the_published_size() -> None:
+    method = made(n_components=4096, height=480, width=640)
+    assert method.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
+    assert held_together(method, 128) == 23
 
 
 def test_float16_takes_half_the_memory(monkeypatch) -> None:

@@ -42,7 +42,7 @@ def test_the_method_in_two_files_keeps_the_contract(checkout: Path) -> None:
 
 
 def test_the_files_it_names_exist() -> None:
-    named = re.findall(r"`((?:methods|tests|docs|conf|vprbench)/[\w./-]+)`|\((docs/[\w.]+)\)", README)
+    named = re.findall(r"`((?:methods|tests|docs|conf|vprbench)/[\w./-]+)`|\]\(((?!http)[\w./-]+)\)", README)
     missing = [path for pair in named for path in pair if path and not (ROOT / path).exists()]
     assert missing == ["methods/darkness.py", "conf/method/darkness.yaml"]
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from vprbench import search
 from vprbench.search import Kind, Search, agreement
 
 Vectors = npt.NDArray[np.float32]
+
+ROOT = Path(__file__).resolve().parents[1]
 
 N_IMAGES, N_DIMENSIONS = 2000, 64
 APPROXIMATE: tuple[Kind, ...] = ("hnsw", "ivfpq", "sq8")
@@ -276,6 +279,24 @@ def test_eight_bits_are_made_floats_block_by_block() -> None:
     assert peak < scores.nbytes + 80_000_000 < references.nbytes
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_methods_import_faiss_when_they_need_it_and_with_the_threads_that_were_pinned(threads: int) -> None:
+    code = (
+        "import sys, vprbench.methods.anyloc, vprbench.methods.densevlad.method; assert 'faiss' not in sys.modules; "
+        f"from vprbench import environment, search; environment.pin_threads({threads}); "
+        "print(search.faiss_module().omp_get_max_threads())"
+    )
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
+    assert done.stdout == f"{threads}\n"
+
+
+@pytest.mark.parametrize("path", [*(ROOT / "methods").rglob("*.py"), ROOT / "vprbench" / "search.py"], ids=str)
+def test_faiss_is_imported_in_one_place(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("import faiss\n") == text.count("faiss.loader") == (path.name == "search.py")
+
+
 def test_an_index_made_after_threads_were_pinned_keeps_to_them() -> None:
     code = (
         "from vprbench import environment; environment.pin_threads(1); "
@@ -288,14 +309,23 @@ def test_an_index_made_after_threads_were_pinned_keeps_to_them() -> None:
     assert done.stdout == "1\n"
 
 
-def test_making_a_graph_leaves_faiss_its_threads() -> None:
+def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of several threads the fastest would decide what is linked, another one each time.
     import faiss
 
+    seen = []
+    add = faiss.IndexHNSWFlat.add
+
+    def watched(index: Any, vectors: Vectors) -> None:
+        seen.append(faiss.omp_get_max_threads())
+        add(index, vectors)
+
+    monkeypatch.setattr(faiss.IndexHNSWFlat, "add", watched)
     before = faiss.omp_get_max_threads()
     try:
         faiss.omp_set_num_threads(3)
         Search(clustered(300)[0], np.arange(300), "hnsw")
-        assert faiss.omp_get_max_threads() == 3
+        assert (seen, faiss.omp_get_max_threads()) == ([1], 3)
     finally:
         faiss.omp_set_num_threads(before)
 

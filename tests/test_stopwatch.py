@@ -152,6 +152,16 @@ def test_a_batch_larger_than_the_sample_holds_the_whole_sample() -> None:
     assert [laps.images_per_call for laps in timing.offline] == [2, 5]
 
 
+def test_batches_of_large_codes_hold_no_more_than_a_gibibyte() -> None:
+    class Large(Timed):
+        code_bytes = 300 << 20
+
+    method = Large(lambda _: None, lambda _: 0, lambda _: 0)
+    timing = Stopwatch(short(batch_sizes=[1, 2, 4, 8])).measure(method, pictures(range(8)))
+    assert [laps.images_per_call for laps in timing.offline] == [1, 2, 3]
+    assert max(len(numbers) for numbers in method.asked) == 3
+
+
 def test_offline_calls_hold_whole_batches_only() -> None:
     timing, asked = measured(short(batch_sizes=[2], minimum_passes=3), images=5)
     offline = asked[-len(timing.offline[0].encode_seconds) :]

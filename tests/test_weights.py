@@ -7,6 +7,7 @@ import logging
 import os
 import pickle
 import re
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -310,15 +311,28 @@ class TestReading:
             read(path)
         assert not mark.exists()
 
-    def test_the_conversion_that_a_refusal_names_works(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        path = write_torch({"state_dict": TENSORS, "best": np.float64(0.5)}, tmp_path / "net.pth")
+    @pytest.mark.parametrize(
+        "content",
+        [
+            pytest.param({"state_dict": TENSORS}, id="state_dict"),
+            pytest.param({"model_state_dict": TENSORS, "optimizer_state_dict": {}}, id="model_state_dict"),
+            pytest.param(TENSORS, id="plain"),
+        ],
+    )
+    def test_the_conversion_that_a_refusal_names_works(
+        self, content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = write_torch({**content, "best": np.float64(0.5)}, tmp_path / "net.pth")
         with pytest.raises(BadInput) as error:
             read(path)
-        named = re.search(r'python -c "(.*)", and give method\.weights\.path=(\S+)', str(error.value))
+        named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))
         assert named is not None
         monkeypatch.chdir(tmp_path)
-        exec(named[1], {})
-        assert torch.equal(state_dict(tmp_path / named[2], "state_dict")["weight"], TENSORS["weight"])
+        _, _, program = shlex.split(named[1])
+        exec(program, {})
+        kept = state_dict(tmp_path / named[2], "model_state_dict", "state_dict")
+        assert kept.keys() == TENSORS.keys()
+        assert all(torch.equal(kept[name], values) for name, values in TENSORS.items())
 
     @pytest.mark.parametrize(
         ("content", "message"),

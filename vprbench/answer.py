@@ -26,11 +26,15 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     method = registry.make_method(asked["method"])
     dataset = registry.make_dataset(asked["dataset"])
     fingerprint = runner.fingerprint(dataset)
-    asked["files"] = {path.name: content_hash(path) for path in method.files()}
+    with progress_shown(name):  # a file may have to be downloaded
+        asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
     run = None if settings.force else store.find(dataset.name, name, key)
     if run is not None and files.save is not None and networks.made_by(files.save) != key:
         logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+        run = None
+    if run is not None and not settings.cache and run.fit_seconds is None and run.network is None:
+        logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         run = None
     from_store = run is not None
     if run is not None:  # whoever stored it may have asked in other words

@@ -44,6 +44,7 @@ Cell = TypeVar("Cell")
 _LITTLE = 8  # places of a fit that only compiles; too few to be judged as diverged
 _SHORT = 2.0  # seconds; a shorter fit is repeated
 _BYTES = 4  # of a float32
+_PAUSE = 0.01  # seconds after which the waiting threads of another library have gone to sleep
 _BEST = 100  # references that a library's search returns
 
 
@@ -275,6 +276,7 @@ def _beside(
     laps: list[list[float]] = [[], []]
     while len(laps[0]) < settings.rounds or sum(map(sum, laps)) < settings.minimum_seconds:
         for call, seconds in zip((ours, library), laps, strict=True):
+            time.sleep(_PAUSE)
             with watch.lap() as lap:
                 call()
             seconds += lap

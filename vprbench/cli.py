@@ -190,7 +190,7 @@ def _bench_descriptors(options: list[str]) -> int:
     settings = chosen(descriptor_bench.Settings, options, descriptor_bench.QUICK)
     _check_names([f"method={','.join(settings.methods)}"])
     title = "bench-descriptors"
-    with _prepared(title, settings.device, settings.threads, settings.results, settings.seed) as results:
+    with _prepared(title, settings.devices[-1], settings.threads, settings.results, settings.seed) as results:
         report = descriptor_bench.measure(settings, _maker(settings.seed))
     descriptor_bench.write(report, results)
     return 1 if report.failures else 0
@@ -263,6 +263,7 @@ def _list(options: list[str]) -> int:
 def _check(options: list[str]) -> int:
     """Test a method against the rules of the contract and count them."""
     from vprbench import conformance, environment
+    from vprbench.console import progress_shown
 
     if not any(option.startswith("method=") for option in options):
         raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
@@ -271,7 +272,8 @@ def _check(options: list[str]) -> int:
     config = _composed(options)
     environment.pin_threads(n_threads(checked_settings(config)))
     asked = {option.split("=")[0].removeprefix("method.") for option in options}
-    results = list(conformance.check(config["method"], asked))
+    with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
+        results = list(conformance.check(config["method"], asked))
     for result in results:
         print(result)
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))

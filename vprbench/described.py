@@ -9,10 +9,9 @@ from typing import Any
 from vprbench import environment, sources
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod, Method
+from vprbench.interface import DescriptorMethod, Method, encoded_together
 from vprbench.records import content_key
-
-_BLOCK = 64  # images encoded together
+from vprbench.weights import Weights
 
 
 class Described:
@@ -26,17 +25,21 @@ class Described:
 
     @classmethod
     def of(cls, cache: DescriptorCache | None, method: Method, config: Mapping[str, Any]) -> Described | None:
-        """Return what gives the descriptors of a run's method; None where none are kept."""
+        """Return what gives the descriptors of a run's method; None where none are kept.
+
+        Where a file of weights lies and what it is called does not count, for its content does.
+        """
         if cache is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
             return None
-        apart = {"device", *type(method).query_arguments}
+        apart = {"device", *method.query_arguments, *method.search_arguments}
+        apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
         return cls(
             cache,
             method,
             {
                 "arguments": {name: value for name, value in config["method"].items() if name not in apart},
                 "code": source_hash(type(method)),
-                "files": config.get("files", {}),
+                "files": [sha256 for _, sha256 in config.get("files", [])],
                 "device": environment.device_class(config["device"]),
                 "libraries": environment.library_versions(),
             },
@@ -49,7 +52,7 @@ class Described:
 
         `encode` describes a block of images, `done` is told how many are.
         """
-        origin = {**self._origin, "images": images.fingerprint()}
+        origin = {**self._origin, "images": images.content_hash()}
         key = content_key(origin)
         kept = self._cache.find(key, len(images))
         if kept is not None:
@@ -57,7 +60,7 @@ class Described:
 
         def blocks() -> Iterator[Descriptors]:
             count = 0
-            for block in images.blocks(_BLOCK):
+            for block in images.blocks(encoded_together(images)):
                 yield encode(block)
                 count += len(block)
                 done(count)

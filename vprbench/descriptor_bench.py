@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress
+from vprbench import environment, progress, registry
 from vprbench.bench_text import machine_lines
 from vprbench.interface import BadInput, Method
 from vprbench.measures import Make, median
@@ -22,46 +22,38 @@ from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.tables import markdown
 from vprbench.workload import Route
 
-METHODS = (
-    "sad",
-    "pca",
-    "hog",
-    "cohog",
-    "densevlad",
-    "netvlad",
-    "netvlad_pytorch",
-    "netvlad_msls",
-    "patch_netvlad",
-    "gcl",
-    "gcl_whitened",
-    "cosplace",
-    "eigenplaces",
-    "mixvpr",
-    "dinov2",
-    "salad",
-    "boq",
-    "boq_resnet50",
-    "megaloc",
-    "anyloc",
-)
+PRECISIONS = ("float32", "float16", "bfloat16")
 
 _FEWEST = 3  # calls that a median is taken of
+
+
+def own_methods() -> list[str]:
+    """Return the names of this project's methods but VPRTempo's, whose training and queries `bench` measures."""
+    own = [name for name, entry in registry.entries("method").items() if entry.provider == "vprbench"]
+    return [name for name in own if not name.startswith("vprtempo")]
+
+
+def devices_here() -> list[str]:
+    """Return the CPU, and the GPU where PyTorch sees one."""
+    import torch
+
+    return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 
 
 @dataclass(frozen=True)
 class Settings:
     """What to describe, and how long; raises BadInput where nothing would be."""
 
-    methods: list[str] = field(default_factory=lambda: list(METHODS))
+    methods: list[str] = field(default_factory=own_methods)
     frames: list[list[int]] = field(default_factory=lambda: [[224, 224], [240, 320], [480, 640]])  # height, width
     places: int = 3300  # of the search; one image each
     fitted_places: int = 40  # for methods that learn from their references, whose fit would take too long
     batch: int = 8  # frames described, and queries matched, together
     minimum_seconds: float = 1.0  # of each rate, and at least three calls
-    precisions: list[str] = field(default_factory=lambda: ["float32"])  # on a GPU also float16, bfloat16
+    devices: list[str] = field(default_factory=devices_here)
+    precisions: list[str] = field(default_factory=lambda: list(PRECISIONS))  # of networks on a GPU; float32 on a CPU
     quick: bool = False  # tiny sizes: everything runs, no number means anything
     seed: int = 0
-    device: str = "cpu"
     threads: int | None = None  # None: all cores this process may use
     results: str = "results"
 
@@ -74,11 +66,10 @@ class Settings:
             raise BadInput(f"frames={self.frames}: give heights and widths in pixels, as in frames=[[480,640]]")
         if not 0 <= self.minimum_seconds < math.inf:
             raise BadInput(f"minimum_seconds={self.minimum_seconds}: give seconds")
-        known = ("float32", "float16", "bfloat16")
-        if not self.precisions or not set(self.precisions) <= set(known):
-            raise BadInput(f"precisions={self.precisions}: give some of {', '.join(known)}")
-        if self.device == "cpu" and self.precisions != ["float32"]:
-            raise BadInput(f"precisions={self.precisions}: on the CPU float32 alone is offered; set device=cuda")
+        if not self.precisions or not set(self.precisions) <= set(PRECISIONS):
+            raise BadInput(f"precisions={self.precisions}: give some of {', '.join(PRECISIONS)}")
+        if not self.devices:
+            raise BadInput("devices=[]: give cpu, cuda or both, as in devices=[cpu,cuda]")
 
 
 QUICK: Mapping[str, Any] = {
@@ -92,13 +83,25 @@ QUICK: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True)
+class Way:
+    """On what and in which numbers a method computes."""
+
+    device: str
+    precision: str
+
+    def __str__(self) -> str:
+        """Return what a person reads."""
+        return self.device if self.device == "cpu" else f"{self.device}, {self.precision}"
+
+
+@dataclass(frozen=True)
 class Cell:
     """The rates of one method at one size of frame."""
 
     method: str
     frame: tuple[int, int]  # height, width
     seen: tuple[int, int] | None  # what a network makes of it; None: the method's own affair
-    precision: str
+    way: Way
     n_dimensions: int  # numbers of one image's code
     places: int
     encode_one: list[float]  # seconds of a call
@@ -113,7 +116,7 @@ class Failed:
 
     method: str
     frame: tuple[int, int]
-    precision: str
+    way: Way
     reason: str
 
 
@@ -133,27 +136,42 @@ class Report:
 
 def measure(settings: Settings, make: Make) -> Report:
     """Measure each method at each size; what cannot be measured becomes a cell that says why."""
-    surroundings = environment.capture(settings.device, settings.threads or len(environment.cores()))
+    surroundings = environment.capture(settings.devices[-1], settings.threads or len(environment.cores()))
     return Report(settings, surroundings, list(_cells(settings, make)))
 
 
 def _cells(settings: Settings, make: Make) -> Iterator[Cell | Failed]:
     for name in settings.methods:
-        for precision in settings.precisions:
+        for way in _ways(settings, make, name):
             for height, width in settings.frames:
                 gc.collect()
-                progress.report(f"{name} at {width}x{height}, {precision}", 0.0)
+                progress.report(f"{name} at {width}x{height}, {way}", 0.0)
                 try:
-                    yield _cell(settings, make, name, (height, width), precision)
+                    yield _cell(settings, make, name, (height, width), way)
                 except Exception as error:  # one cell never ends the others
                     reason = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-                    logging.warning("%s at %dx%d failed: %s", name, width, height, reason)
-                    yield Failed(name, (height, width), precision, reason.splitlines()[0])
+                    logging.warning("%s at %dx%d, %s failed: %s", name, width, height, way, reason)
+                    yield Failed(name, (height, width), way, reason.splitlines()[0])
 
 
-def _cell(settings: Settings, make: Make, name: str, frame: tuple[int, int], precision: str) -> Cell:
+def _ways(settings: Settings, make: Make, name: str) -> list[Way]:
+    """Return how a method can compute here: any on a CPU, what takes a device on a GPU, networks in all precisions."""
+    from vprbench.neural import NeuralDescriptor  # PyTorch is slow to import
+
+    ways = []
+    for device in settings.devices:
+        method = make(name, device)
+        precisions = settings.precisions if isinstance(method, NeuralDescriptor) else ["float32"]
+        if device == "cpu":
+            ways.append(Way(device, "float32"))
+        elif hasattr(method, "device"):
+            ways += [Way(device, precision) for precision in precisions]
+    return ways
+
+
+def _cell(settings: Settings, make: Make, name: str, frame: tuple[int, int], way: Way) -> Cell:
     route = Route.drawn(max(settings.batch, settings.fitted_places), *frame, settings.seed)
-    method, places, seen = _fitted(settings, make, name, frame, precision, route)
+    method, places, seen = _fitted(settings, make, name, frame, way, route)
     images, _ = route.queries(settings.batch, settings.batch)
     single = images[:1]
     codes = method.encode(images)
@@ -163,27 +181,25 @@ def _cell(settings: Settings, make: Make, name: str, frame: tuple[int, int], pre
         (lambda: method.match(codes[:1])),
         (lambda: method.match(codes)),
     ]
-    laps = [_laps(call, settings) for call in timed]
-    return Cell(name, frame, seen, precision, codes[0].size, places, *laps)
+    laps = [_laps(call, settings, way.device) for call in timed]
+    return Cell(name, frame, seen, way, codes[0].size, places, *laps)
 
 
 def _fitted(
-    settings: Settings, make: Make, name: str, frame: tuple[int, int], precision: str, route: Route
+    settings: Settings, make: Make, name: str, frame: tuple[int, int], way: Way, route: Route
 ) -> tuple[Method, int, tuple[int, int] | None]:
     """Return a method with a map, the number of its places, and the size at which a network sees the frames."""
     from vprbench.neural import NeuralDescriptor  # PyTorch is slow to import
 
-    method = make(name, settings.device)
+    method = make(name, way.device)
     if not isinstance(method, NeuralDescriptor):
-        if precision != "float32":
-            raise BadInput(f"{name} is no network and has no precision {precision}")
         references, places = route.references(settings.fitted_places, 1)
         return method.fit(references, places), settings.fitted_places, None
     if not method.fixed_size:
         size = [max(1, round(side / method.multiple)) * method.multiple for side in frame]
-        method = make(name, settings.device, height=size[0], width=size[1], precision=precision)
+        method = make(name, way.device, height=size[0], width=size[1], precision=way.precision)
     else:
-        method = make(name, settings.device, precision=precision)
+        method = make(name, way.device, precision=way.precision)
     assert isinstance(method, NeuralDescriptor)
     method.use(randomised(method.blank(), settings.seed))
     seen = method.target(*frame)
@@ -219,9 +235,9 @@ def _unit(n: int, n_dimensions: int, seed: int) -> npt.NDArray[np.float32]:
     return vectors
 
 
-def _laps(call: Callable[[], object], settings: Settings) -> list[float]:
+def _laps(call: Callable[[], object], settings: Settings, device: str) -> list[float]:
     """Return the seconds of calls, after one that is not counted."""
-    watch = Stopwatch(Protocol(), synchronise=synchroniser(settings.device))
+    watch = Stopwatch(Protocol(), synchronise=synchroniser(device))
     call()
     laps: list[float] = []
     while len(laps) < _FEWEST or sum(laps) < settings.minimum_seconds:
@@ -260,8 +276,8 @@ def text_of(report: Report) -> str:
 def _row(cell: Cell | Failed, settings: Settings) -> dict[str, str]:
     height, width = cell.frame
     row = {"method": cell.method, "frame": f"{width}x{height}"}
-    if len(settings.precisions) > 1:
-        row["precision"] = cell.precision
+    if settings.devices != ["cpu"]:
+        row["on"] = str(cell.way)
     if isinstance(cell, Failed):
         return {**row, "seen as": f"FAILED: {cell.reason}"}
     return {

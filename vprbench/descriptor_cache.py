@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import os
+import socket
 import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +60,8 @@ class DescriptorCache:
         Where writing fails they are returned all the same, in memory. An error of `blocks` leaves nothing behind.
         """
         first = next(blocks)
-        partial = self.folder / f"{_PARTIAL}{uuid.uuid4().hex}.npy"
+        partial = self.folder / f"{_PARTIAL}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}.npy"
+        self._remove_leftovers()
         try:
             descriptors, on_disk = self._room(partial, (n_images, first.shape[1]))
             descriptors[: len(first)] = first
@@ -75,11 +78,21 @@ class DescriptorCache:
                 partial.with_suffix(".json").write_text(json.dumps(about, indent=1), encoding="utf-8")
                 partial.with_suffix(".json").replace(self.folder / f"{key}.json")
                 partial.replace(self.folder / f"{key}.npy")
+                logger.info("%.1f MB of descriptors are kept in %s", descriptors.nbytes / 1e6, self.folder)
             except OSError as error:
                 logger.warning("descriptors could not be kept in %s (%s)", self.folder, error.strerror or error)
             return descriptors
         finally:
             for path in (partial, partial.with_suffix(".json")):
+                with contextlib.suppress(OSError):
+                    path.unlink(missing_ok=True)
+
+    def _remove_leftovers(self) -> None:
+        """Remove what killed processes of this machine left unfinished."""
+        prefix = f"{_PARTIAL}{socket.gethostname()}-"
+        for path in self.folder.glob(f"{prefix}*"):
+            pid = path.name.removeprefix(prefix).partition("-")[0]
+            if pid.isdigit() and not psutil.pid_exists(int(pid)):
                 with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)
 

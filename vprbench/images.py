@@ -45,14 +45,17 @@ class Images(Sequence[Image]):
         names: Sequence[str],
         *,
         stamp: Callable[[int], bytes] | None = None,
+        content: Callable[[int], bytes] | None = None,
         in_memory: bool = False,
     ) -> None:
         """Take `read(i)` for the i-th image and one name per image; `read` is called from several threads.
 
         `stamp(i)` tells cheaply whether an image changed; without it `fingerprint` looks at some of the images.
+        `content(i)` is all that an image is decoded from; without it `content_hash` decodes every image.
         """
         self._read = read
         self._stamp = stamp
+        self._content = content
         self._in_memory = in_memory
         self._report: Callable[[int], None] | None = None
         self.names = tuple(names)
@@ -66,6 +69,7 @@ class Images(Sequence[Image]):
             lambda i: read_image(paths[i]),
             [path.name for path in paths],
             stamp=lambda i: _file_stamp(paths[i]),
+            content=lambda i: _file_content(paths[i]),
         )
 
     @classmethod
@@ -94,11 +98,12 @@ class Images(Sequence[Image]):
             self.reading.seconds += time.perf_counter() - started
             return image
         chosen = np.arange(len(self))[index].tolist()
-        stamp = self._stamp
+        stamp, content = self._stamp, self._content
         view = Images(
             lambda i: self._read(chosen[i]),
             [self.names[i] for i in chosen],
             stamp=None if stamp is None else lambda i: stamp(chosen[i]),
+            content=None if content is None else lambda i: content(chosen[i]),
             in_memory=self._in_memory,
         )
         view.reading = self.reading
@@ -171,6 +176,21 @@ class Images(Sequence[Image]):
                 digest.update(repr(image.shape).encode() + image.tobytes())
         return digest.hexdigest()
 
+    def content_hash(self) -> str:
+        """Return a hash of everything that the images are decoded from, whatever their names.
+
+        It reads every file whole, and decodes what is no file.
+        """
+        digest = hashlib.sha256()
+        for i in range(len(self)):
+            if self._content is not None:
+                content = self._content(i)
+            else:
+                image = self._read(i)
+                content = repr(image.shape).encode() + image.tobytes()
+            digest.update(hashlib.sha256(content).digest())
+        return digest.hexdigest()
+
     def _read_chunk(self, start: int) -> list[Image]:
         return [self._read(i) for i in range(start, min(start + _CHUNK, len(self)))]
 
@@ -206,6 +226,13 @@ def _file_stamp(path: Path) -> bytes:
             start = file.read(_STAMP_BYTES)
             file.seek(max(0, size - _STAMP_BYTES))
             return b"%d" % size + start + file.read()
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error
+
+
+def _file_content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.search import Audit, Kind, Search, agreement
+from vprbench.search import Audit, Kind, Search, agreement, check_index
 
 if TYPE_CHECKING:
     from vprbench.images import Images
@@ -23,6 +23,7 @@ Scores = npt.NDArray[np.float32]  # (n_queries, n_places), higher means more ali
 
 _BLOCK = 64  # references encoded together
 _BLOCK_BYTES = 1 << 26  # of decoded images in such a block
+_CODES_BYTES = 1 << 30  # of large codes held together
 
 
 class BadInput(ValueError):
@@ -53,6 +54,11 @@ class Method(ABC):
     stored_as: ClassVar[str] = ""
     #: Arguments that act at the query alone, or choose how something is computed: a network fits any value of them.
     query_arguments: ClassVar[frozenset[str]] = frozenset()
+
+    @property
+    def code_bytes(self) -> int:
+        """Bytes of one image's code, where it is large: bounds how many are held together; 0 bounds nothing."""
+        return 0
 
     @abstractmethod
     def fit(self, references: Images, places: Places) -> Self:
@@ -111,6 +117,8 @@ class DescriptorMethod(Method):
     """
 
     query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
+    #: Arguments that act on descriptors alone: those of a traverse are the same whatever their values.
+    search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
 
     index: Kind = "exact"
     neighbours: int = 100
@@ -121,9 +129,8 @@ class DescriptorMethod(Method):
     def fit(self, references: Images, places: Places) -> Self:
         """Encode the references block by block, into one array, and learn the map from it."""
         self.searched = None
-        if not len(references):
-            raise BadInput(f"{type(self).__name__} was given no reference images: give at least one")
-        blocks = references.blocks(_block_size(references))
+        self.insist_on_index(len(references))
+        blocks = references.blocks(encoded_together(references))
         codes = self.encode(next(blocks))
         if len(codes) == len(references):
             return self.fit_descriptors(codes, places)
@@ -146,6 +153,15 @@ class DescriptorMethod(Method):
         except ValueError as error:
             raise BadInput(f"method.index={self.index}, method.neighbours={self.neighbours}: {error}") from error
         return self
+
+    def insist_on_index(self, n_references: int) -> None:
+        """Raise BadInput where `index` cannot be made of so many references, before they are encoded."""
+        if not n_references:
+            raise BadInput(f"{type(self).__name__} was given no reference images: give at least one")
+        try:
+            check_index(self.index, self.neighbours, n_references)
+        except ValueError as error:
+            raise BadInput(f"method.index={self.index}, method.neighbours={self.neighbours}: {error}") from error
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the inner product with the best reference image of each place; -inf where none was retrieved."""
@@ -179,9 +195,15 @@ class DescriptorMethod(Method):
         return self.searched
 
 
-def _block_size(references: Images) -> int:
-    """Return how many images are encoded together, fewer where they are large."""
-    return max(1, min(_BLOCK, _BLOCK_BYTES // references[0].nbytes))
+def encoded_together(images: Images) -> int:
+    """Return how many of `images` are decoded and encoded together, fewer where they are large."""
+    return max(1, min(_BLOCK, _BLOCK_BYTES // images[0].nbytes))
+
+
+def held_together(method: Method, wanted: int) -> int:
+    """Return how many codes of a method are held together: `wanted`, fewer where they would fill more than 1 GiB."""
+    code_bytes = method.code_bytes
+    return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted
 
 
 def best_image_of_place(similarity: Scores, places: Places) -> Scores:

@@ -31,7 +31,7 @@ _BATCH_BYTES = 1 << 28  # of images in a batch, as float32
 _ANY_SIDE = 224  # pixels
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class NeuralDescriptor(DescriptorMethod):
     """A method whose descriptor is the output of a published network; `load` and `blank` are left to write.
 
@@ -71,7 +71,11 @@ class NeuralDescriptor(DescriptorMethod):
         """Return the network in its published sizes, without their values: what it costs does not depend on them."""
 
     def files(self) -> Sequence[Path]:
-        """Return the file of weights, fetched where that is possible; raises BadInput where it is missing."""
+        """Return the file of weights, fetched where that is possible; raises BadInput where it is missing.
+
+        Arguments that do not fit are told first: a download may take long.
+        """
+        self._check_arguments()
         return (find(self.weights, type(self).__name__),)
 
     def keeps_descriptors(self) -> bool:

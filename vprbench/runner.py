@@ -18,7 +18,7 @@ from vprbench import environment, networks, progress
 from vprbench.described import Described, source_hash
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores
+from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores, held_together
 from vprbench.ranking import Outcome, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.search import Audit, Search
@@ -60,7 +60,7 @@ def run_key(
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
             "images": fingerprint,
-            "files": config.get("files", {}),
+            "files": config.get("files", []),
             "seed": config["seed"],
             "device": environment.device_class(config["device"]),
             "threads": threads,
@@ -116,20 +116,14 @@ def run(
     stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
     environment.reset_peak_memory()
 
-    described = Described.of(cache, method, config)
+    described = Described.of(cache if files.load is None else None, method, config)
     learnt = _learn(stopwatch, method, dataset, config["method"], key, files, described)
 
     before = dataset.queries.reading.seconds
     answers = _Answers(dataset, config["depth"])
     audited = _Audited(method, len(dataset.queries))
-    from_cache = False
     with stopwatch.lap() as querying:
-        if described is None:
-            for block in dataset.queries.unnamed().blocks(_block_size(dataset.queries, dataset.n_places)):
-                answers.add(len(block), *_query(stopwatch, method, block, audited, answers.done))
-                progress.report("query", answers.done / len(dataset.queries))
-        else:
-            from_cache = _answer_from_descriptors(stopwatch, method, dataset, described, answers, audited)
+        from_cache = _answer(stopwatch, method, dataset, described, answers, audited)
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     with stopwatch.lap() as measuring:
@@ -232,13 +226,14 @@ def _learn(
             method.fit(references, places)
         else:
             assert isinstance(method, DescriptorMethod)
+            method.insist_on_index(len(references))
             descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
             method.fit_descriptors(descriptors, places)
-    if from_cache:
-        return _Learnt(load_seconds=fit[0], from_cache=True)
     computing = fit[0] - (dataset.references.reading.seconds - before)
     if destination is not None:
         networks.save(destination, method, key, fit[0], computing)
+    if from_cache:
+        return _Learnt(load_seconds=fit[0], from_cache=True)
     return _Learnt(fit_seconds=fit[0], fit_compute_seconds=computing)
 
 
@@ -283,7 +278,7 @@ class _Audited:
     def __init__(self, method: Method, n_queries: int) -> None:
         """Keep none where a fitted method does not search by an approximate index."""
         index = _index(method)
-        wanted = 0 if index is None or index.kind == "exact" else min(_AUDITED, n_queries)
+        wanted = 0 if index is None or index.kind == "exact" else held_together(method, min(_AUDITED, n_queries))
         self._queries = np.linspace(0, n_queries - 1, wanted).astype(np.int64)
         self.codes: list[npt.NDArray[Any]] = []
 
@@ -314,9 +309,10 @@ def _reading(total: int) -> Callable[[int], None]:
     return lambda done: progress.report("fit, reading images", done / total)
 
 
-def _block_size(queries: Images, n_places: int) -> int:
-    """Return how many queries are decoded and scored together, fewer where images are large or places many."""
-    return max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes, _BLOCK_CELLS // n_places))
+def _block_size(method: Method, queries: Images, n_places: int) -> int:
+    """Return how many queries are decoded and scored together, fewer where images or codes are large or places many."""
+    fitting = max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes, _BLOCK_CELLS // n_places))
+    return held_together(method, fitting)
 
 
 def _timed(stopwatch: Stopwatch, call: Callable[[], Answer]) -> tuple[Answer, float]:
@@ -333,6 +329,24 @@ def _query(stopwatch: Stopwatch, method: Method, block: Images, audited: _Audite
     return scores, encoding + matching
 
 
+def _answer(
+    stopwatch: Stopwatch,
+    method: Method,
+    dataset: Dataset,
+    described: Described | None,
+    answers: _Answers,
+    audited: _Audited,
+) -> bool:
+    """Score the queries; returns whether that was done by descriptors that were kept already."""
+    if described is not None:
+        return _answer_from_descriptors(stopwatch, method, dataset, described, answers, audited)
+    queries = dataset.queries.unnamed()
+    for block in queries.blocks(_block_size(method, queries, dataset.n_places)):
+        answers.add(len(block), *_query(stopwatch, method, block, audited, answers.done))
+        progress.report("query", answers.done / len(queries))
+    return False
+
+
 def _answer_from_descriptors(
     stopwatch: Stopwatch,
     method: Method,
@@ -345,14 +359,14 @@ def _answer_from_descriptors(
     queries = dataset.queries.unnamed()
 
     def encode(block: Images) -> Descriptors:
-        codes, seconds = _timed(stopwatch, lambda: method.encode(block))
+        codes, seconds = _timed(stopwatch, partial(method.encode, block))
         answers.method_seconds += seconds
         return np.asarray(codes)
 
     descriptors, from_cache = described.descriptors(
         queries, encode, lambda done: progress.report("query", done / len(queries))
     )
-    size = _block_size(queries, dataset.n_places)
+    size = _block_size(method, queries, dataset.n_places)
     for start in range(0, len(queries), size):
         codes = descriptors[start : start + size]
         audited.take(answers.done, codes)

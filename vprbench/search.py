@@ -55,10 +55,7 @@ class Search:
         An approximate index answers without them; they are kept to be compared with. Raises ValueError for an unknown
         kind, for fewer than one neighbour and for too few references.
         """
-        if kind not in get_args(Kind):
-            raise ValueError(f"{kind} is unknown: give {', '.join(get_args(Kind))}")
-        if neighbours < 1:
-            raise ValueError(f"{neighbours} neighbours: give at least 1")
+        check_index(kind, neighbours, len(references))
         if references.ndim != 2 or not len(references) or places.shape != (len(references),):
             raise ValueError(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
@@ -119,6 +116,18 @@ class Search:
         return np.ascontiguousarray(codes, np.float32)
 
 
+def check_index(kind: str, neighbours: int, n_images: int) -> None:
+    """Raise ValueError for what no index can be made of: an unknown kind, no neighbour, too few images."""
+    if kind not in get_args(Kind):
+        raise ValueError(f"{kind} is unknown: give {', '.join(get_args(Kind))}")
+    if neighbours < 1:
+        raise ValueError(f"{neighbours} neighbours: give at least 1")
+    if kind == "ivfpq" and n_images < 1 << _BITS:
+        raise ValueError(
+            f"ivfpq needs at least {1 << _BITS} reference images, {n_images} came: take exact, hnsw or sq8"
+        )
+
+
 def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
     """Return how many of the best 1 and 10 places by `exact` are so by `scores`, as shares: (n_queries, 2).
 
@@ -134,6 +143,17 @@ def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
         least = np.partition(exact, n_places - n, axis=1)[:, n_places - n, None]
         shares.append((own >= least - _ROUNDING).mean(1))
     return np.stack(shares, axis=1)
+
+
+def faiss_module() -> Any:
+    """Import faiss, quietly, and return it; it is slow to import, so only what needs it asks for it.
+
+    Imported after threads were pinned it uses as many: it takes their number from OMP_NUM_THREADS.
+    """
+    logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
+    import faiss
+
+    return faiss
 
 
 class _Flat(ABC):
@@ -169,7 +189,7 @@ class _EightBits(_Flat):
     """
 
     def __init__(self, references: Vectors) -> None:
-        faiss = _faiss()
+        faiss = faiss_module()
         n_dimensions = references.shape[1]
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
         quantiser.train(references)
@@ -211,7 +231,7 @@ class _Graph(_Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
     def __init__(self, references: Vectors) -> None:
-        faiss = _faiss()
+        faiss = faiss_module()
         n_images, n_dimensions = references.shape
         self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
         self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
@@ -230,13 +250,9 @@ class _ProductCodes(_Retrieving):
     """
 
     def __init__(self, references: Vectors) -> None:
-        faiss = _faiss()
+        faiss = faiss_module()
         n_images, n_dimensions = references.shape
         n_centroids = 1 << _BITS
-        if n_images < n_centroids:
-            raise ValueError(
-                f"ivfpq needs at least {n_centroids} reference images, {n_images} came: take exact, hnsw or sq8"
-            )
         self._part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
         n_parts = -(-n_dimensions // self._part)
         n_lists = round(n_images**0.5)
@@ -294,14 +310,6 @@ def _blocks_of_places(places: npt.NDArray[np.int64]) -> Iterator[_Block]:
 def _parts(n: int, size: int) -> Iterator[slice]:
     for first in range(0, n, size):
         yield slice(first, min(first + size, n))
-
-
-def _faiss() -> Any:
-    """Import faiss, which exact search does without; it takes the number of threads from OMP_NUM_THREADS."""
-    logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
-    import faiss
-
-    return faiss
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, Scores
+from vprbench.interface import BadInput, Method, Scores, held_together
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
@@ -125,7 +125,7 @@ class Stopwatch:
         seconds.append((self._clock() - start) / 1e9)
 
     def measure(self, method: Method, images: Images) -> Timing:
-        """Measure a fitted method on a sample of `images`, decoded beforehand."""
+        """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller."""
         count = min(len(images), self._protocol.sample, max(1, _SAMPLE_BYTES // images[0].nbytes))
         chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
         sample = images[chosen].in_memory()
@@ -136,7 +136,7 @@ class Stopwatch:
             streaming, answers = self._stream(method, singles)
             progress.report("timing", 0.2)
             repeated, unseen = self._caching(method, singles)
-            sizes = sorted({min(size, count) for size in self._protocol.batch_sizes})
+            sizes = sorted({held_together(method, min(size, count)) for size in self._protocol.batch_sizes})
             offline = []
             for done, size in enumerate(sizes):
                 progress.report("timing", 0.3 + 0.7 * done / len(sizes))

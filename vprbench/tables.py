@@ -71,6 +71,7 @@ def plain_row(row: dict[str, str]) -> str:
 def numbers(run: Run) -> dict[str, float | int | None]:
     """Return one run as unrounded numbers, under names that hold their unit."""
     summary = summarise(run)
+    search = run.search or {}
     return {
         **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
         "recall_at_1_low": summary.recall_at_1_low,
@@ -88,6 +89,9 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "streaming_p99_seconds": summary.streaming_p99_seconds,
         **_named_rates("offline", summary.offline),
         "offline_batch": summary.offline_batch,
+        "index_recall_at_1": search.get("recall_at_1"),
+        "index_recall_at_10": search.get("recall_at_10"),
+        "index_bytes_per_place": search.get("bytes_per_place"),
         "peak_memory_bytes": run.peak_memory_bytes,
         "harness_seconds": run.harness_seconds,
         "method_seconds": run.method_seconds,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,12 +17,10 @@ from torch import Tensor
 from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, DescriptorMethod, Image, NotFittedError, Places
+from vprbench.search import faiss_module
 
 from .dense_sift import DIMENSIONS, SMALLEST_SIDE, dense_sift, grey_levels, halved, n_descriptors, root_sift
 from .vlad import vlad, whitening
-
-logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
-import faiss  # noqa: E402  # loaded here and not in `fit`, for threads are pinned in libraries that are there already
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -127,12 +124,13 @@ class DenseVLAD(DescriptorMethod):
         """Return the file of the vocabulary where one was given; raises BadInput where it is missing."""
         if self.vocabulary is None:
             return ()
-        if not Path(self.vocabulary).is_file():
+        path = Path(self.vocabulary).expanduser()
+        if not path.is_file():
             raise BadInput(
                 f"method.vocabulary={self.vocabulary} is no file: {_wanted(self.words)}, or leave it out for words of "
                 "the references"
             )
-        return (Path(self.vocabulary),)
+        return (path,)
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments under which there is no descriptor."""
@@ -159,7 +157,7 @@ class DenseVLAD(DescriptorMethod):
                 f"{len(references)} reference images gave {n_different} different descriptors for "
                 f"method.words={self.words}: give fewer words, or images with more in them"
             )
-        kmeans = faiss.Kmeans(
+        kmeans = faiss_module().Kmeans(
             DIMENSIONS,
             self.words,
             niter=_ITERATIONS,
