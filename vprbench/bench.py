@@ -11,6 +11,7 @@ from itertools import count
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import psutil
 
 from vprbench import environment, progress
@@ -35,7 +36,8 @@ from vprbench.interface import BadInput, Method
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
 from vprbench.preprocess import Engine, PatchNormalisation
 from vprbench.progress import listening
-from vprbench.search import Search
+from vprbench.ranking import best_places
+from vprbench.search import Search, faiss_module
 from vprbench.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 
@@ -44,6 +46,7 @@ Cell = TypeVar("Cell")
 _LITTLE = 8  # places of a fit that only compiles; too few to be judged as diverged
 _SHORT = 2.0  # seconds; a shorter fit is repeated
 _BYTES = 4  # of a float32
+_TURN = 0.1  # seconds of calls one after the other
 _PAUSE = 0.01  # seconds after which the waiting threads of another library have gone to sleep
 _BEST = 100  # references that a library's search returns
 
@@ -67,7 +70,7 @@ def measure(settings: Settings, make: Make) -> Report:
     cells = {}
     for name, section in sections.items():
         gc.collect()  # what an earlier section left counts as no memory of this one
-        cells[name] = list(section())
+        cells[name] = list(section()) if name in settings.sections else []
         canary[name] = environment.canary_seconds()
     return Report(
         settings,
@@ -221,28 +224,52 @@ def _search(settings: Settings, make: Make, route: Route) -> Iterator[SearchCell
     for images_per_call in (1, settings.batch):
         what = {"method": "exact search", "images a call": str(images_per_call)}
         yield _attempt(what, partial(_exact_search_cell, settings, images_per_call))
+    what = {"method": "exact search", "images a call": str(settings.search_queries)}
+    yield _attempt(what, partial(_traverse_search_cell, settings))
     yield _attempt({"method": "sad"}, partial(_sad_cell, settings, make, route))
 
 
 def _exact_search_cell(settings: Settings, images_per_call: int) -> SearchCell:
-    import faiss
-
     progress.report(f"exact search, {images_per_call} a call", 0.0)
-    generator = np.random.default_rng(settings.seed)
-    shape = (settings.search_references + images_per_call, settings.search_dimensions)
-    vectors = generator.standard_normal(shape, np.float32)
-    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    codes, references = vectors[:images_per_call], vectors[images_per_call:]
-    exact = Search(references, np.arange(len(references)))
-    library = faiss.IndexFlatIP(settings.search_dimensions)
-    library.add(references)
-    best = min(_BEST, len(references))
+    codes, exact, library, best = _searched(settings, images_per_call)
     return _beside(
         settings,
-        ("exact search", "faiss.IndexFlatIP", *references.shape, images_per_call),
+        ("exact search", "faiss.IndexFlatIP", *exact.references.shape, images_per_call),
         lambda: exact.scores(codes),
         lambda: library.search(codes, best),
     )
+
+
+def _traverse_search_cell(settings: Settings) -> SearchCell:
+    """Search a whole traverse in blocks as a run does, and name the best places of each query."""
+    progress.report("exact search, a traverse", 0.0)
+    codes, exact, library, best = _searched(settings, settings.search_queries)
+
+    def named() -> None:
+        for first in range(0, len(codes), settings.batch):
+            best_places(exact.scores(codes[first : first + settings.batch]), best)
+
+    return _beside(
+        settings,
+        ("exact search, best 100", "faiss.IndexFlatIP", *exact.references.shape, len(codes)),
+        named,
+        lambda: library.search(codes, best),
+    )
+
+
+def _searched(settings: Settings, n_queries: int) -> tuple[npt.NDArray[np.float32], Search, Any, int]:
+    """Return random codes, both searches of random references, and how many of the best are wanted."""
+    faiss = faiss_module()
+    generator = np.random.default_rng(settings.seed)
+    codes, references = (
+        generator.standard_normal((n, settings.search_dimensions), np.float32)
+        for n in (n_queries, settings.search_references)
+    )
+    for vectors in (codes, references):
+        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    library = faiss.IndexFlatIP(settings.search_dimensions)
+    library.add(references)
+    return codes, Search(references, np.arange(len(references))), library, min(_BEST, len(references))
 
 
 def _sad_cell(settings: Settings, make: Make, route: Route) -> SearchCell:
@@ -271,16 +298,19 @@ def _beside(
     environment.reset_peak_memory()
     before = psutil.Process().memory_info().rss
     ours()
-    memory_bytes = max(0, environment.peak_memory_bytes() - before)
+    peak = environment.peak_memory_bytes()
     library()
     laps: list[list[float]] = [[], []]
     while len(laps[0]) < settings.rounds or sum(map(sum, laps)) < settings.minimum_seconds:
         for call, seconds in zip((ours, library), laps, strict=True):
             time.sleep(_PAUSE)
-            with watch.lap() as lap:
-                call()
-            seconds += lap
-    return SearchCell(*what, rounded(laps[0]), rounded(laps[1]), memory_bytes)
+            turn: list[float] = []
+            while sum(turn) < _TURN:
+                with watch.lap() as lap:
+                    call()
+                turn += lap
+            seconds += turn
+    return SearchCell(*what, rounded(laps[0]), rounded(laps[1]), max(0, peak - before), peak)
 
 
 def _scaling(settings: Settings, make: Make, route: Route) -> Iterator[ScalingCell | Failed]:

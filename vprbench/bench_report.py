@@ -18,6 +18,7 @@ from vprbench.stopwatch import Protocol
 Given = TypeVar("Given")
 Counted = Literal["network", "matrix", "references"]
 
+SECTIONS = ("training", "fits", "preprocessing", "queries", "search", "scaling")
 RULES = ("paper", "reference")
 ENGINES: tuple[Engine, ...] = ("readable", "fused")
 FRAME = (32, 64)  # height and width of the frames that methods are shown
@@ -42,7 +43,9 @@ class Settings:
     batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])  # of offline queries
     sample: int = 128  # different queries
     search_references: int = 3300  # descriptors that are searched; 27592 are all of Nordland, for which 2 GB are needed
+    search_queries: int = 3300  # of a whole traverse
     search_dimensions: int = 4096
+    sections: list[str] = field(default_factory=lambda: list(SECTIONS))
     rounds: int = 3
     minimum_seconds: float = 1.0  # of each rate
     minimum_queries: int = 64
@@ -55,9 +58,11 @@ class Settings:
     def __post_init__(self) -> None:
         """Check that something will be measured."""
         counts = ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds")
-        for name in (*counts, "search_references", "search_dimensions"):
+        for name in (*counts, "search_references", "search_queries", "search_dimensions"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
+        if not self.sections or not set(self.sections) <= set(SECTIONS):
+            raise BadInput(f"sections={self.sections}: give some of {', '.join(SECTIONS)}")
         if not self.sizes or min(self.sizes) < 1:
             raise BadInput(f"sizes={self.sizes}: give numbers of places, as in sizes=[100,300,1000]")
         if len(self.frame) != 2 or min(self.frame) < 1:
@@ -95,6 +100,7 @@ QUICK: Mapping[str, Any] = {
     "batch_sizes": [1, 4],
     "sample": 4,
     "search_references": 300,
+    "search_queries": 300,
     "search_dimensions": 16,
     "rounds": 2,
     "minimum_seconds": 0.0,
@@ -154,10 +160,11 @@ class SearchCell:
     library: str
     references: int
     dimensions: int
-    images_per_call: int
+    images_per_call: int  # of ours in blocks where there are many
     seconds: list[float]  # per call
     library_seconds: list[float]
     memory_bytes: int  # that this project's calls took beyond what was resident, at most
+    peak_memory_bytes: int  # of the process meanwhile
 
 
 @dataclass(frozen=True)

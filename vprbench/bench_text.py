@@ -50,50 +50,72 @@ def write(report: Report, results: Path) -> None:
 
 def text_of(report: Report) -> str:
     """Return a report as Markdown."""
-    settings = report.settings
     parts = [
         "# How fast this is here",
         f"Everything below was measured in one run of {report.seconds / 60:.1f} minutes on one machine, from images "
         f"in memory ({FRAME[1]}x{FRAME[0]} frames, smooth random ones and noisy copies of them). Nothing is "
         "extrapolated. Times are medians where there are several, ratios those of medians.",
         *_warnings(report),
-        "## A training step, fused against readable",
-        f"One module of {settings.max_module:,} places, {TRAVERSES} traverses, 1 epoch, {settings.rounds} rounds in "
-        "turn. A step shows one image to both layers; its time is the training's from its first report to its last. "
-        "The floor is a plain pass in place (PyTorch's `mul_`) over as many bytes as excitation and inhibition of "
-        "both layers have, with the same threads.",
-        _table(report.training, _training_row),
-        "## The fit that users ask for",
-        f"{settings.places:,} places, {TRAVERSES} traverses, {settings.epochs} epochs, modules of up to "
-        f"{settings.max_module:,} places. A stage begins with its first report of progress, so up to one part in a "
-        "hundred of it counts as the stage before. The peak is this process's resident memory, the images and "
-        "libraries that were there before included.",
-        _table(report.fits, _fit_row),
-        "## Preprocessing",
-        f"Patch normalisation to {settings.pixels}x{settings.pixels} pixels (variant C), engines in turn.",
-        _table(report.preprocessing, _preprocessing_row),
-        f"## Queries at {settings.places:,} places",
-        "Encode needs no map, match scores all places. Streaming is one image at a time (1 / median), offline the "
-        "fastest batch size (images / time). The floor is one plain read (PyTorch's `sum`) of as many bytes as are "
-        "counted, with the same threads. Single queries of the paper's rules leave out the output weights of silent "
-        "features, so they may read less than what is counted.",
-        _table(report.queries, _query_row),
-        "## Matching beside a library",
-        "The same arrays in the same process, a call of each in turn, libraries first set up. Ours scores every place; "
-        "faiss returns the best 100, torch.cdist all distances of floats. The memory is what a call of ours takes "
-        "beyond what was resident.",
-        _table(report.search, _search_row),
-        "## Growth with the number of places",
-        f"1 traverse, {settings.scaling_epochs} epoch{'s' * (settings.scaling_epochs != 1)}, modules of up to "
-        f"{settings.max_module:,} places: up to there one module grows, from there on their number.",
-        _table(report.scaling, _scaling_row),
-        "The exponent b of t = a * n^b, by least squares on the logarithms, with the 95 % interval of its residuals:",
-        markdown(_growth_rows(report)),
-        *_claims(report),
+        *_sections(report),
         "## Machine",
         *_machine(report),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _sections(report: Report) -> list[str]:
+    """Return the text of the sections that were measured."""
+    settings = report.settings
+    texts: dict[str, Callable[[], list[str]]] = {
+        "training": lambda: [
+            "## A training step, fused against readable",
+            f"One module of {settings.max_module:,} places, {TRAVERSES} traverses, 1 epoch, {settings.rounds} rounds "
+            "in turn. A step shows one image to both layers; its time is the training's from its first report to its "
+            "last. The floor is a plain pass in place (PyTorch's `mul_`) over as many bytes as excitation and "
+            "inhibition of both layers have, with the same threads.",
+            _table(report.training, _training_row),
+        ],
+        "fits": lambda: [
+            "## The fit that users ask for",
+            f"{settings.places:,} places, {TRAVERSES} traverses, {settings.epochs} epochs, modules of up to "
+            f"{settings.max_module:,} places. A stage begins with its first report of progress, so up to one part in a "
+            "hundred of it counts as the stage before. The peak is this process's resident memory, the images and "
+            "libraries that were there before included.",
+            _table(report.fits, _fit_row),
+        ],
+        "preprocessing": lambda: [
+            "## Preprocessing",
+            f"Patch normalisation to {settings.pixels}x{settings.pixels} pixels (variant C), engines in turn.",
+            _table(report.preprocessing, _preprocessing_row),
+        ],
+        "queries": lambda: [
+            f"## Queries at {settings.places:,} places",
+            "Encode needs no map, match scores all places. Streaming is one image at a time (1 / median), offline the "
+            "fastest batch size (images / time). The floor is one plain read (PyTorch's `sum`) of as many bytes as are "
+            "counted, with the same threads. Single queries of the paper's rules leave out the output weights of "
+            "silent features, so they may read less than what is counted.",
+            _table(report.queries, _query_row),
+        ],
+        "search": lambda: [
+            "## Matching beside a library",
+            "The same arrays in the same process, calls of each in turn, libraries first set up. Ours scores every "
+            "place; faiss returns the best 100, torch.cdist all distances of floats. Of a whole traverse ours names "
+            "the best 100 too, in blocks as a run does. The memory is what a call of ours takes beyond what was "
+            "resident; the peak is that of the process, both copies of the references included.",
+            _table(report.search, _search_row),
+        ],
+        "scaling": lambda: [
+            "## Growth with the number of places",
+            f"1 traverse, {settings.scaling_epochs} epoch{'s' * (settings.scaling_epochs != 1)}, modules of up to "
+            f"{settings.max_module:,} places: up to there one module grows, from there on their number.",
+            _table(report.scaling, _scaling_row),
+            "The exponent b of t = a * n^b, by least squares on the logarithms, with the 95 % interval of its "
+            "residuals:",
+            markdown(_growth_rows(report)),
+            *_claims(report),
+        ],
+    }
+    return [part for name, text in texts.items() if name in settings.sections for part in text()]
 
 
 def _table(cells: Sequence[Cell | Failed], row: Callable[[Cell], dict[str, str]]) -> str:
@@ -155,10 +177,12 @@ def _search_row(cell: SearchCell) -> dict[str, str]:
         "references": f"{cell.references:,} x {cell.dimensions:,}",
         "images a call": str(cell.images_per_call),
         "ours: ms": _milliseconds(ours),
+        "ours: Hz": _figures(cell.images_per_call / ours),
         "library: ms": _milliseconds(library),
         "ours / library": _ratio(ours, library),
         "library": cell.library,
         "memory MB": _megabytes(cell.memory_bytes),
+        "peak MB": _megabytes(cell.peak_memory_bytes),
     }
 
 

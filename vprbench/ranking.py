@@ -75,6 +75,20 @@ def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
     return Outcome(**joined, n_places=sizes[0])
 
 
+def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
+    """Return the `depth` best places of each query in ascending order, (n_queries, depth); of equals the lower ones."""
+    worst = np.partition(scores, -depth, axis=1)[:, -depth, None]
+    chosen = scores >= worst
+    cells = np.flatnonzero(chosen)
+    if len(cells) > len(scores) * depth:  # some equal the worst: counting them takes longer than all the rest
+        crowded = np.bincount(cells // scores.shape[1], minlength=len(scores)) > depth
+        better, equal = scores[crowded] > worst[crowded], scores[crowded] == worst[crowded]
+        room = depth - np.count_nonzero(better, axis=1, keepdims=True)
+        chosen[crowded] = better | (equal & (np.cumsum(equal, axis=1) <= room))
+        cells = np.flatnonzero(chosen)
+    return np.asarray(cells.reshape(len(scores), depth) % scores.shape[1])
+
+
 def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
     """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is NaN or +inf.
 

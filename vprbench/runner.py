@@ -19,7 +19,7 @@ from vprbench.described import Described, source_hash
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores, held_together
-from vprbench.ranking import Outcome, checked_scores, concatenate, outcome
+from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.search import Audit, Search
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
@@ -260,7 +260,7 @@ class _Answers:
         scores = checked_scores(scores, self.done)
         self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
         rows = max(1, _RANKED_CELLS // scores.shape[1])
-        parts = [_best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
+        parts = [best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
         best = np.concatenate(parts)
         values = np.take_along_axis(scores, best, axis=1)
         order = np.argsort(-values, axis=1, kind="stable")
@@ -288,20 +288,6 @@ class _Audited:
         rows = rows[(rows >= 0) & (rows < len(codes))]
         if len(rows):
             self.codes.append(codes[rows])
-
-
-def _best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
-    """Return the `depth` best places of each query in ascending order, (n_queries, depth); of equals the lower ones."""
-    worst = np.partition(scores, -depth, axis=1)[:, -depth, None]
-    chosen = scores >= worst
-    cells = np.flatnonzero(chosen)
-    if len(cells) > len(scores) * depth:  # some equal the worst: counting them takes longer than all the rest
-        crowded = np.bincount(cells // scores.shape[1], minlength=len(scores)) > depth
-        better, equal = scores[crowded] > worst[crowded], scores[crowded] == worst[crowded]
-        room = depth - np.count_nonzero(better, axis=1, keepdims=True)
-        chosen[crowded] = better | (equal & (np.cumsum(equal, axis=1) <= room))
-        cells = np.flatnonzero(chosen)
-    return np.asarray(cells.reshape(len(scores), depth) % scores.shape[1])
 
 
 def _reading(total: int) -> Callable[[int], None]:
