@@ -16,6 +16,7 @@ Kind = Literal["exact", "hnsw", "ivfpq", "sq8"]
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 ImageNumbers = npt.NDArray[np.int64]
 
+_FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 _CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 _TOGETHER = 1 << 16  # reference images, where several show a place
 
@@ -177,7 +178,10 @@ class _Exact(_Flat):
         self.n_bytes = references.nbytes
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
-        return codes @ self._references[first:last].T
+        references = self._references[first:last]
+        if 0 < len(codes) <= _FEW_QUERIES:
+            return np.stack([references @ code for code in codes])
+        return codes @ references.T
 
 
 class _EightBits(_Flat):
