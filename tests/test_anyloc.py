@@ -6,13 +6,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tokens
-from omegaconf import OmegaConf
+from described_images import composed, distance, encoded, image
 
 from vprbench import conformance, registry
 from vprbench.images import Images
@@ -62,14 +61,6 @@ def learning(folder: Path, **arguments: Any) -> AnyLoc:
     return AnyLoc(weights=weights(folder / "network.pth"), vocabulary="references", **arguments)
 
 
-def image(height: int, width: int, seed: int = 0) -> npt.NDArray[np.uint8]:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def encoded(method: AnyLoc, *images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    return method.encode(Images.from_arrays(list(images)))
-
-
 def facet(tensors: Tensors, image: npt.NDArray[np.uint8], part: int = 2, layer: int = LAYER) -> npt.NDArray[np.float64]:
     """Queries, keys or values of the patches, unit vectors, (n_patches, DIM)."""
     tokens = vit_tokens(tensors, "", imagenet(image), n_blocks=layer, final_norm=False)
@@ -88,10 +79,6 @@ def vlad(
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     whole = (sums / np.where(lengths > 0, lengths, 1)).ravel()
     return whole / np.linalg.norm(whole)
-
-
-def distance(codes: npt.NDArray[Any], others: npt.NDArray[Any]) -> float:
-    return float(np.abs(codes - others).max())
 
 
 # Values
@@ -347,15 +334,9 @@ def test_it_keeps_the_rules_of_the_contract(folder: Path, vocabulary: str) -> No
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = hydra.compose("run", overrides=["method=anyloc", *overrides])
-    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
-
-
 @pytest.mark.parametrize("domain", ["indoor", "urban", "aerial", "structured", "unstructured", "global"])
 def test_the_published_centres_follow_from_the_domain(domain: str) -> None:
-    config = composed(f"method.domain={domain}")
+    config = composed("method=anyloc", f"method.domain={domain}")
     file = f"dinov2_vitg14_l31_value_c32_{domain}_c_centers.pt"
     assert config["centres"]["file"] == file
     assert config["centres"]["url"] == f"https://github.com/AnyLoc/DINO/releases/download/v1/{file}"
@@ -365,7 +346,7 @@ def test_the_published_centres_follow_from_the_domain(domain: str) -> None:
 
 
 def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed())
+    made = registry.make_method(composed("method=anyloc"))
     own = {field.name for field in fields(AnyLoc) if field.init}
     assert set(registry.entries("method")["anyloc"].options) == own
     default = AnyLoc(weights=made.weights, centres=made.centres)  # type: ignore[attr-defined]

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import backbones_oracle as oracle
-import cv2
-import hydra
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
+from described_images import composed, drawn_images
 from PIL import Image as PillowImage
 from torch.nn import functional
 
@@ -53,16 +51,6 @@ def cosplace(path: Path, **arguments: Any) -> CosPlace:
     return CosPlace(weights=weights, **{"backbone": "VGG16", "n_dimensions": 64, **arguments})
 
 
-def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[np.ndarray]:
-    """Images of coarse and fine structure, (height, width, 3)."""
-    generator = np.random.default_rng(seed)
-    images = []
-    for height, width in sizes:
-        coarse = cv2.resize(generator.integers(0, 256, (5, 7, 3), dtype=np.uint8), (width, height))
-        images.append(np.clip(coarse + generator.normal(0, 30, (height, width, 3)), 0, 255).astype(np.uint8))
-    return images
-
-
 def expected(
     tensors: dict[str, torch.Tensor],
     images: Sequence[np.ndarray],
@@ -96,15 +84,6 @@ def expected(
 
 def to_48x80(antialias: bool):
     return lambda x: functional.interpolate(x, (48, 80), mode="bilinear", align_corners=False, antialias=antialias)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder that is emptied in the end: files of weights are large."""
-    folder = tmp_path_factory.mktemp("weights")
-    yield folder
-    for path in folder.iterdir():
-        path.unlink()
 
 
 @pytest.fixture(scope="module")
@@ -234,12 +213,6 @@ def test_the_blank_network_has_the_published_tensors(backbone: str) -> None:
 
 
 # The yaml files and the contract
-
-
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)
-    return config["method"]  # type: ignore[index, call-overload, return-value]
 
 
 @pytest.mark.parametrize("name", ["cosplace", "eigenplaces"])

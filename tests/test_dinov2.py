@@ -6,17 +6,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
-from omegaconf import OmegaConf
+from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
 from vprbench import conformance, registry
-from vprbench.images import Images
 from vprbench.interface import BadInput
 from vprbench.methods.dinov2 import DINOv2
 from vprbench.weights import Weights
@@ -45,14 +43,6 @@ def method(path: Path, **arguments: Any) -> DINOv2:
     return DINOv2(weights=weights, **{"height": None, "width": None, **arguments})
 
 
-def image(height: int, width: int, seed: int = 0) -> npt.NDArray[np.uint8]:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def encoded(method: DINOv2, *images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    return method.encode(Images.from_arrays(list(images)))
-
-
 def expected(tensors: Tensors, image: npt.NDArray[np.uint8], pooling: str = "cls", **how: Any) -> npt.NDArray[Any]:
     tokens = vit_tokens(tensors, "", imagenet(image), **how)[0]
     vector = {
@@ -61,10 +51,6 @@ def expected(tensors: Tensors, image: npt.NDArray[np.uint8], pooling: str = "cls
         "gem": lambda: (tokens[1:].clamp(min=1e-6) ** 3).mean(0) ** (1 / 3),
     }[pooling]()
     return (vector / vector.norm()).numpy()
-
-
-def distance(codes: npt.NDArray[Any], others: npt.NDArray[Any]) -> float:
-    return float(np.abs(codes - others).max())
 
 
 # Values
@@ -174,21 +160,15 @@ def test_it_keeps_the_rules_of_the_contract(file: Path) -> None:
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = hydra.compose("run", overrides=["method=dinov2", *overrides])
-    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
-
-
 @pytest.mark.parametrize("backbone", ["vits14", "vitb14", "vitl14", "vitg14"])
 def test_the_published_file_follows_from_the_backbone(backbone: str) -> None:
-    weights = composed(f"method.backbone={backbone}")["weights"]
+    weights = composed("method=dinov2", f"method.backbone={backbone}")["weights"]
     assert weights["file"] == f"dinov2_{backbone}_pretrain.pth"
     assert weights["url"] == (f"https://dl.fbaipublicfiles.com/dinov2/dinov2_{backbone}/dinov2_{backbone}_pretrain.pth")
 
 
 def test_the_yaml_holds_the_arguments_and_defaults_of_the_class(file: Path) -> None:
-    config = composed()
+    config = composed("method=dinov2")
     made = registry.make_method(config)
     own = {field.name for field in fields(DINOv2) if field.init}
     assert set(registry.entries("method")["dinov2"].options) == own

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import backbones_oracle as oracle
 import cv2
-import hydra
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
+from described_images import composed, drawn_images
 from PIL import Image as PillowImage
 from torch.nn import functional
 
@@ -51,16 +50,6 @@ def gcl(path: Path, **arguments: Any) -> GCL:
     return GCL(weights=Weights("x.pth", "", "", path=str(path)), **{**SIZE, "backbone": "vgg16", **arguments})
 
 
-def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[np.ndarray]:
-    """Images of coarse and fine structure, (height, width, 3)."""
-    generator = np.random.default_rng(seed)
-    images = []
-    for height, width in sizes:
-        coarse = cv2.resize(generator.integers(0, 256, (5, 7, 3), dtype=np.uint8), (width, height))
-        images.append(np.clip(coarse + generator.normal(0, 30, (height, width, 3)), 0, 255).astype(np.uint8))
-    return images
-
-
 def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
     return np.asarray(PillowImage.fromarray(image).resize((width, height), PillowImage.Resampling.BILINEAR))
 
@@ -94,15 +83,6 @@ def expected(
             y = x.mean((2, 3)) if pooling == "avg" else x.amax((2, 3))
         descriptors.append(functional.normalize(y, dim=1)[0].numpy())
     return np.array(descriptors)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder that is emptied in the end: files of weights are large."""
-    folder = tmp_path_factory.mktemp("weights")
-    yield folder
-    for path in folder.iterdir():
-        path.unlink()
 
 
 @pytest.fixture(scope="module")
@@ -355,12 +335,6 @@ def test_whitening_needs_a_map_and_a_component() -> None:
 
 
 # The yaml files and the contract
-
-
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)
-    return config["method"]  # type: ignore[index, call-overload, return-value]
 
 
 @pytest.mark.parametrize("name", ["gcl", "gcl_whitened"])

@@ -6,18 +6,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, salad, salad_checkpoint, vit_checkpoint, vit_tokens
-from omegaconf import OmegaConf
+from described_images import composed, distance, encoded, image
 from safetensors.torch import save_file
 from torch.nn import functional
 
 from vprbench import conformance, registry
-from vprbench.images import Images
 from vprbench.interface import BadInput
 from vprbench.methods.megaloc import MegaLoc
 from vprbench.weights import Weights
@@ -55,24 +53,12 @@ def method(path: Path, **arguments: Any) -> MegaLoc:
     return MegaLoc(weights=weights, **arguments)
 
 
-def image(height: int, width: int, seed: int = 0) -> npt.NDArray[np.uint8]:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def encoded(method: MegaLoc, *images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    return method.encode(Images.from_arrays(list(images)))
-
-
 def expected(tensors: Tensors, seen: torch.Tensor, final_norm: bool = True, unit: bool = True) -> npt.NDArray[Any]:
     tokens = vit_tokens(tensors, "backbone.", seen, final_norm=final_norm)[0]
     inner = salad(tensors, "aggregator.agg.", tokens) * (1 if unit else 7)
     weight, bias = (tensors[f"aggregator.linear.{part}"].double() for part in ("weight", "bias"))
     vector = weight @ inner + bias
     return (vector / vector.norm()).numpy()
-
-
-def distance(codes: npt.NDArray[Any], others: npt.NDArray[Any]) -> float:
-    return float(np.abs(codes - others).max())
 
 
 # Values
@@ -188,20 +174,14 @@ def test_it_keeps_the_rules_of_the_contract(file: Path) -> None:
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = hydra.compose("run", overrides=["method=megaloc", *overrides])
-    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
-
-
 def test_the_yaml_names_the_published_file() -> None:
-    weights = composed()["weights"]
+    weights = composed("method=megaloc")["weights"]
     assert weights["url"] == "https://huggingface.co/gberton/MegaLoc/resolve/main/model.safetensors"
     assert weights["file"] == "MegaLoc.safetensors"
 
 
 def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed())
+    made = registry.make_method(composed("method=megaloc"))
     own = {field.name for field in fields(MegaLoc) if field.init}
     assert set(registry.entries("method")["megaloc"].options) == own
     default = MegaLoc(weights=made.weights)  # type: ignore[attr-defined]

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import backbones_oracle as oracle
-import hydra
 import numpy as np
 import pytest
 import scipy.io
 import torch
-from omegaconf import OmegaConf
+from described_images import composed
 from PIL import Image as PillowImage
 from torch import Tensor
 from torch.nn import functional
@@ -428,11 +427,6 @@ def test_the_contract_is_kept(family: str, files) -> None:
         "width": 32,
     }
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
-
-
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        return OmegaConf.to_container(hydra.compose("run", overrides=list(overrides)), resolve=True)["method"]
 
 
 @pytest.mark.parametrize(

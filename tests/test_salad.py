@@ -6,17 +6,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, salad, salad_checkpoint, vit_checkpoint, vit_tokens
-from omegaconf import OmegaConf
+from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
 from vprbench import conformance, registry
-from vprbench.images import Images
 from vprbench.interface import BadInput
 from vprbench.methods.salad import SALAD
 from vprbench.weights import Weights
@@ -55,21 +53,9 @@ def method(path: Path, **arguments: Any) -> SALAD:
     return SALAD(weights=weights, **{"height": None, "width": None, **arguments})
 
 
-def image(height: int, width: int, seed: int = 0) -> npt.NDArray[np.uint8]:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def encoded(method: SALAD, *images: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    return method.encode(Images.from_arrays(list(images)))
-
-
 def expected(tensors: Tensors, image: npt.NDArray[np.uint8], final_norm: bool = True) -> npt.NDArray[np.float64]:
     tokens = vit_tokens(tensors, "backbone.model.", imagenet(image), final_norm=final_norm)[0]
     return salad(tensors, "aggregator.", tokens).numpy()
-
-
-def distance(codes: npt.NDArray[Any], others: npt.NDArray[Any]) -> float:
-    return float(np.abs(codes - others).max())
 
 
 # Values
@@ -220,20 +206,14 @@ def test_it_keeps_the_rules_of_the_contract(file: Path) -> None:
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = hydra.compose("run", overrides=["method=salad", *overrides])
-    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
-
-
 def test_the_yaml_names_the_published_file() -> None:
-    weights = composed()["weights"]
+    weights = composed("method=salad")["weights"]
     assert weights["file"] == "dino_salad.ckpt"
     assert weights["url"] == "https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt"
 
 
 def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed())
+    made = registry.make_method(composed("method=salad"))
     own = {field.name for field in fields(SALAD) if field.init}
     assert set(registry.entries("method")["salad"].options) == own
     default = SALAD(weights=made.weights)  # type: ignore[attr-defined]
