@@ -5,15 +5,31 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
 
-.PHONY: help install table bench bench-descriptors gpu-check test test-triton check clean
+.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton check clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
 install: $(READY) ## Make .venv and install the pinned packages (PIP_ARGS passes options to pip).
 
-table: $(READY) ## Run SAD and VPRTempo on the embedded journey and write results/table.md and .csv (ARGS passes options).
-	$(RUN) -m vprbench table $(ARGS)
+# NORDLAND and ROBOTCAR are folders of real frames; DATASETS, METHODS and STORES are lists with commas.
+comma_list = $(if $($(1)),$(2)=[$($(1))])
+ASKED = $(if $(NORDLAND),"nordland=$(NORDLAND)") $(if $(ROBOTCAR),"robotcar=$(ROBOTCAR)") \
+	$(call comma_list,DATASETS,columns) $(call comma_list,METHODS,methods) $(call comma_list,STORES,stores) \
+	$(if $(SEEDS),seeds=$(SEEDS)) $(if $(filter-out 0,$(FULL)),full=true) $(ARGS)
+
+table: $(READY) ## Table II, measured beside published: NORDLAND= ROBOTCAR= DATASETS= METHODS= SEEDS= STORES= FULL=1 ARGS=
+	$(RUN) -m vprbench table $(ASKED)
+
+figures: $(READY) ## The figures of the paper and more, as PDF and PNG in results/figures (the same options).
+	$(RUN) -m vprbench figures $(ASKED)
+
+report: $(READY) ## One HTML page with table, figures and a browser of failures (the same options).
+	$(RUN) -m vprbench report $(ASKED)
+
+search: $(READY) ## Search VPRTempo's hyperparameters on places that no result uses: PLACES= TRIALS= JOBS= ARGS=
+	$(RUN) -m vprbench search $(if $(PLACES),places=$(PLACES)) $(if $(TRIALS),trials=$(TRIALS)) \
+		$(if $(JOBS),jobs=$(JOBS)) $(ARGS)
 
 bench: $(READY) ## Measure how fast this machine trains and answers, write results/bench.md and .json (ARGS passes options).
 	$(RUN) -m vprbench bench $(ARGS)

@@ -11,7 +11,7 @@ from natsort import natsorted
 from scipy.spatial import KDTree
 
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset
+from vprbench.interface import BadInput, Dataset, NotThere
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 
@@ -30,10 +30,11 @@ def folders(
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
-    included. A query without a right place is an error, or kept as a miss. Raises BadInput for bad folders or names.
+    included. A query without a right place is an error, or kept as a miss. Raises NotThere for folders that are missing
+    or hold no images, BadInput for bad names and arguments.
     """
     if not references or queries is None:
-        raise BadInput(
+        raise NotThere(
             "dataset.references and dataset.queries are not set: "
             "pass dataset.references=[/path/to/first,/path/to/second] dataset.queries=/path/to/queries"
         )
@@ -68,13 +69,13 @@ def folders(
 
 
 def _image_files(folder: str, option: str) -> list[Path]:
-    """Return the image files below a folder in natural order; raises BadInput where there are none."""
+    """Return the image files below a folder in natural order; raises NotThere where there are none."""
     top = Path(folder).expanduser()
     if not folder or not top.is_dir():
-        raise BadInput(f"{option}: {folder or 'nothing'} is no folder")
+        raise NotThere(f"{option}: {folder or 'nothing'} is no folder")
     files = [path for path in top.rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not files:
-        raise BadInput(f"{option}: {folder} holds no images ({', '.join(_SUFFIXES)})")
+        raise NotThere(f"{option}: {folder} holds no images ({', '.join(_SUFFIXES)})")
     # Sorted first, so that names which count as equal (1.png, 01.png) have an order too.
     return [Path(path) for path in natsorted(sorted(files))]
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-import numpy as np
 
 import vprbench
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset
+
+from .frame_folders import check_frames, root_folder
+from .traverses import check_recorded, check_recorded_range, places_of, right_places
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -35,37 +35,23 @@ def nordland(
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places away.
     `frame_multiple` keeps only names whose number it divides. `default_root` (relative to the checkout) stands in
-    for a `root` of None where it exists; `source` says in messages where frames are to be had. Raises BadInput for a
-    missing root or frames.
+    for a `root` of None where it exists; `source` says in messages where frames are to be had. Raises NotThere for a
+    missing root or frames, BadInput for other arguments.
     """
     seasons = ["spring", "fall"] if references is None else references
-    for option, season in [*(("references", season) for season in seasons), ("query", query)]:
-        if season not in SEASONS:
-            raise BadInput(f"dataset.{option}={season}: Nordland has {', '.join(SEASONS)}")
-    if not seasons or len(set(seasons)) < len(seasons):
-        raise BadInput(f"dataset.references={seasons}: name at least one season, each once")
+    check_recorded("Nordland", "season", SEASONS, seasons, query)
     names = chosen_names(stride, places, frame_multiple)
-    last = first_query_place + query_places
-    if query_places < 1 or first_query_place < 0 or last > places:
-        raise BadInput(
-            f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places} ask for places "
-            f"{first_query_place} to {last - 1}; wanted are one or more of the places 0 to {places - 1}"
-        )
-    if tolerance < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
-    asked = names[first_query_place:last]
+    check_recorded_range(places, first_query_place, query_places, tolerance)
+    asked = names[first_query_place : first_query_place + query_places]
     layout = f"get the frames from {source}, and set dataset.root so that <root>/{seasons[0]}/{names[0]} is the first"
-    folder = _root(name, root, default_root, layout)
-    _check_frames(folder, {query: asked} | dict.fromkeys(seasons, names), layout)
+    folder = root_folder(name, _beside_checkout(default_root) if root is None else root, "the seasons", layout)
+    check_frames({folder / query: asked} | {folder / season: names for season in seasons}, layout)
     return Dataset(
         name=name,
         references=Images.from_files([folder / season / frame for season in seasons for frame in names]),
-        places=np.tile(np.arange(places), len(seasons)),
+        places=places_of(places, len(seasons)),
         queries=Images.from_files([folder / query / frame for frame in asked]),
-        positives=tuple(
-            np.arange(max(0, place - tolerance), min(places, place + tolerance + 1))
-            for place in range(first_query_place, last)
-        ),
+        positives=right_places(first_query_place, query_places, places, tolerance),
         protocol={
             "references": seasons,
             "query": query,
@@ -100,29 +86,9 @@ def published_frames() -> list[int]:
     return [frame for first, last in bounds for frame in range(first, last + 1)]
 
 
-def _root(name: str, root: str | None, default_root: str | None, layout: str) -> Path:
-    """Return the folder that holds the seasons; raises BadInput with where to get them."""
-    if root is None and default_root is not None:
-        default = Path(vprbench.__file__).resolve().parents[1] / default_root
-        if default.is_dir():
-            return default
-    if root is None:
-        raise BadInput(f"dataset.root is not set: {name} needs the folder that holds the seasons; {layout}")
-    folder = Path(root).expanduser()
-    if not folder.is_dir():
-        raise BadInput(f"dataset.root={root} is no folder: {name} needs the one that holds the seasons; {layout}")
-    return folder
-
-
-def _check_frames(folder: Path, wanted: Mapping[str, Sequence[str]], layout: str) -> None:
-    """Raise BadInput for a season that is missing or lacks frames."""
-    for season, names in wanted.items():
-        if not (folder / season).is_dir():
-            raise BadInput(f"{folder / season} does not exist: {layout}")
-        present = {entry.name for entry in (folder / season).iterdir()}
-        missing = [name for name in names if name not in present]
-        if missing:
-            raise BadInput(
-                f"{missing[0]} is missing from {folder / season} ({len(missing)} of {len(names)} expected frames are "
-                f"missing, {len(present)} files are there): {layout}"
-            )
+def _beside_checkout(default_root: str | None) -> str | None:
+    """Return the folder of that path from the checkout, where it exists."""
+    if default_root is None:
+        return None
+    default = Path(vprbench.__file__).resolve().parents[1] / default_root
+    return str(default) if default.is_dir() else None

@@ -7,7 +7,7 @@ import resource
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import count, cycle
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -19,8 +19,8 @@ from vprbench import networks
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image, Method, NotFittedError, Places, Scores
 from vprbench.ranking import Outcome
-from vprbench.records import Run, Store
-from vprbench.stopwatch import Laps, Timing
+from vprbench.records import Failure, Run, Store
+from vprbench.stopwatch import Laps, Protocol, Timing
 
 
 def picture(number: int) -> Image:
@@ -143,6 +143,9 @@ def a_run(**changes: Any) -> Run:
             "device": "cpu",
             "depth": 2,
             "overrides": ["method=little", "dataset=journey", "method.window=5", "seed=3"],
+            "changed": {"window": 5},
+            "code": "c0de" * 16,
+            "timing": plain_protocol(),
         },
         protocol={"reference": ["spring", "fall"], "query": "summer", "tolerance_places": 0},
         fingerprint="f" * 64,
@@ -188,8 +191,42 @@ def a_run(**changes: Any) -> Run:
         top_places=np.array([[0, 4], [1, 5], [9, 8], [7, 6]], np.int32),
         top_scores=np.array([[0.9, 0.1], [0.8, 0.2], [0.7, 0.3], [0.6, 0.4]], np.float32),
         scores=(rows[:, None] * 10 + np.arange(10)).astype(np.float32),
+        spikes={
+            "queries": 4,
+            "layers": [
+                a_layer("input", 12, [9.0, 8.0, 10.0, 9.0], 1.0, 0.25),
+                a_layer("feature", 24, [2.0, 3.0, 2.0, 1.0], 0.25, 0.5),
+                a_layer("output", 10, [1.0, 1.0, 2.0, 1.0], 0.4, None),
+            ],
+        },
     )
     return replace(run, **changes)
+
+
+def a_layer(
+    name: str, neurons: int, spikes_per_query: list[float], active_share: float, amplitude_mean: float | None
+) -> dict[str, Any]:
+    """Return what a run keeps of the spikes of one layer."""
+    return {
+        "name": name,
+        "neurons": neurons,
+        "spikes_per_query": spikes_per_query,
+        "active_share": active_share,
+        "amplitude_mean": amplitude_mean,
+    }
+
+
+def plain_protocol() -> dict[str, Any]:
+    """Return the timing protocol as a run keeps it, once it was read from disk."""
+    return {name: [*value] if isinstance(value, tuple) else value for name, value in asdict(Protocol()).items()}
+
+
+def a_failure(**changes: Any) -> Failure:
+    """Return a failure of the configuration of `a_run`, on the same machine, a day later."""
+    run = a_run()
+    environment = {**run.environment, "time_utc": "2025-02-01T12:00:00Z"}
+    failure = Failure("little", "journey", run.config, "MemoryError: 99 GB wanted", environment, missing=False)
+    return replace(failure, **changes)
 
 
 def unanswerable_run() -> Run:

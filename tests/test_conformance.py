@@ -15,7 +15,7 @@ import pytest
 from vprbench import registry
 from vprbench.conformance import RULES, Journey, check
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod, Method, NotFittedError, Places, Scores
+from vprbench.interface import DescriptorMethod, LayerSpikes, Method, NotFittedError, Places, Scores
 from vprbench.neural import NeuralDescriptor
 
 ENTRIES = registry.entries("method")
@@ -232,6 +232,49 @@ class StoresUnfitted(Pixels):
         return {} if self._references is None else super().state()
 
 
+class SpikesBelowZero(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes - 255)]
+
+
+class SpikesWithoutANumber(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes * np.float32(np.nan))]
+
+
+class SpikesOfAllQueriesTogether(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes.sum(0))]
+
+
+class SpikesOfTooFewQueries(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes[1:])]
+
+
+class LayersOfOneName(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]
+
+
+class CountsOnItsMap(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        assert self._references is not None
+        self._references += 1
+        return [LayerSpikes("grid", codes)]
+
+
+class CountsOnTheCodes(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        codes += 1
+        return [LayerSpikes("grid", codes)]
+
+
+class Spikes(Pixels):
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        return [LayerSpikes("grid", codes.round()), LayerSpikes("bright", codes / 255, "amplitude")]
+
+
 class KeepsNoNetwork(DescriptorMethod):
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         colours = np.array([image.mean(axis=(0, 1)) for image in images], np.float32).reshape(-1, 3)
@@ -252,7 +295,10 @@ WRONG = {
     "the names of images do not matter": ReadsNames,
     "black images and images of other sizes are accepted": FailsOnBlack,
     "a stored network answers as the trained one": StoresRounded,
+    "spikes are counts or amplitudes by layer and query": SpikesBelowZero,
 }
+WRONG_SPIKES = (SpikesWithoutANumber, SpikesOfAllQueriesTogether, SpikesOfTooFewQueries, LayersOfOneName)
+WRONG_SPIKES += (CountsOnItsMap, CountsOnTheCodes)
 
 
 @pytest.fixture(autouse=True)
@@ -263,7 +309,7 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
 
     module = types.ModuleType("wrong_methods")
     others = (WritesOnCodes, NotFinite, KeepsTheEarlierFit, LosesWhatItStores, StoresUnfitted, KeepsNoNetwork)
-    others += (FewCandidates, OtherCandidatesInABatch, NoCandidateAtAll)
+    others += (FewCandidates, OtherCandidatesInABatch, NoCandidateAtAll, Spikes, *WRONG_SPIKES)
     for wrong in (Pixels, Excused, ExcusedForNothing, *others, *WRONG.values()):
         setattr(module, wrong.__name__, wrong)
     monkeypatch.setitem(sys.modules, "wrong_methods", module)
@@ -369,6 +415,15 @@ def test_a_method_that_keeps_no_network_is_excepted_from_the_rule_on_stored_ones
     assert [(r.rule, r.reason) for r in excepted] == [
         ("a stored network answers as the trained one", "it keeps no network")
     ]
+
+
+@pytest.mark.parametrize("method", WRONG_SPIKES)
+def test_the_rule_on_spikes_catches(method: type[Method]) -> None:
+    assert broken(method) == ["spikes are counts or amplitudes by layer and query"]
+
+
+def test_spikes_by_layer_and_query_break_no_rule() -> None:
+    assert broken(Spikes) == []
 
 
 def test_an_exception_from_a_rule_that_does_not_exist_is_broken() -> None:

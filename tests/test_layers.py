@@ -14,10 +14,12 @@ ORDER = [
     "compiled",
     "search",
     "interface",
+    "spikes",
     "progress",
     "download",
     "weights",
     "images",
+    "frames",
     "resize",
     "neural",
     "preprocess_compiled",
@@ -26,8 +28,10 @@ ORDER = [
     "ranking",
     "intervals",
     "metrics",
+    "tolerance",
     "stopwatch",
     "environment",
+    "replacing",
     "records",
     "sources",
     "descriptor_cache",
@@ -35,6 +39,22 @@ ORDER = [
     "runner",
     "summary",
     "tables",
+    "plan",
+    "series",
+    "cells",
+    "belonging",
+    "absence",
+    "comparison",
+    "contests",
+    "assembly",
+    "layout",
+    "table_latex",
+    "table_html",
+    "table_formats",
+    "growth_models",
+    "growth_series",
+    "figures",
+    "report",
     "registry",
     "conformance",
     "options",
@@ -48,6 +68,12 @@ ORDER = [
     "bench_text",
     "descriptor_bench",
     "gpu_check",
+    "tuning",
+    "fill",
+    "paper",
+    "paper_table",
+    "paper_figures",
+    "paper_report",
     "cli",
     "__main__",
 ]
@@ -81,12 +107,28 @@ def own(path: Path) -> set[str]:
 
 
 def test_every_module_has_its_place_in_the_order() -> None:
-    assert {path.stem for path in (ROOT / "vprbench").glob("*.py")} - {"__init__"} == set(ORDER)
+    modules = {path.stem for path in (ROOT / "vprbench").glob("*.py")} - {"__init__"}
+    packages = {path.parent.name for path in (ROOT / "vprbench").glob("*/__init__.py")}
+    assert modules | packages == set(ORDER)
 
 
 @pytest.mark.parametrize("module", ORDER)
 def test_a_module_imports_only_what_stands_below_it(module: str) -> None:
-    assert own(ROOT / "vprbench" / f"{module}.py") <= set(ORDER[: ORDER.index(module)])
+    below = set(ORDER[: ORDER.index(module)])
+    if (ROOT / "vprbench" / f"{module}.py").exists():
+        assert own(ROOT / "vprbench" / f"{module}.py") <= below
+    for path in (ROOT / "vprbench" / module).glob("*.py"):
+        assert own(path) <= below | {module}
+
+
+@pytest.mark.parametrize(("library", "home"), [("matplotlib", "figures"), ("optuna", "tuning")])
+def test_a_library_is_imported_in_one_package(library: str, home: str) -> None:
+    knowing = {
+        path.relative_to(ROOT / "vprbench").parts[0]
+        for path in (ROOT / "vprbench").rglob("*.py")
+        if any(name.split(".")[0] == library for name in imported(path))
+    }
+    assert knowing == {home}
 
 
 PLUG_INS = [*(ROOT / "methods").rglob("*.py"), *(ROOT / "datasets").rglob("*.py")]

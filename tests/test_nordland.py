@@ -8,7 +8,7 @@ import pytest
 from PIL import Image as PillowImage
 
 from vprbench.datasets.nordland import chosen_names, nordland, published_frames
-from vprbench.interface import BadInput
+from vprbench.interface import BadInput, NotThere
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "nordland_64x32"
 needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
@@ -40,9 +40,10 @@ def paper(tmp_path_factory):
     return nordland(root=str(root))
 
 
-def answer(**arguments):
+def answer(kind=BadInput, **arguments):
     with pytest.raises(BadInput) as error:
         nordland(**arguments)
+    assert type(error.value) is kind
     assert "\n" not in str(error.value)
     return str(error.value)
 
@@ -166,41 +167,41 @@ def test_the_protocol_says_everything_that_was_selected(tiny_root):
 
 
 def test_no_root_is_answered_with_the_option_and_where_the_frames_are():
-    message = answer()
+    message = answer(NotThere)
     assert "dataset.root is not set" in message
     assert "Somayeh-h/Nordland" in message
 
 
 def test_a_root_that_does_not_exist_is_named(tmp_path):
-    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in answer(root=str(tmp_path / "nowhere"))
+    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in answer(NotThere, root=str(tmp_path / "nowhere"))
 
 
 def test_a_default_root_that_does_not_exist_is_no_root():
-    assert "dataset.root is not set" in answer(default_root="../no/such/folder")
+    assert "dataset.root is not set" in answer(NotThere, default_root="../no/such/folder")
 
 
 def test_a_missing_season_is_named(tiny_root):
     (tiny_root / "fall").rename(tiny_root / "autumn")
-    assert str(tiny_root / "fall") in answer(root=str(tiny_root), **TINY)
+    assert str(tiny_root / "fall") in answer(NotThere, root=str(tiny_root), **TINY)
 
 
 def test_a_missing_season_is_answered_with_the_option_to_set(tiny_root):
     (tiny_root / "fall").rename(tiny_root / "autumn")
-    assert "dataset.root" in answer(root=str(tiny_root), **TINY)
+    assert "dataset.root" in answer(NotThere, root=str(tiny_root), **TINY)
 
 
 @pytest.mark.parametrize(("season", "n_wanted"), [("fall", 6), ("summer", 4)])
 def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_wanted):
     for frame in (208, 212):
         (tiny_root / season / f"images-{frame:05d}.png").unlink()
-    message = answer(root=str(tiny_root), **TINY)
+    message = answer(NotThere, root=str(tiny_root), **TINY)
     assert f"images-00208.png is missing from {tiny_root / season}" in message
     assert f"2 of {n_wanted} expected frames are missing" in message
 
 
 def test_missing_frames_are_answered_with_the_option_to_set(tiny_root):
     (tiny_root / "fall" / "images-00208.png").unlink()
-    assert "dataset.root" in answer(root=str(tiny_root), **TINY)
+    assert "dataset.root" in answer(NotThere, root=str(tiny_root), **TINY)
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
-from little import a_run, replace_and_die, save_forever, save_keys, save_where_no_file_may_exceed, unanswerable_run
+from little import (
+    a_failure,
+    a_run,
+    replace_and_die,
+    save_forever,
+    save_keys,
+    save_where_no_file_may_exceed,
+    unanswerable_run,
+)
 
 from vprbench import records
 from vprbench.interface import BadInput
-from vprbench.records import DamagedRunError, Failure, Run, Store, content_key, load, replace_text
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, content_key, load
+from vprbench.replacing import replace_text
 
 KEY = "0123456789abcdef"
 ARRAYS = ("arrays.npz", "scores.npy")
@@ -223,7 +232,8 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "truncated arrays": lambda folder: _cut(folder / "arrays.npz"),
     "missing arrays": lambda folder: (folder / "arrays.npz").unlink(),
     "missing scores": lambda folder: (folder / "scores.npy").unlink(),
-    "another layout": lambda folder: _change(folder, "schema", 1),
+    "layout of an earlier version": lambda folder: _change(folder, "schema", 1),
+    "layout that is no number": lambda folder: _change(folder, "schema", None),
     "missing timing": lambda folder: _change(folder, "timing", {}),
     "checksums of another kind": lambda folder: _change(folder, "sha256", []),
 }
@@ -279,7 +289,7 @@ def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
 def test_the_reason_of_another_layout_names_both_versions(store: Store) -> None:
     folder = store.save(a_run())
     _change(folder, "schema", 7)
-    with pytest.raises(DamagedRunError, match=r"version 7.*reads 3"):
+    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 4"):
         load(folder)
 
 
@@ -574,53 +584,6 @@ def test_a_file_that_the_system_cuts_off_leaves_the_earlier_run_whole(
 ) -> None:
     limited(limit_bytes)
     assert stored(store).n_references == 20
-
-
-# Failures
-
-
-def a_failure(**changes: Any) -> Failure:
-    return replace(Failure("little", "journey", a_run().config, "MemoryError: 99 GB wanted"), **changes)
-
-
-def test_a_failure_is_found_again(store: Store) -> None:
-    store.save_failure(a_failure())
-    assert store.failure("little", "journey", a_run().config) == a_failure()
-
-
-def test_of_two_failures_the_last_stays(store: Store) -> None:
-    store.save_failure(a_failure())
-    store.save_failure(a_failure(error="ValueError: no"))
-    found = store.failure("little", "journey", a_run().config)
-    assert found is not None
-    assert found.error == "ValueError: no"
-
-
-def test_a_failure_of_another_configuration_is_not_found(store: Store) -> None:
-    store.save_failure(a_failure())
-    assert store.failure("little", "journey", {**a_run().config, "seed": 4}) is None
-
-
-def test_a_failure_is_no_run(store: Store) -> None:
-    store.save_failure(a_failure())
-    assert list(store.runs()) == []
-
-
-def test_a_failure_vanishes_when_the_run_succeeds(store: Store) -> None:
-    store.save_failure(a_failure())
-    store.save(a_run())
-    assert store.failure("little", "journey", a_run().config) is None
-
-
-def test_a_failure_leaves_the_runs_of_its_method_in_place(store: Store) -> None:
-    store.save(a_run())
-    store.save_failure(a_failure())
-    assert stored(store).n_references == 20
-
-
-def test_a_damaged_failure_is_none(store: Store) -> None:
-    _cut(store.save_failure(a_failure()) / "failure.json")
-    assert store.failure("little", "journey", a_run().config) is None
 
 
 # Keys

@@ -1,4 +1,4 @@
-"""The names of arguments that a registered yaml holds, those of the yaml it builds on included."""
+"""What a registered yaml holds, that of the yaml it builds on included: names of arguments, and which were changed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import pytest
 from omegaconf import OmegaConf
 
 from vprbench import registry
+from vprbench.cli import main
 from vprbench.interface import Method
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.records import Run, Store
 from vprbench.registry import Entry
 
 
@@ -71,3 +73,110 @@ def test_every_method_can_be_built_without_any_file_of_weights(name: str) -> Non
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         config = OmegaConf.to_container(hydra.compose("run", overrides=[f"method={name}"]).method, resolve=True)
     assert isinstance(registry.make_method(config), Method)  # type: ignore[arg-type]
+
+
+# Changed arguments
+
+LOWER = "# Lower\n_target_: a.B\nwidth: 2\nrate: 1e-3\nsizes: [1, 2]\nnothing: null\nseed: ${seed}\ndevice: ${device}\n"
+
+
+def test_arguments_as_the_yaml_has_them_are_not_changed(method) -> None:
+    given = {"_target_": "a.B", "width": 2, "rate": 0.001, "sizes": [1, 2], "nothing": None, "seed": 0, "device": "cpu"}
+    assert method("lower", LOWER).changed(given) == {}
+
+
+@pytest.mark.parametrize(
+    "changed", [{"width": 3}, {"rate": 0.01}, {"sizes": [1, 2, 3]}, {"nothing": 0}, {"width": None}, {"more": 1}]
+)
+def test_what_differs_from_the_yaml_is_changed(method, changed: dict[str, object]) -> None:
+    given = {"_target_": "a.B", "width": 2, "rate": 0.001, "sizes": [1, 2], "nothing": None}
+    assert method("lower", LOWER).changed({**given, **changed}) == changed
+
+
+def test_seed_and_device_never_count_as_changed(method) -> None:
+    assert method("lower", LOWER).changed({"seed": 7, "device": "cuda"}) == {}
+    assert method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n").changed({"seed": 7, "device": "cuda"}) == {}
+
+
+def test_what_the_yaml_interpolates_does_not_count_as_changed(method) -> None:
+    entry = method("one", "_target_: a.B\nsize: 4\nfile: net_${.size}.pth\nseeds: ['${seed}']\n")
+    assert entry.changed({"size": 5, "file": "net_5.pth", "seeds": [3]}) == {"size": 5}
+
+
+def test_what_the_yaml_below_holds_is_not_changed_and_what_the_upper_holds_wins(method) -> None:
+    method("lower", LOWER)
+    entry = method("upper", "defaults: [lower, _self_]\nwidth: 3\n")
+    assert entry.changed({"width": 3, "rate": 0.001}) == {}
+    assert entry.changed({"width": 2, "rate": 0.001}) == {"width": 2}
+
+
+def test_of_a_nested_mapping_only_what_differs_is_changed(method) -> None:
+    method("lower", "_target_: a.B\nweights: {file: a.pth, url: 'http://${.file}', path: null}\n")
+    entry = method("upper", "defaults: [lower, _self_]\nweights: {file: b.pth}\n")
+    given = {"file": "b.pth", "url": "http://b.pth", "path": None}
+    assert entry.changed({"weights": given}) == {}
+    assert entry.changed({"weights": {**given, "path": "/mine.pth"}}) == {"weights": {"path": "/mine.pth"}}
+
+
+def test_of_an_empty_yaml_every_argument_is_changed(method) -> None:
+    assert method("none", "").changed({"_target_": "a.B", "width": 1}) == {"width": 1}
+
+
+@pytest.mark.parametrize("name", registry.entries("method"))
+def test_no_method_is_changed_when_nothing_was_asked_for(name: str) -> None:
+    assert changed(name, [f"method={name}", "seed=5", "device=cuda:1"]) == {}
+
+
+def changed(name: str, asked: list[str]) -> dict[str, object]:
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        config = OmegaConf.to_container(hydra.compose("run", overrides=asked).method, resolve=True)
+    return registry.entries("method")[name].changed(config)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "wanted"),
+    [
+        ("vprtempo", ["method.rules=reference", "method.max_module=1100"], {"rules": "reference"}),
+        ("vprtempo_ensemble", ["method.members=3", "method.epochs=4"], {"members": 3}),
+        ("vprtempo_tuned", ["method.epochs=4"], {"epochs": 4}),
+        (
+            "cosplace",
+            ["method.backbone=ResNet18", "method.n_dimensions=512"],
+            {"backbone": "ResNet18", "n_dimensions": 512},
+        ),
+    ],
+)
+def test_what_was_asked_for_on_the_command_line_is_changed(
+    name: str, asked: list[str], wanted: dict[str, object]
+) -> None:
+    assert changed(name, [f"method={name}", *asked]) == wanted
+
+
+# In a stored run
+
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def stored() -> Run:
+    (run,) = Store(Path("results")).runs()
+    return run
+
+
+@pytest.mark.usefixtures("here")
+def test_a_stored_run_names_the_arguments_that_were_changed() -> None:
+    assert main(["method=sad", "method.patch=5", "method.width=28", "seed=3", *QUICK]) == 0
+    assert stored().config["changed"] == {"patch": 5}
+
+
+def test_a_run_of_a_method_that_no_yaml_registers_does_not_say_what_was_changed(here: Path) -> None:
+    (here / "own" / "method").mkdir(parents=True)
+    (here / "own" / "method" / "mine.yaml").write_text("_target_: vprbench.methods.sad.SAD\npatch: 5\n")
+    assert main(["--config-dir", str(here / "own"), "method='mine'", *QUICK]) == 0
+    assert stored().method == "mine"
+    assert "changed" not in stored().config

@@ -670,6 +670,25 @@ def test_what_cannot_change_a_run_does_not_change_its_key(changes: dict[str, Any
     assert key(**changes) == key()
 
 
+@pytest.mark.parametrize("changes", [{"changed": {"window": 5}}, {"code": "c0de"}, {"timing": {"sample": 3}}])
+def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, Any]) -> None:
+    assert key(**changes) == key()
+
+
+def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
+    run = run_of(METHOD, journey(6, 4))
+    assert run.config["code"] == runner.code_hash(type(METHOD))
+    assert run.config["timing"] == {
+        "minimum_seconds": 0,
+        "minimum_queries": 5,
+        "minimum_passes": 1,
+        "maximum_seconds": 120.0,
+        "sample": 16,
+        "warmup_queries": 2,
+        "batch_sizes": [1, 4],
+    }
+
+
 def test_another_device_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
     before = key()
     monkeypatch.setattr(environment, "processor", lambda: "Abacus 10")

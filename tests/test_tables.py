@@ -17,10 +17,9 @@ import pytest
 from little import a_run, laps, unanswerable_run
 
 from vprbench import tables
-from vprbench.interface import BadInput
 from vprbench.records import Failure, Run
 from vprbench.summary import StageRates, summarise
-from vprbench.tables import readable_row, table_text
+from vprbench.tables import readable_row
 
 FAILURE = Failure("vprtempo", "journey", {"overrides": ["method=vprtempo", "method.epochs=9"]}, "MemoryError: 99 GB")
 
@@ -157,10 +156,6 @@ def test_a_row_of_descriptors_from_an_earlier_run_says_so_where_the_time_of_its_
     assert readable_row(replace(loaded_run(), network=None))["fit s"] == "kept"
 
 
-def test_a_table_explains_what_loaded_means() -> None:
-    assert "loaded: a stored network was used" in table_text([loaded_run()])
-
-
 def test_a_row_says_when_its_recall_hangs_on_ties() -> None:
     assert readable_row(tied_run())["R@1 % [95 %]"].endswith("ties!")
 
@@ -214,69 +209,25 @@ def test_markdown_keeps_the_digits_it_is_given() -> None:
     assert markdown_cells(tables.markdown([{"x": "1.50"}, {"x": "10,000"}]))[1:] == [["1.50"], ["10,000"]]
 
 
-def test_a_failed_run_says_so_in_its_row() -> None:
-    assert tables.failed_row(FAILURE) == {"method": "vprtempo epochs=9", "R@1 % [95 %]": "failed: MemoryError: 99 GB"}
+def test_a_bar_stays_in_its_cell() -> None:
+    assert tables.markdown([{"error": "int | None"}]).splitlines()[-1] == r"| int \| None |"
 
 
-def test_what_a_failed_run_lacks_is_a_dash() -> None:
-    assert markdown_cells(table_text([a_run(), FAILURE]))[2] == [
-        "vprtempo epochs=9",
-        "failed: MemoryError: 99 GB",
-        *["-"] * 8,
-    ]
+# Protocol and machine
 
 
-def test_an_error_with_a_bar_stays_in_its_cell() -> None:
-    text = table_text([a_run(), replace(FAILURE, error="depth=x: int | None is wanted")])
-    head, line = [line.replace(r"\|", "") for line in text.splitlines() if line.startswith("|")][::3]
-    assert line.count("|") == head.count("|")
+def test_a_protocol_is_one_line_of_words() -> None:
+    line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"
+    assert tables.protocol_line(a_run()) == line
 
 
-def test_a_table_of_failed_runs_only_can_be_made() -> None:
-    assert "failed: MemoryError: 99 GB" in table_text([FAILURE])
+def test_a_machine_is_one_line_of_words() -> None:
+    assert tables.machine_line(a_run()) == "Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-01-31"
 
 
-def test_a_table_names_data_places_and_protocol() -> None:
-    line = "Data: journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)."
-    assert line in table_text([a_run()]).splitlines()
-
-
-def test_a_table_names_the_machine_once() -> None:
-    line = "Machine: Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-01-31."
-    assert table_text([a_run(), a_run(key="other")]).splitlines().count(line) == 1
-
-
-def test_a_table_names_the_accelerator() -> None:
+def test_an_accelerator_is_part_of_the_machine() -> None:
     run = a_run(environment={**a_run().environment, "accelerator": "Sieve X"})
-    assert "1 of 2 cores, Sieve X, torch" in table_text([run])
-
-
-def test_a_table_ends_with_the_notes_on_its_runs() -> None:
-    text = table_text([a_run()])
-    assert text.endswith("Note on little window=5: noisy: two carts passed.\n\nNote on little window=5: ünïcode.\n")
-
-
-def test_a_table_of_rendered_images_says_so() -> None:
-    assert "is rendered" in table_text([a_run(dataset="synthetic")])
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        a_run(protocol={**a_run().protocol, "tolerance_places": 1}),
-        a_run(dataset="voyage"),
-        a_run(fingerprint="e" * 64),
-    ],
-    ids=["protocol", "dataset", "images"],
-)
-def test_runs_of_two_protocols_get_no_common_table(other: Run) -> None:
-    with pytest.raises(BadInput, match="different protocols"):
-        table_text([a_run(), other])
-
-
-def test_the_order_of_a_protocols_entries_does_not_matter() -> None:
-    turned = a_run(protocol=dict(reversed(a_run().protocol.items())))
-    assert table_text([a_run(), turned])
+    assert "1 of 2 cores, Sieve X, torch" in tables.machine_line(run)
 
 
 # CSV and JSON

@@ -8,10 +8,10 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from vprbench import environment, networks, registry, runner
+from vprbench import environment, frames, networks, registry, runner
 from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
-from vprbench.interface import BadInput
+from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.records import Run, Store
 from vprbench.weights import content_hash
@@ -19,6 +19,9 @@ from vprbench.weights import content_hash
 
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
     """Find the run in the store or make it, and print it; `asked` is its configuration."""
+    entry = registry.entries("method").get(name)
+    if entry is not None:
+        asked["changed"] = entry.changed(asked["method"])
     threads = n_threads(settings)
     store.prepare()
     environment.pin_threads(threads)
@@ -49,7 +52,19 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
         _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
         raise
     _print(run, folder, from_store, settings.output)
+    if settings.frames:
+        _keep_frames(store, fingerprint, dataset)
     return 0
+
+
+def _keep_frames(store: Store, fingerprint: str, dataset: Dataset) -> None:
+    """Keep small pictures of the dataset; where that fails, the run is stored all the same."""
+    try:
+        with progress_shown(dataset.name):
+            frames.keep(store.root, fingerprint, dataset)
+    except (OSError, BadInput) as error:
+        reason = getattr(error, "strerror", None) or error
+        logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
 
 
 def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:

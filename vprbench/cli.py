@@ -1,4 +1,4 @@
-"""The command line: one run, a sweep, the table, the list of plug-ins, the conformance check and the benchmarks."""
+"""The command line: one run, a sweep, the table and what goes with it, the list of plug-ins, checks and benchmarks."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import registry
-from vprbench.interface import BadInput, Method, TrainingDivergedError
+from vprbench.interface import BadInput, Method, NotThere, TrainingDivergedError
 from vprbench.options import KNOWN, checked_settings, n_threads
 from vprbench.stopwatch import Protocol
 
 if TYPE_CHECKING:
+    from vprbench.paper import Asked, Compose
     from vprbench.records import Failure, Store
 
 _USAGE = """\
@@ -37,7 +38,10 @@ vprbench - which method of Visual Place Recognition is better, how fast it is, a
 
 python -m vprbench method=NAME dataset=NAME [option=value ...]   run one method on one dataset
 python -m vprbench -m method=NAME,NAME dataset=NAME,NAME ...     run all combinations, each in its own process
-python -m vprbench table [option=value ...]                      run the rows of the table, write table.md and .csv
+python -m vprbench table [option=value ...]                      Table II: make what it lacks, write table.md, csv, tex
+python -m vprbench figures [option=value ...]                    the paper's figures, as PDF and PNG in results/figures
+python -m vprbench report [option=value ...]                     one page with table, figures and a browser of failures
+python -m vprbench search [option=value ...]                     search VPRTempo's parameters on places of no result
 python -m vprbench list                                          show the methods and datasets
 python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
 python -m vprbench bench [option=value ...]                      measure the speed here, write bench.md and .json
@@ -46,6 +50,9 @@ python -m vprbench gpu-check [option=value ...]                  compare a GPU w
 
 Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, save, load, ...
 and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show all: python -m vprbench --cfg job
+Options of table, figures and report: rows, methods, columns, seeds, devices, full, stored, stores, nordland, robotcar,
+name, results, and those of a run that are not the table's to choose: threads, timing.minimum_seconds, force, ...
+Options of search: places, trials, jobs, seed, dataset, root, results
 """
 
 
@@ -57,6 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "list": _list,
         "check": _check,
         "table": _table,
+        "figures": _figures,
+        "report": _report,
+        "search": _search,
         "bench": _bench,
         "bench-descriptors": _bench_descriptors,
         "gpu-check": _gpu_check,
@@ -126,6 +136,7 @@ def _run(config: DictConfig) -> int:
     choices = HydraConfig.get().runtime.choices
     asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
     asked["overrides"] = list(HydraConfig.get().overrides.task)
+    from vprbench import environment
     from vprbench.answer import answer
     from vprbench.records import Failure, Store
 
@@ -137,7 +148,12 @@ def _run(config: DictConfig) -> int:
 
         text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
         failure = Failure(
-            choices["method"], asked["dataset"].get("name", choices["dataset"]), asked, text.splitlines()[0]
+            choices["method"],
+            asked["dataset"].get("name", choices["dataset"]),
+            asked,
+            text.splitlines()[0],
+            environment.capture(settings.device, n_threads(settings)),
+            isinstance(error, NotThere),
         )
         if os.environ.get(IN_SWEEP):
             _record(failure, store, settings.output)
@@ -156,18 +172,65 @@ def _record(failure: Failure, store: Store, output: str) -> None:
         store.root.mkdir(parents=True, exist_ok=True)
         store.save_failure(failure)
     if output == "json":
-        print(json.dumps({"method": failure.method, "dataset": failure.dataset, "error": failure.error}))
+        told = ("method", "dataset", "error", "missing")
+        print(json.dumps({name: getattr(failure, name) for name in told}))
 
 
 def _table(options: list[str]) -> int:
-    """Run the rows of conf/table.yaml and write the table."""
-    from vprbench.sweep import make_table
+    """Make what Table II lacks, and write it."""
+    from vprbench.paper_table import make_table
 
-    options = _readable(options)
-    _check_names(options)
-    if any(option.split("=")[0] in ("output", "method", "save", "load") for option in options):
-        raise BadInput("the table chooses method, output, save and load itself: change conf/table.yaml for other rows")
-    return make_table(options, Path(checked_settings(_composed(options)).results).expanduser())
+    return make_table(*_asked(options))
+
+
+def _figures(options: list[str]) -> int:
+    """Make what the figures lack, and draw them."""
+    from vprbench.paper_figures import make_figures
+
+    return make_figures(*_asked(options))
+
+
+def _report(options: list[str]) -> int:
+    """Make what the table lacks, and write the page."""
+    from vprbench.paper_report import make_report
+
+    return make_report(*_asked(options))
+
+
+def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
+    """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
+    from vprbench.bench_report import chosen
+    from vprbench.paper import Asked
+
+    own = [option for option in options if option.partition("=")[0] in Asked.__dataclass_fields__]
+    rest = _readable([option for option in options if option not in own])
+    for option in rest:
+        if option.split("=")[0].split(".")[0] in ("method", "dataset", "seed", "device", "output", "save", "load"):
+            raise BadInput(
+                f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
+                "conf/table.yaml has what they are"
+            )
+    asked = chosen(Asked, own, {})
+    checked_settings(_composed([*rest, f"results='{asked.results}'"]))
+    return asked, rest, lambda more: _composed(_readable(list(more)))
+
+
+def _search(options: list[str]) -> int:
+    """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
+    from vprbench.bench_report import chosen
+    from vprbench.console import progress_shown
+    from vprbench.records import Store
+    from vprbench.tuning import search, text
+
+    settings = chosen(search.Settings, options, search.QUICK)
+    root = [] if settings.root is None else [f"dataset.root={settings.root}"]
+    config = _composed(_readable(["method=vprtempo", f"dataset={settings.dataset}", *root]))
+    folder = Path(settings.results).expanduser()
+    Store(folder).prepare()
+    with progress_shown("search"):
+        found = search.search(settings, config["method"], config["dataset"])
+    print(text.write(found, folder), end="")
+    return 0
 
 
 def _bench(options: list[str]) -> int:

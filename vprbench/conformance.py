@@ -233,6 +233,26 @@ def _stored(make: Make, config: Mapping[str, Any]) -> None:
                 _broken(f"restored into a method {state} it gives other scores")
 
 
+def _spikes(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    answers = _scores(method, world)
+    codes = method.encode(Images.from_arrays(world.queries))
+    before = np.array(codes, copy=True)
+    layers = list(method.spikes(codes))
+    names = [layer.name for layer in layers]
+    if not all(names) or len(set(names)) < len(names):
+        _broken(f"layers named {names}; wanted a name each")
+    for layer in layers:
+        shape = np.shape(layer.values)
+        if len(shape) != 2 or shape[0] != len(world.queries):
+            _broken(f"layer {layer.name} has spikes of shape {shape}; wanted ({len(world.queries)}, n_neurons)")
+        if not np.isfinite(layer.values).all() or (layer.values < 0).any():
+            _broken(f"layer {layer.name} has spikes that are not finite or below 0")
+    if not np.array_equal(np.asarray(codes), before) or not np.array_equal(_scores(method, world), answers):
+        _broken("counting spikes changes codes or later scores")
+
+
 _STORED_RULE = "a stored network answers as the trained one"
 
 RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
@@ -249,6 +269,7 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "the names of images do not matter": _names,
     "black images and images of other sizes are accepted": _any_image,
     _STORED_RULE: _stored,
+    "spikes are counts or amplitudes by layer and query": _spikes,
 }
 
 

@@ -17,7 +17,7 @@ from vprbench import environment, progress, registry
 from vprbench.bench_text import machine_lines
 from vprbench.interface import BadInput, Method
 from vprbench.measures import Make, median
-from vprbench.records import replace_text
+from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.tables import markdown
 from vprbench.workload import Route

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from vprbench.interface import BadInput
+from vprbench.interface import BadInput, NotThere
 from vprbench.progress import report
 
 logger = logging.getLogger(__name__)
@@ -53,8 +53,8 @@ def fetch(
     """Download a file, unless it is there; what an interrupted download has left is continued.
 
     `timeout_seconds` is how long a server may be silent, `pause_seconds` the wait before a second attempt, twice as
-    long before each further one. Raises BadInput, and leaves no file, where the server refuses, keeps silent, or
-    gives a web page or something of another size or SHA-256 than stated, and where the disk is full.
+    long before each further one. Raises NotThere, and leaves no file, where the server refuses, keeps silent, or
+    gives a web page or something of another size or SHA-256 than stated, and BadInput where the disk is full.
     """
     from filelock import FileLock
 
@@ -72,7 +72,7 @@ def fetch(
                 _keep(folder / _WHOLE, destination)
                 shutil.rmtree(folder)
     except _Refused as refusal:
-        raise BadInput(f"{url} {refusal}; or get the file by hand and store it as {destination}") from refusal
+        raise NotThere(f"{url} {refusal}; or get the file by hand and store it as {destination}") from refusal
     except OSError as error:
         advice = "free some space" if error.errno in _FULL else "mend that"
         raise BadInput(f"{destination} cannot be written ({error.strerror}): {advice} and run again") from error

@@ -22,7 +22,7 @@ from vprbench.bench_text import machine_lines, rates_text
 from vprbench.images import Images
 from vprbench.interface import BadInput, Method, Scores
 from vprbench.measures import Make, Rates, measured_rates
-from vprbench.records import replace_text
+from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.tables import markdown
 from vprbench.workload import Route

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -30,12 +30,29 @@ class BadInput(ValueError):
     """What a user can mend; the message is one line that names the culprit, what came and what to do."""
 
 
+class NotThere(BadInput):
+    """Weights or frames that a run needs are missing; it can run once somebody has fetched them or put them there."""
+
+
 class NotFittedError(RuntimeError):
     """A method was asked to match before it had learnt a map."""
 
 
 class TrainingDivergedError(RuntimeError):
     """A training ended in a network that cannot be trusted; the message says how that was seen."""
+
+
+@dataclass(frozen=True)
+class LayerSpikes:
+    """What the neurons of one layer did for some queries.
+
+    `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
+    spike where `kind` is "amplitude".
+    """
+
+    name: str  # input, feature, output, ...
+    values: npt.NDArray[Any]
+    kind: Literal["count", "amplitude"] = "count"
 
 
 class Method(ABC):
@@ -93,6 +110,13 @@ class Method(ABC):
         """Return the files, beside the images, that its answers come from; their content is part of a run's key.
 
         Raises BadInput where one is missing.
+        """
+        return ()
+
+    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        """Return the spikes of each layer for these codes, first layer first; empty for what is no spiking network.
+
+        Raises NotFittedError before `fit`.
         """
         return ()
 

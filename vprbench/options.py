@@ -24,6 +24,7 @@ class Settings:
     cache: bool = True  # keep the descriptors of networks, and take those of an earlier run
     output: Literal["row", "json"] = "row"
     depth: int = 100
+    frames: bool = True  # keep small pictures of the dataset, for figures and report
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     timing: Protocol = field(default_factory=Protocol)

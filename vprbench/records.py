@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import json
 import logging
@@ -12,7 +11,7 @@ import shutil
 import socket
 import uuid
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +21,24 @@ import psutil
 
 from vprbench.interface import BadInput
 from vprbench.ranking import Outcome
+from vprbench.replacing import move_folder
 from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 3
+SCHEMA = 4
 _SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _PARTIAL = ".partial-"
 _DAMAGED = ".damaged"
+_FAILURE_KEYS = 3  # the layout whose number is in the key of a failure: what failed under it is still found
 
 
 class DamagedRunError(Exception):
     """A folder of the store does not hold a whole run; the message says what is wrong with it."""
+
+
+class NewerLayoutError(Exception):
+    """A folder of the store holds a run of a later version of this program; the message names both."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,7 @@ class Run:
     top_places: npt.NDArray[np.int32]  # (n_queries, depth), best first
     top_scores: npt.NDArray[np.float32]  # (n_queries, depth); -inf: no candidate
     scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
+    spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,8 @@ class Failure:
     dataset: str
     config: Mapping[str, Any]
     error: str
+    environment: Mapping[str, Any] = field(default_factory=dict)  # of the machine; empty in older records
+    missing: bool = False  # weights, frames or the method itself are not there: nothing was tried
 
 
 def content_key(content: Mapping[str, Any]) -> str:
@@ -84,12 +92,14 @@ def content_key(content: Mapping[str, Any]) -> str:
 class Store:
     """A results folder: `<dataset>/<method>-<key>/` holds one run. Several processes may write to it at once."""
 
-    def __init__(self, root: Path) -> None:
-        """Use the folder `root`; nothing is written yet."""
+    def __init__(self, root: Path, read_only: bool = False) -> None:
+        """Use the folder `root`, where nothing is written yet, or never where it is only read."""
         self.root = root
+        self.read_only = read_only
 
     def prepare(self) -> None:
         """Make the folder and see that it can be written; raises BadInput before work is wasted on a run."""
+        self._insist_on_writing()
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self._remove_leftovers()
@@ -110,21 +120,28 @@ class Store:
 
     def runs(self) -> Iterator[Run]:
         """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
-        for folder in sorted(self.root.glob("*/*-*")):
-            if folder.name.startswith(".") or not (folder / _SUMMARY).exists():
-                continue
-            run = self._load(folder)
-            if run is not None:
-                yield run
+        for folder in self._folders():
+            if (folder / _SUMMARY).exists():
+                run = self._load(folder)
+                if run is not None:
+                    yield run
+
+    def failures(self) -> Iterator[Failure]:
+        """Yield every stored failure; a damaged one is named in a warning and left out."""
+        for folder in self._folders():
+            failure = _read_failure(folder)
+            if failure is not None:
+                yield failure
 
     def save(self, run: Run) -> Path:
         """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
+        self._insist_on_writing()
         folder = self.folder(run.dataset, run.method, run.key)
         try:
             partial = self._partial()
             try:
                 _write(run, partial)
-                _move(partial, folder)
+                move_folder(partial, folder)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
             shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
@@ -137,12 +154,13 @@ class Store:
 
     def save_failure(self, failure: Failure) -> Path:
         """Store that a run ended in an error, until a run of the same configuration succeeds."""
+        self._insist_on_writing()
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
         try:
             partial = self._partial()
             try:
                 _write_json(partial / _FAILURE, asdict(failure))
-                _move(partial, folder)
+                move_folder(partial, folder)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
         except OSError as error:
@@ -151,17 +169,24 @@ class Store:
 
     def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
         """Return how the last run of this configuration failed, None if it did not."""
-        try:
-            content = json.loads((self._failure_folder(method, dataset, config) / _FAILURE).read_text("utf-8"))
-            return Failure(**content)
-        except (OSError, ValueError, TypeError):
-            return None
+        return _read_failure(self._failure_folder(method, dataset, config))
+
+    def _folders(self) -> list[Path]:
+        """Return the folders of all datasets, by dataset and name."""
+        return [folder for dataset in _visible(self.root) for folder in _visible(dataset)]
+
+    def _insist_on_writing(self) -> None:
+        if self.read_only:
+            raise RuntimeError(f"the store {self.root} was opened to be read only")
 
     def _load(self, folder: Path) -> Run | None:
         """Read a run; a damaged one is set aside, one that another process replaces meanwhile is read again."""
         while (before := _identity(folder)) is not None:
             try:
                 return load(folder)
+            except NewerLayoutError as error:
+                logger.warning("%s is left as it is: %s", folder, error)
+                return None
             except DamagedRunError as error:
                 if _identity(folder) == before:
                     self._set_aside(folder, str(error))
@@ -170,7 +195,7 @@ class Store:
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
-        return self.root / dataset / f"{method}-failed-{content_key(asked)}"
+        return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
 
     def _partial(self) -> Path:
         """Make a folder that no reader looks at, named after this process."""
@@ -184,8 +209,9 @@ class Store:
         for folder in self.root.glob(f"{prefix}*"):
             pid = folder.name.removeprefix(prefix).split("-")[0]
             if pid.isdigit() and not psutil.pid_exists(int(pid)):
-                self._put_back(folder)
-                shutil.rmtree(folder, ignore_errors=True)
+                with contextlib.suppress(NewerLayoutError):  # the program that wrote it knows what to do
+                    self._put_back(folder)
+                    shutil.rmtree(folder, ignore_errors=True)
 
     def _put_back(self, folder: Path) -> None:
         """Return a run whose replacement never arrived to its place."""
@@ -195,6 +221,9 @@ class Store:
                 folder.rename(self.folder(run.dataset, run.method, run.key))
 
     def _set_aside(self, folder: Path, reason: str) -> None:
+        if self.read_only:
+            logger.warning("%s cannot be used (%s)", folder, reason)
+            return
         aside = folder.with_name(f"{_DAMAGED}-{folder.name}-{uuid.uuid4().hex[:8]}")
         try:
             folder.rename(aside)
@@ -205,13 +234,18 @@ class Store:
 
 
 def load(folder: Path) -> Run:
-    """Read a run; raises DamagedRunError where a part is missing, changed or of another layout."""
+    """Read a run of this or an earlier layout; what that did not hold yet is None.
+
+    Raises DamagedRunError where a part is missing or changed, NewerLayoutError for a layout that is not known yet.
+    """
     try:
         summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
-        if summary["schema"] != SCHEMA:
-            raise DamagedRunError(f"its layout is version {summary['schema']}, this program reads {SCHEMA}")
-        if summary.pop("content_key") != content_key(summary):
+        layout = summary["schema"]
+        if layout > SCHEMA:
+            raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
+        if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
             raise DamagedRunError(f"{_SUMMARY} is not what was written")
+        summary = {**{name: None for name, first in _ADDED.items() if layout < first}, **summary}
         for name, digest in summary["sha256"].items():
             if _digest(folder / name) != digest:
                 raise DamagedRunError(f"{name} is not what was written")
@@ -219,7 +253,7 @@ def load(folder: Path) -> Run:
             arrays = {name: archive[name] for name in archive.files}
         scores = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False) if _SCORES in summary["sha256"] else None
         return _from_parts(summary, arrays, scores)
-    except DamagedRunError:
+    except (DamagedRunError, NewerLayoutError):
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
@@ -243,7 +277,9 @@ _PLAIN = (
     "peak_memory_bytes",
     "harness_seconds",
     "method_seconds",
+    "spikes",
 )
+_ADDED = {"load_seconds": 2, "network": 2, "search": 3, "spikes": 4}  # the layout that first held it
 
 
 def _write(run: Run, folder: Path) -> None:
@@ -296,7 +332,7 @@ def _from_parts(
             arrays["sample"],
             arrays["answers"],
             timing["repeated_seconds"],
-            timing["unseen_seconds"],
+            timing.get("unseen_seconds", 0.0),  # the first runs lack it
         ),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
         positives=tuple(np.split(arrays["positives"], ends)),
@@ -306,6 +342,18 @@ def _from_parts(
     )
 
 
+def _read_failure(folder: Path) -> Failure | None:
+    """Read a failure, of an earlier or later version too; None where there is none or, with a warning, none whole."""
+    try:
+        content = json.loads((folder / _FAILURE).read_text("utf-8"))
+        return Failure(**{part.name: content[part.name] for part in fields(Failure) if part.name in content})
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError, TypeError) as error:
+        logger.warning("%s cannot be read (%s)", folder / _FAILURE, error)
+        return None
+
+
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     with path.open("x", encoding="utf-8") as file:
         json.dump(content, file, indent=1)
@@ -313,47 +361,23 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         os.fsync(file.fileno())
 
 
-def replace_text(path: Path, content: str) -> None:
-    """Write a text file so that a reader sees the old or the new one, never a part."""
-    partial = path.with_name(f"{_PARTIAL}{path.name}-{uuid.uuid4().hex[:8]}")
+def _visible(folder: Path) -> list[Path]:
+    """Return the folders in a folder, by name, without those that no reader looks at."""
     try:
-        partial.write_text(content, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+        return sorted(path for path in folder.iterdir() if not path.name.startswith(".") and path.is_dir())
+    except FileNotFoundError:
+        return []
 
 
-def _identity(folder: Path) -> int | None:
+def _identity(folder: Path) -> tuple[int, int] | None:
     """Return what tells a folder from its replacement of the same name; None where there is none."""
     try:
-        return folder.stat().st_ino
+        found = folder.stat()
     except FileNotFoundError:
         return None
+    return found.st_ino, found.st_mtime_ns  # a number may be used again
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _move(partial: Path, folder: Path) -> None:
-    """Rename a complete folder to its final name; of several writers of one name the last one stays."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    aside: list[Path] = []
-    for _ in range(100):
-        try:
-            partial.rename(folder)
-        except OSError as error:
-            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                raise
-            replaced = partial.with_name(f"{partial.name}-replaced-{uuid.uuid4().hex[:8]}")
-            try:
-                folder.rename(replaced)
-            except FileNotFoundError:
-                continue  # another process has just replaced it
-            aside.append(replaced)
-        else:
-            for replaced in aside:
-                shutil.rmtree(replaced, ignore_errors=True)
-            return
-    raise OSError(f"{folder} is being replaced by others all the time")

@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal, cast, get_type_hints
 
 import yaml
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench.interface import BadInput, Dataset, Method
@@ -24,6 +25,8 @@ from vprbench.interface import BadInput, Dataset, Method
 Group = Literal["method", "dataset"]
 
 ENTRY_POINTS = "vprbench.conf"
+
+_NO_CHOICE = ("_target_", "defaults", "seed", "device")  # what every run sets for itself
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,16 @@ class Entry:
         names = [name for name in content if name not in ("_target_", "defaults")]
         return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
 
+    def changed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Return those of `arguments` that differ from what the yaml holds, the values of those it builds on included.
+
+        Seed and device do not count, nor does what the yaml interpolates (`${...}`). Of a nested mapping only what
+        differs is returned.
+        """
+        own = OmegaConf.to_container(self._values())
+        given = {name: value for name, value in arguments.items() if name not in _NO_CHOICE}
+        return _different(given, own if isinstance(own, dict) else {})
+
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function, its own or that of the one it builds on.
 
@@ -61,6 +74,13 @@ class Entry:
         except (yaml.YAMLError, KeyError, TypeError) as error:
             reason = str(error).splitlines()[0]
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
+
+    def _values(self) -> DictConfig:
+        """Return what the yaml holds, over what those hold that it builds on."""
+        content = OmegaConf.load(self.path)
+        if not isinstance(content, DictConfig):
+            return OmegaConf.create()
+        return cast(DictConfig, OmegaConf.merge(*(base._values() for base in self._bases(content)), content))
 
     def _bases(self, content: Mapping[str, Any]) -> list[Entry]:
         """Return the ones that the yaml builds on."""
@@ -199,6 +219,19 @@ def checked(option: str, value: Any, hint: Any) -> Any:
     except ValidationError as error:
         wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
         raise BadInput(f"{option}={value}: {wanted}") from error
+
+
+def _different(given: Mapping[str, Any], own: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return what `given` holds and `own` does not, or with another value; interpolations equal everything."""
+    found = {}
+    for name, value in given.items():
+        known = own.get(name)
+        if isinstance(value, Mapping) and isinstance(known, Mapping):
+            if inner := _different(value, known):
+                found[name] = inner
+        elif (name not in own or value != known) and "${" not in str(known):
+            found[name] = value
+    return found
 
 
 def _wanted(problem: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, networks, progress
+from vprbench import environment, networks, progress, spikes
 from vprbench.described import Described, source_hash
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
@@ -29,6 +29,7 @@ _BLOCK_BYTES = 1 << 28  # of decoded images in such a block
 _BLOCK_CELLS = 1 << 25  # scores of such a block
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
+_SPIKING = 256  # queries whose spikes are counted, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -105,7 +106,8 @@ def run(
 ) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
-    `config` holds what was asked for (method, dataset, seed, device, depth); raises whatever the method raises.
+    `config` holds what was asked for (method, dataset, seed, device, depth), the run's also the hash of the code and
+    the timing protocol; raises whatever the method raises.
     A network is stored before the first query; whether it can be is seen before it is trained. Descriptors worth
     keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case.
     """
@@ -133,27 +135,30 @@ def run(
     pressure = environment.cpu_pressure()
     slowdown = environment.canary_seconds() / canary
     peak_memory_bytes = environment.peak_memory_bytes()
+    device_memory_bytes = environment.peak_device_memory_bytes(device)
     with stopwatch.lap() as auditing:
         search = _search(method, audited)
+        spiked, spike_notes = _spikes(method, dataset.queries)
     result = concatenate(answers.outcomes)
     return Run(
         method=name,
         dataset=dataset.name,
         key=key,
-        config=config,
+        config={**config, "code": code_hash(type(method)), "timing": asdict(protocol)},
         protocol=dataset.protocol,
         fingerprint=dataset_fingerprint,
         environment={
             **surroundings,
             "canary_slowdown": slowdown,
             "cpu_pressure_avg10_after": pressure,
-            "device_memory_bytes": environment.peak_device_memory_bytes(device),
+            "device_memory_bytes": device_memory_bytes,
         },
         notes=(
             *learnt.notes,
             *_cache_notes(dataset, learnt.from_cache, from_cache),
             *_notes(slowdown, pressure, timing, answers),
             *_search_notes(search),
+            *spike_notes,
         ),
         n_references=len(dataset.references),
         fit_seconds=learnt.fit_seconds,
@@ -176,6 +181,7 @@ def run(
         top_places=np.concatenate(answers.top_places),
         top_scores=np.concatenate(answers.top_scores),
         scores=np.concatenate(answers.kept) if answers.kept else None,
+        spikes=spiked,
     )
 
 
@@ -409,6 +415,20 @@ def _search_notes(search: Mapping[str, Any] | None) -> Iterator[str]:
             f"index {search['index']}: {100 * search['recall_at_1']:.1f} % of the exactly best places found, "
             f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place"
         )
+
+
+def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
+    if type(method).spikes is Method.spikes:
+        return None, ()
+    wanted = held_together(method, min(_SPIKING, len(queries)))
+    chosen = queries.unnamed()[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
+    try:
+        blocks = chosen.blocks(_block_size(method, chosen, 1))
+        return spikes.summary(method.spikes(np.concatenate([method.encode(block) for block in blocks]))), ()
+    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
+        reason = " ".join(str(error).split())
+        return None, (f"no spikes were counted ({type(error).__name__}: {reason})",)
 
 
 def _same_answers(timing: Timing, answers: _Answers) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vprbench.intervals import wilson
+from vprbench.intervals import block_bootstrap, wilson
 from vprbench.metrics import auc, average_precision, hits_at, pr_curve, recall_at
 from vprbench.records import Run
 from vprbench.stopwatch import best_batch, offline_rate, streaming_rate
 
 RECALLS = (1, 5, 10, 25)
+_BLOCK = 10  # consecutive queries, which see nearly the same
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Summary:
     recalls: dict[int, float | None]  # None where no query has a right place
     recall_at_1_low: float | None  # Wilson, 95 %
     recall_at_1_high: float | None
+    recall_at_1_block_low: float | None  # bootstrap of blocks of consecutive queries, 95 %; None for fewer than two
+    recall_at_1_block_high: float | None
     recall_at_1_answerable: float | None  # of the queries that have a right place
     recall_at_1_pessimistic: float | None  # ties broken against the method
     recall_at_1_optimistic: float | None
@@ -39,6 +42,7 @@ class Summary:
     streaming_p99_seconds: float | None
     offline: StageRates
     offline_batch: int  # images per call in the fastest batch size
+    peak_memory_bytes: int
 
 
 def summarise(run: Run) -> Summary:
@@ -48,6 +52,7 @@ def summarise(run: Run) -> Summary:
     answerable = recall_at(run.outcome, 1, "answerable")
     hits = hits_at(run.outcome, 1)
     interval = wilson(float(hits.sum()), len(hits)) if first else None
+    blocks = block_bootstrap(hits, _BLOCK) if first else None
     curve = pr_curve(run.outcome, "A")
     streaming = run.timing.streaming
     batch = best_batch(run.timing.offline)
@@ -56,6 +61,8 @@ def summarise(run: Run) -> Summary:
         recalls={n: recall.expected if recall else None for n, recall in everything.items()},
         recall_at_1_low=interval.low if interval else None,
         recall_at_1_high=interval.high if interval else None,
+        recall_at_1_block_low=blocks.low if blocks else None,
+        recall_at_1_block_high=blocks.high if blocks else None,
         recall_at_1_answerable=answerable.expected if answerable else None,
         recall_at_1_pessimistic=first.pessimistic if first else None,
         recall_at_1_optimistic=first.optimistic if first else None,
@@ -73,4 +80,5 @@ def summarise(run: Run) -> Summary:
             offline_rate(batch.total_seconds, batch.images_per_call),
         ),
         offline_batch=batch.images_per_call,
+        peak_memory_bytes=run.peak_memory_bytes,
     )

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 import pandas as pd
 
-from vprbench.interface import BadInput
 from vprbench.records import Failure, Run
 from vprbench.summary import RECALLS, StageRates, Summary, summarise
 
 NOTHING = "-"
-
-_LEGEND = (
-    "R@N: share of all queries with a right place among the best N, expected value under ties; interval: Wilson, 95 %. "
-    "AUC-PR (A): recall over all answerable queries, trapezoid. Rates: images in memory; streaming is one image at a "
-    "time (1 / median), offline the best batch size (images / time); enc needs no map, match scores all places. "
-    "fit: wall time, reading the images included; loaded: a stored network was used and nothing trained; "
-    "kept: descriptors of an earlier run were used and nothing encoded."
-)
 
 
 def label(run: Run | Failure) -> str:
@@ -50,11 +40,6 @@ def _fit(run: Run) -> str:
     return "kept" if run.network is None else "loaded"
 
 
-def failed_row(failure: Failure) -> dict[str, str]:
-    """Return a run that failed as a row that says so."""
-    return {"method": label(failure), "R@1 % [95 %]": f"failed: {failure.error}"}
-
-
 def markdown(rows: Sequence[dict[str, str]]) -> str:
     """Return rows of text as a Markdown table; what a row lacks is a dash."""
     rows = [{name: text.replace("|", r"\|") for name, text in row.items()} for row in rows]
@@ -76,6 +61,8 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
         "recall_at_1_low": summary.recall_at_1_low,
         "recall_at_1_high": summary.recall_at_1_high,
+        "recall_at_1_block_low": summary.recall_at_1_block_low,
+        "recall_at_1_block_high": summary.recall_at_1_block_high,
         "recall_at_1_answerable": summary.recall_at_1_answerable,
         "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
         "recall_at_1_optimistic": summary.recall_at_1_optimistic,
@@ -92,7 +79,7 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "index_recall_at_1": search.get("recall_at_1"),
         "index_recall_at_10": search.get("recall_at_10"),
         "index_bytes_per_place": search.get("bytes_per_place"),
-        "peak_memory_bytes": run.peak_memory_bytes,
+        "peak_memory_bytes": summary.peak_memory_bytes,
         "harness_seconds": run.harness_seconds,
         "method_seconds": run.method_seconds,
         "queries": len(run.outcome),
@@ -111,28 +98,6 @@ def csv(results: Sequence[Run | Failure]) -> str:
             line |= {"error": "", **numbers(result), "network": result.network}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
-
-
-def table_text(results: Sequence[Run | Failure]) -> str:
-    """Return runs of one protocol as Markdown, with what was asked and on which machine.
-
-    Raises BadInput for runs of several protocols, which belong in no common table.
-    """
-    runs = [result for result in results if isinstance(result, Run)]
-    rows = [readable_row(result) if isinstance(result, Run) else failed_row(result) for result in results]
-    lines = [markdown(rows), ""]
-    if runs:
-        if len({(run.dataset, run.fingerprint, json.dumps(dict(run.protocol), sort_keys=True)) for run in runs}) > 1:
-            raise BadInput(
-                "these runs follow different protocols; make a table of each: " + ", ".join(map(label, runs))
-            )
-        lines += [f"Data: {protocol_line(runs[0])}.", ""]
-        if runs[0].dataset == "synthetic":
-            lines += ["The embedded journey is rendered; it stands in for real frames and replaces none.", ""]
-        lines += [f"Machine: {machine}." for machine in dict.fromkeys(map(machine_line, runs))]
-        lines += ["", _LEGEND]
-        lines += [f"\nNote on {label(run)}: {note}." for run in runs for note in run.notes]
-    return "\n".join(lines) + "\n"
 
 
 def protocol_line(run: Run) -> str:

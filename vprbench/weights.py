@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import platformdirs
 
 from vprbench.download import fetch
-from vprbench.interface import BadInput
+from vprbench.interface import BadInput, NotThere
 
 if TYPE_CHECKING:
     import torch
@@ -72,13 +72,13 @@ def find(weights: Weights, subject: str, option: str = "weights") -> Path:
     """Return the file with the weights that `subject`, a method, needs; downloads it where that is possible.
 
     `option` is the method's argument that holds `weights`, for the message.
-    Raises BadInput where there is none, with what a person has to do, or where it is not what is stated.
+    Raises NotThere where there is none, with what a person has to do, and BadInput where it is not what is stated.
     """
     if weights.path is not None:
         own = Path(weights.path).expanduser()
         if not (os.access(own, os.R_OK) and own.is_file()):
             given = f"method.{option}.path={weights.path}"
-            raise BadInput(f"{given} is no file that can be read: give one with the weights of {subject}")
+            raise NotThere(f"{given} is no file that can be read: give one with the weights of {subject}")
         return own
     if weights.file in ("", "..") or weights.file != Path(weights.file).name:
         wanted = f"give a name without folders, or method.{option}.path=FILE"
@@ -211,19 +211,19 @@ def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, T
 
 
 def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: str) -> None:
-    """Download a file that the folder lacks; raises BadInput that says what to do where that cannot be."""
+    """Download a file that the folder lacks; raises NotThere that says what to do where that cannot be."""
     missing = f"{subject} needs {weights.file}, which is not in {path.parent}"
     instead = f"put it there under that name, or give method.{option}.path=FILE"
     if weights.url is None:
-        raise BadInput(f"{missing}: {weights.by_hand or 'get it from its authors'}; {instead}")
+        raise NotThere(f"{missing}: {weights.by_hand or 'get it from its authors'}; {instead}")
     if os.environ.get(_OFFLINE, "0") not in ("", "0"):
-        raise BadInput(f"{missing}, and {_OFFLINE} forbids downloads: get it from {weights.url}; {instead}")
+        raise NotThere(f"{missing}, and {_OFFLINE} forbids downloads: get it from {weights.url}; {instead}")
     logger.info("downloading %s (licence: %s) from %s", weights.file, weights.licence, weights.url)
     known = stated if stated.certain else Stated()
     try:
         fetch(weights.url, path, size_bytes=known.size_bytes, sha256=known.sha256)
     except BadInput as error:
-        raise BadInput(f"{subject} needs {weights.file}: {error}") from error
+        raise type(error)(f"{subject} needs {weights.file}: {error}") from error
 
 
 def _check(path: Path, stated: Stated, afterwards: str) -> None:

@@ -5,19 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from .chance import Ints
+from ..rendering.chance import Ints
+from ..rendering.film import PIXEL
 from .route import DEPTHS, METRE
 
-Canvas = npt.NDArray[np.uint8]  # (HEIGHT, WIDTH, 4), RGB and roughness
-Outlines = npt.NDArray[np.int32]  # (..., corners, 2), in 1/16 pixel
-Paint = list[int]  # red, green, blue, roughness
-
-WIDTH, HEIGHT = 160, 90
-PIXEL = 16  # coordinates are in 1/16 pixel, what OpenCV calls shift=4
-BOTTOM = (HEIGHT + 2) * PIXEL
-FAR = 40_000  # beyond every edge of the picture, in 1/16 pixel
 SIGNS = np.array([-1, 1])  # left, right
 
 _FOCAL = 120 * PIXEL

@@ -6,15 +6,28 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.interface import Image
 
-from .camera import HEIGHT, PIXEL, WIDTH, Camera, Canvas, Outlines, Paint
-from .chance import FULL, Chance, Ints
+from ..rendering.chance import FULL, Chance, Ints
+from ..rendering.film import (
+    ATLAS,
+    HEIGHT,
+    PIXEL,
+    WIDTH,
+    Canvas,
+    Outlines,
+    Paint,
+    cloud_texture,
+    develop,
+    grain_texture,
+    roughen,
+    sky,
+)
+from .camera import Camera
 from .land import belts, ground_colours, land_outlines, paint_ridges, water_colours
 from .route import BELTS, DEPTHS, METRE, PLACE_SPACING, Route, View
-from .scenery import Scenery, Things, blend
+from .scenery import Scenery, Things
 from .seasons import SEASONS, Season
 from .shapes import OUTLINES, UNIT
 from .track import ribbons
@@ -27,7 +40,6 @@ VERSION = 1
 _MOOD_PLACES = np.array([25, 60, 7, 9, 12, 18])
 _HORIZON = 38 * PIXEL
 _SKY_ROWS = 58
-_ATLAS = 512  # width of a texture, which then repeats
 
 
 class Renderer:
@@ -38,8 +50,8 @@ class Renderer:
         self._chance = Chance(seed)
         self._route = Route(self._chance)
         self._scenery = Scenery(self._chance)
-        self._grain = self._texture(500, ((2, 90), (4, 90), (9, 76))).astype(np.int16) - 128
-        self._clouds = self._texture(510, ((4, 30), (8, 46), (16, 70), (32, 110)))
+        self._grain = grain_texture(self._chance)
+        self._clouds = cloud_texture(self._chance)
 
     def render(self, season_name: str, place: int) -> Image:
         """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
@@ -60,16 +72,6 @@ class Renderer:
         _paint_land(canvas, season, view, camera, snow, things, luck)
         return self._expose(canvas, season, luck, mood)
 
-    def _texture(self, channel: int, octaves: tuple[tuple[int, int], ...]) -> npt.NDArray[np.uint8]:
-        """Return smooth noise (2 * HEIGHT, _ATLAS + WIDTH) that repeats; octaves are (pixels, amplitude)."""
-        total = np.zeros((2 * HEIGHT, _ATLAS), np.uint16)
-        for number, (spacing, amplitude) in enumerate(octaves):
-            shape = (2 * HEIGHT // spacing + 1, _ATLAS // spacing)
-            knots = self._chance.dice(channel + number, np.arange(shape[0] * shape[1]))[0] * amplitude >> 8
-            layer = knots.reshape(shape).astype(np.uint8)
-            total += cv2.resize(layer, (_ATLAS, 2 * HEIGHT), interpolation=cv2.INTER_LINEAR_EXACT)
-        return np.concatenate([total, total[:, :WIDTH]], axis=1).clip(0, 255).astype(np.uint8)
-
     def _camera(self, season: Season, view: View, luck: list[int], mood: list[int], overcast: int) -> Camera:
         sun = season.sunshine * season.sun_side * (256 - overcast) >> 8
         return Camera(
@@ -85,35 +87,16 @@ class Renderer:
     def _sky(self, season: Season, place: int, mood: list[int], overcast: int, camera: Camera) -> Canvas:
         """Return a canvas with the sky on it."""
         top = mood[1] * HEIGHT // FULL
-        left = (place * 5 + season.number * 171) % _ATLAS
+        left = (place * 5 + season.number * 171) % ATLAS
         cloud = self._clouds[top : top + _SKY_ROWS, left : left + WIDTH]
-        density = np.arange(256)
-        cover = np.minimum(np.maximum((density - (215 - overcast * 3 // 4)) * 2, 0), 127).astype(np.uint8)
-        cover_here = cv2.LUT(cloud, cover).astype(np.int16)
-        shade = np.maximum(density - 128, 0) * (overcast // 4 + 20) // 64
-        fall = np.minimum(np.arange(_SKY_ROWS) * 256 // (camera.horizon // PIXEL), 256)
-        clear = blend(season.sky_top, season.sky_low, fall).astype(np.int16)
-        canvas = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
-        for band in range(3):  # band by band: a last axis of three is slow
-            tint = np.maximum(season.cloud[band] - shade, 0).astype(np.uint8)
-            shaded = cv2.LUT(cloud, tint).astype(np.int16)
-            blue = clear[:, band : band + 1]
-            canvas[:_SKY_ROWS, :, band] = blue + ((shaded - blue) * cover_here >> 7)
-        return canvas
+        return sky(cloud, overcast, camera.horizon // PIXEL, season.sky_top, season.sky_low, season.cloud)
 
     def _expose(self, canvas: Canvas, season: Season, luck: list[int], mood: list[int]) -> Image:
         """Return the picture the camera takes of the canvas: texture, exposure and sharpness."""
-        top, left = luck[3] * HEIGHT >> 8, (luck[4] * 256 + luck[5]) % _ATLAS
-        grain: npt.NDArray[np.int16] = self._grain[top : top + HEIGHT, left : left + WIDTH]
-        *bands, rough = cv2.split(canvas)
-        relief = (grain * rough.astype(np.int16) >> 8) + (grain >> 5)  # of the land and of the sensor
-        lighter, darker = np.maximum(relief, 0).astype(np.uint8), np.maximum(-relief, 0).astype(np.uint8)
-        picture = cv2.merge([cv2.subtract(cv2.add(band, lighter), darker) for band in bands])
-        # exact on uint8: OpenCV blurs it in fixed point
-        picture = cv2.GaussianBlur(picture, (5, 5) if luck[6] < season.softness else (3, 3), 0)
+        top, left = luck[3] * HEIGHT >> 8, (luck[4] * 256 + luck[5]) % ATLAS
+        grain = self._grain[top : top + HEIGHT, left : left + WIDTH]
         gain = season.exposure + (mood[5] - FULL // 2) // 16 + (luck[7] - 128) // 16
-        developed = np.minimum(np.arange(256) * gain >> 8, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(picture, developed), np.uint8)
+        return develop(roughen(canvas, grain, sensor=1), 5 if luck[6] < season.softness else 3, gain)
 
 
 @dataclass(frozen=True)

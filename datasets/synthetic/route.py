@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .chance import FULL, Chance, Ints
+from ..rendering.chance import FULL, Chance, Ints
 
 METRE = 16  # units of length
 PLACE_SPACING = 40 * METRE

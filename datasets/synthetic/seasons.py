@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-Colour = tuple[int, int, int]  # RGB, 0 to 255
+from ..rendering.film import Colour
 
 
 @dataclass(frozen=True)

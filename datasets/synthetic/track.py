@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .camera import Camera, Outlines, Paint
-from .chance import Ints
+from ..rendering.chance import Ints
+from ..rendering.film import Outlines, Paint
+from .camera import Camera
 from .route import DEPTHS, METRE, WATER_LEVEL, View
 from .scenery import SNOW
 

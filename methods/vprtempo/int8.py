@@ -8,7 +8,7 @@ from vprbench.interface import BadInput
 
 from .method import VPRTempo
 from .quantised import MOST_INPUTS, Int8LinearQuery, Int8SpikingQuery
-from .query import Query, calibrated, together
+from .query import Query, Spiking, calibrated, together
 
 
 @dataclass
@@ -33,3 +33,6 @@ class VPRTempoInt8(VPRTempo):
         if rules.query_rule == "linear":
             return Int8LinearQuery(self._members)
         return together([calibrated(Int8SpikingQuery(member, rules), member) for member in self._members])
+
+    def _spiking(self) -> Spiking:
+        return Int8SpikingQuery(self._members[0], self.chosen_rules())

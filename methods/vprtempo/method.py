@@ -16,14 +16,14 @@ from torch import Tensor
 
 from vprbench import progress
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores
+from vprbench.interface import BadInput, LayerSpikes, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation, Variant
 
 from . import fused, training
 from .encoding import spikes_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network
-from .query import Query, asking
+from .query import Query, Spiking, SpikingQuery, asking
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
 from .training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
 
@@ -200,6 +200,23 @@ class VPRTempo(Method):
         if self._query is None:
             raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
         return self._query.scores(codes)
+
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        """Return the spikes of the input, feature and output layers of the network, of several those of the first.
+
+        A linear query passes no layer that spikes but the input. Raises NotFittedError before `fit`.
+        """
+        if self._query is None:
+            raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
+        layers = [LayerSpikes("input", codes, "amplitude")]
+        if self.chosen_rules().query_rule == "spiking":
+            found = zip(("feature", "output"), self._spiking().layers(codes), strict=True)
+            layers += [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in found]
+        return layers
+
+    def _spiking(self) -> Spiking:
+        """Return what tells the spikes of the first network."""
+        return SpikingQuery(self._members[0], self.chosen_rules())
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network, those of several numbered."""

@@ -13,7 +13,7 @@ from vprbench.interface import Scores
 
 from .compiled import compiled
 from .network import Network
-from .query import linear_layer
+from .query import Amplitudes, linear_layer
 from .rules import Rules
 
 _LEVELS = np.float32(255)  # of an activation
@@ -85,8 +85,20 @@ class Int8SpikingQuery:
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-        features = _levels(self._features(_levels(spikes, np.float32(1))), self._clip)
-        features = features.reshape(len(spikes), len(self._outputs), self._n_features)
+        return self._fired(self._feature_levels(spikes))
+
+    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
+        """Return the spikes of the feature neurons, those of all modules side by side, and of the output neurons."""
+        levels = self._feature_levels(spikes)
+        return levels * (self._clip / _LEVELS), self._fired(levels)
+
+    def _feature_levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+        """Return the feature spikes of all modules, (n_queries, modules * n_features), in steps up to the clip."""
+        return _levels(self._features(_levels(spikes, np.float32(1))), self._clip)
+
+    def _fired(self, levels: npt.NDArray[np.uint8]) -> Scores:
+        """Return the activation of Eq. 1 of all output neurons, (n_queries, n_places), for the feature spikes."""
+        features = levels.reshape(len(levels), len(self._outputs), self._n_features)
         parts = [layer(np.ascontiguousarray(features[:, module])) for module, layer in enumerate(self._outputs)]
         above = np.concatenate(parts, axis=1)
         scores = np.clip(above, 0, self._clip)

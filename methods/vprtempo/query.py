@@ -17,8 +17,17 @@ from .compiled import compiled
 from .network import Network
 from .rules import Rules
 
+Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
+
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
+
+
+class Spiking(Protocol):
+    """What answers by spikes of both layers."""
+
+    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
+        """Return the spikes of the feature neurons and of the output neurons."""
 
 
 class Query(Protocol):
@@ -123,7 +132,7 @@ class SpikingQuery:
         together = _BLOCK if self._device.type == "cpu" else _BLOCK_ON_GPU
         for start in range(0, len(spikes), together):
             block = torch.tensor(spikes[start : start + together], device=self._device)
-            scores[start : start + together] = self._fired(self._many(block)).cpu().numpy()
+            scores[start : start + together] = self._fired(self._above(self._features(block))).cpu().numpy()
         return scores
 
     def _one(self, x: npt.NDArray[np.float32]) -> Tensor:
@@ -139,10 +148,20 @@ class SpikingQuery:
         above -= self._thresholds
         return torch.from_numpy(above)[None]
 
-    def _many(self, x: Tensor) -> Tensor:
-        """Return the net input above threshold of all output neurons, (n, n_places), for inputs (n, n_pixels)."""
-        features = self._feature_layer(x).clamp_(0, self._rules.clip).view(len(x), len(self._output_layers), -1)
-        return torch.cat([layer(features[:, m].contiguous()) for m, layer in enumerate(self._output_layers)], dim=1)
+    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
+        """Return the spikes of the feature neurons, those of all modules side by side, and of the output neurons."""
+        features = self._features(torch.tensor(spikes, device=self._device))
+        outputs = self._fired(self._above(features))
+        return features.cpu().numpy(), outputs.cpu().numpy()
+
+    def _features(self, x: Tensor) -> Tensor:
+        """Return the feature spikes of all modules, (n, modules * n_features), for inputs (n, n_pixels)."""
+        return self._feature_layer(x).clamp_(0, self._rules.clip)
+
+    def _above(self, features: Tensor) -> Tensor:
+        """Return the net input above threshold of all output neurons, (n, n_places), for the feature spikes."""
+        own = features.view(len(features), len(self._output_layers), -1)
+        return torch.cat([layer(own[:, m].contiguous()) for m, layer in enumerate(self._output_layers)], dim=1)
 
     def _fired(self, above: Tensor) -> Tensor:
         """Return the activation of Eq. 1; of silent queries that of the first module's least inhibited neuron."""

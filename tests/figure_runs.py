@@ -1,0 +1,169 @@
+"""Made-up runs with known answers, as many methods, seeds, sizes and machines as a figure wants."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Any
+
+import little
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import Scores
+from vprbench.ranking import best_places, outcome
+from vprbench.records import Run
+from vprbench.series import Series
+from vprbench.stopwatch import Laps, Timing
+
+
+def seconds_around(median: float, spread: float, n_laps: int = 101, seed: int = 0) -> npt.NDArray[np.float64]:
+    """Return times in random order whose median is `median` and whose logarithms are normal with `spread`."""
+    quantiles = [NormalDist().inv_cdf((i + 0.5) / n_laps) for i in range(n_laps)]
+    return np.random.default_rng(seed).permutation(median * np.exp(spread * np.array(quantiles)))
+
+
+def timing(encode_seconds: float, match_seconds: float, spread: float = 0.1) -> Timing:
+    """Return streaming laps with these medians; encode and match vary together, so that the total's is their sum."""
+    encode, match = (seconds_around(median, spread) for median in (encode_seconds, match_seconds))
+    laps = Laps(encode, match, 1, True)
+    return replace(little.a_run().timing, streaming=laps, offline=(laps,))
+
+
+def scores_with_recall(share: float, n_queries: int, n_places: int, seed: int = 0) -> Scores:
+    """Return scores (n_queries, n_places) whose right place, the query's own number, is best for `share` of them.
+
+    Hits are spread over the traverse and score higher than misses, but not all of them. Right places of misses score
+    above the noise, neighbours of a right place a little.
+    """
+    random = np.random.default_rng(seed)
+    scores = random.uniform(0, 0.4, (n_queries, n_places)).astype(np.float32)
+    hits = np.zeros(n_queries, bool)
+    hits[random.permutation(n_queries)[: round(share * n_queries)]] = True
+    for query, hit in enumerate(hits):
+        right = query % n_places
+        for offset, raised in ((-2, 0.1), (-1, 0.2), (1, 0.2), (2, 0.1)):
+            scores[query, (right + offset) % n_places] += np.float32(raised)
+        best = 0.7 + 0.3 * random.random() if hit else 0.65 + 0.2 * random.random()
+        wrong = (right + int(random.integers(n_places // 3, n_places // 2))) % n_places
+        scores[query, right if hit else wrong] = best
+        if not hit:
+            scores[query, right] = 0.3 + 0.3 * random.random()
+    return scores
+
+
+def run(method: str = "little", share: float = 0.5, n_queries: int = 40, n_places: int = 50, **changes: Any) -> Run:
+    """Return a run whose R@1 is `share`; `changes` are fields of the run, or these, which make some of them.
+
+    seed, device ("cpu" or "cuda"), processor, time_utc, encode_seconds, match_seconds (medians of streaming), spread
+    (of their logarithms), arguments (of the method), dataset_arguments, code, bytes_per_place.
+    """
+    take = changes.pop
+    seed, device = take("seed", 0), take("device", "cpu")
+    dataset = changes.get("dataset", "railway")
+    scores = scores_with_recall(share, n_queries, n_places, seed)
+    positives = tuple(np.array([query % n_places]) for query in range(n_queries))
+    best = best_places(scores, min(25, n_places))
+    order = np.argsort(-np.take_along_axis(scores, best, 1), axis=1, kind="stable")
+    top = np.take_along_axis(best, order, 1)
+    stored_bytes = take("bytes_per_place", None)
+    made: dict[str, Any] = {
+        "method": method,
+        "dataset": dataset,
+        "key": hashlib.sha256(f"{method}{dataset}{n_places}{seed}{device}".encode()).hexdigest()[:16],
+        "config": _config(method, dataset, seed, device, take("arguments", {}), take("dataset_arguments", {}))
+        | {"code": take("code", "c0de"), "timing": {"minimum_seconds": 2.0}},
+        "fingerprint": hashlib.sha256(f"{dataset}{n_places}".encode()).hexdigest(),
+        "environment": _environment(device, take("processor", "Abacus 9"), take("time_utc", "2025-01-31T12:00:00Z")),
+        "notes": (),
+        "n_references": n_places,
+        "search": None if stored_bytes is None else {"index": "exact", "bytes_per_place": stored_bytes},
+        "timing": timing(take("encode_seconds", 0.001), take("match_seconds", 0.001), take("spread", 0.1)),
+        "outcome": outcome(scores, positives),
+        "positives": positives,
+        "top_places": top.astype(np.int32),
+        "top_scores": np.take_along_axis(scores, top, 1),
+        "scores": scores,
+    }
+    return little.a_run(**{**made, **changes})
+
+
+def _config(
+    method: str,
+    dataset: str,
+    seed: int,
+    device: str,
+    arguments: Mapping[str, Any],
+    dataset_arguments: Mapping[str, Any],
+) -> dict[str, Any]:
+    overrides = [f"method={method}", f"dataset={dataset}", *(f"method.{name}={arguments[name]}" for name in arguments)]
+    return {
+        "method": {"_target_": f"vprbench.methods.{method}", **arguments},
+        "changed": dict(arguments),
+        "dataset": {"name": dataset, **dataset_arguments},
+        "seed": seed,
+        "device": device,
+        "depth": 25,
+        "overrides": overrides,
+    }
+
+
+def _environment(device: str, processor: str, time_utc: str) -> dict[str, Any]:
+    accelerator = {"accelerator": "Loom 7"} if device.startswith("cuda") else {}
+    return {**little.a_run().environment, "processor": processor, "time_utc": time_utc, "device": device, **accelerator}
+
+
+def series(name: str, *runs: Run, spiking: bool = False) -> Series:
+    return Series(name, spiking, runs)
+
+
+def sized(n_places: int, fit_seconds: float | None, match_seconds: float, **changes: Any) -> Run:
+    """Return a run of four queries on a map of any size, quick to make: its answers mean nothing."""
+    small = run("vprtempo", n_queries=4, n_places=50, match_seconds=match_seconds, fit_seconds=fit_seconds, **changes)
+    return replace(small, outcome=replace(small.outcome, n_places=n_places), n_references=2 * n_places, scores=None)
+
+
+def five_rows(device: str = "cpu", seeds: Sequence[int] = (0, 1, 2), n_places: int = 450) -> tuple[Series, ...]:
+    """Return the paper's rows with numbers such as a small machine gives them; on a GPU three of them."""
+    speed = 1.0 if device == "cpu" else 20.0
+    size: dict[str, Any] = {"n_queries": n_places * 4 // 5, "n_places": n_places, "device": device}
+    rows = [
+        ("SAD", "sad", 0.42, None, 0.0002, 0.0004, 0.36e9, 3136, False),
+        ("NetVLAD", "netvlad", 0.31, None, 1.9, 0.0003, 2.9e9, 16384, False),
+        ("GCL", "gcl", 0.33, None, 0.6, 0.0003, 1.6e9, 8192, False),
+        ("VPRSNN", "vprsnn", 0.40, 2900.0, 0.02, 0.45, 0.6e9, None, True),
+    ]
+    made = [
+        series(
+            name,
+            run(
+                method,
+                share,
+                fit_seconds=fit,
+                encode_seconds=encode / speed,
+                match_seconds=match / speed,
+                peak_memory_bytes=int(memory),
+                bytes_per_place=kept,
+                **size,
+            ),
+            spiking=spiking,
+        )
+        for name, method, share, fit, encode, match, memory, kept, spiking in rows
+        if device == "cpu" or name in ("NetVLAD", "GCL")
+    ]
+    tempo = [
+        run(
+            "vprtempo",
+            0.37 + 0.02 * seed,
+            seed=seed,
+            fit_seconds=(9.0 + seed) / speed,
+            encode_seconds=0.0004,
+            match_seconds=0.0005 / speed**0.2,
+            peak_memory_bytes=410_000_000,
+            **size,
+        )
+        for seed in seeds
+    ]
+    return (*made, series("VPRTempo", *tempo, spiking=True))

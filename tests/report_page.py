@@ -1,0 +1,138 @@
+"""A report made up by hand: sixty places, fifty queries, and methods whose failures are known."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from little import a_run
+from PIL import Image
+
+from vprbench.frames import Thumbnails
+from vprbench.ranking import best_places, outcome
+from vprbench.records import Run
+from vprbench.report.page import Picture, Section, page
+from vprbench.series import Series
+
+N_PLACES, N_QUERIES = 60, 50
+RIGHT, OTHERS = 0.5, 0.125  # scores of the right place, and of places that are not mistaken for it
+UNANSWERABLE = 49
+SHIFT = 7  # a mistaken place lies so many places behind the right one
+SAD_WRONG = {3: 0.25, 10: 0.125, 11: 0.375, 20: 0.0, 30: 0.0625}  # by query, how far above the right place; 0: a tie
+TEMPO_WRONG = {10: 0.125, 40: 0.25}
+HOSTILE = "</script><img src=x onerror=\"document.title='broken'\">"
+
+
+def right_place(query: int) -> int:
+    return query + 5
+
+
+def mistaken_place(query: int) -> int:
+    return (right_place(query) + SHIFT) % N_PLACES
+
+
+def answered(table: Any, positives: Sequence[Sequence[int]], depth: int = 10, **changes: Any) -> Run:
+    """Return a run that gave these scores, (n_queries, n_places)."""
+    table = np.asarray(table, np.float32)
+    right = tuple(np.array(places, np.int64) for places in positives)
+    best = best_places(table, min(depth, table.shape[1]))
+    values = np.take_along_axis(table, best, axis=1)
+    order = np.argsort(-values, axis=1, kind="stable")
+    kept = {
+        "scores": table,
+        "positives": right,
+        "outcome": outcome(table, right),
+        "top_places": np.take_along_axis(best, order, axis=1).astype(np.int32),
+        "top_scores": np.take_along_axis(values, order, axis=1),
+        "notes": (),
+    }
+    return a_run(**{**kept, **changes})
+
+
+def journey_scores(wrong: Mapping[int, float]) -> np.ndarray:
+    scores = np.full((N_QUERIES, N_PLACES), OTHERS, np.float32)
+    for query in range(N_QUERIES):
+        scores[query, right_place(query)] = RIGHT
+    for query, above in wrong.items():
+        scores[query, mistaken_place(query)] = RIGHT + above
+    return scores
+
+
+def journey_run(wrong: Mapping[int, float], seed: int = 0, **changes: Any) -> Run:
+    positives = [[] if query == UNANSWERABLE else [right_place(query)] for query in range(N_QUERIES)]
+    config = {**a_run().config, "seed": seed}
+    return answered(journey_scores(wrong), positives, **{"config": config, **changes})
+
+
+def query_colour(query: int) -> tuple[int, int, int]:
+    return (250 - 4 * query, 40, 4 * query)
+
+
+def place_colour(place: int) -> tuple[int, int, int]:
+    return (30, 4 * place, 200)
+
+
+def drawn_frame(colour: tuple[int, int, int], size: tuple[int, int] = (48, 27)) -> bytes:
+    """Return a WebP of one colour, without loss."""
+    written = io.BytesIO()
+    Image.new("RGB", size, colour).save(written, "WEBP", lossless=True)
+    return written.getvalue()
+
+
+def drawn_figure() -> bytes:
+    written = io.BytesIO()
+    Image.new("RGB", (1200, 500), (225, 230, 240)).save(written, "PNG")
+    return written.getvalue()
+
+
+def journey_thumbnails(**changes: Any) -> Thumbnails:
+    drawn = {
+        "query_names": tuple(f"dusk/{query:05d}.png" for query in range(N_QUERIES)),
+        "reference_names": tuple(f"noon/{place:05d}.png" for place in range(N_PLACES)),
+        "examples": (),
+        "queries": tuple(drawn_frame(query_colour(query)) for query in range(N_QUERIES)),
+        "references": tuple(drawn_frame(place_colour(place)) for place in range(N_PLACES)),
+    }
+    return Thumbnails(**{**drawn, **changes})
+
+
+def journey_section(title: str = "Journey", thumbnails: Thumbnails | None = None) -> Section:
+    return Section(
+        title,
+        (
+            Series("SAD", False, (journey_run(SAD_WRONG, notes=("noisy: two carts passed",)),)),
+            Series("VPRTempo", True, (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
+        ),
+        thumbnails,
+    )
+
+
+TABLE = """<div class="scroll" tabindex="0" role="region" aria-label="Table II">
+<table class="results"><caption><b>Table II.</b> Measured here, and printed in the paper.</caption>
+<thead><tr><th scope="col" rowspan="2">method</th><th scope="colgroup" colspan="3">Journey<br>
+<small>60 places; 50 queries</small></th></tr>
+<tr><th scope="col">R@1 %</th><th scope="col">train CPU min</th><th scope="col">query CPU Hz</th></tr></thead>
+<tbody><tr><th scope="row">SAD</th><td class="measured">88.0 [76.2, 94.4]</td><td class="absent">-</td>
+<td class="measured"><span class="best">666</span> (580)</td></tr>
+<tr><th scope="row">paper</th><td><span class="published">48</span> <span class="difference">(+40.0)</span></td>
+<td class="quoted">15,120</td><td>none</td></tr></tbody></table>
+</div>
+<ol class="notes"><li>Other hardware.</li></ol>
+<p class="legend">Bold: a test separates it from every other row measured here.</p>
+"""
+
+
+def made_up_page(sections: Sequence[Section] | None = None) -> str:
+    """Return a whole report."""
+    figure = Picture("speed", "How long a query takes, on Abacus 9.", drawn_figure())
+    given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
+    return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")
+
+
+def hostile_section() -> Section:
+    """Return a section where every name that comes from outside tries to be markup."""
+    run = journey_run(SAD_WRONG, notes=(HOSTILE,), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE})
+    names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
+    return Section(HOSTILE, (Series(HOSTILE, False, (run,)),), journey_thumbnails(**names))

@@ -1,0 +1,78 @@
+"""A plan of a table and figures small enough for tests, and its runs made inside the test's own process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from vprbench import cli, fill, paper
+from vprbench.plan import read_plan
+from vprbench.sweep import IN_SWEEP
+
+PLAN = """
+rows:
+  SAD: {method: sad, boundary: match, training: none}
+  PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}
+  Nobody: {method: no_such_method, boundary: match, training: own}
+  VPRTempo: {method: vprtempo, boundary: match, training: own, spiking: true, seeds: [0, 1],
+             arguments: {height: 12, width: 12, epochs: 1}}
+more_rows:
+  big_patches: {name: SAD (big patches), method: sad, arguments: {patch: 9}, training: none}
+columns:
+  nordland: {title: Nordland, published: Nordland, options: [dataset=nordland]}
+  route:
+    title: Route
+    published: Nordland
+    stand_in_for: nordland
+    options: [dataset=synthetic, dataset.places=20, dataset.first_query_place=4]
+    smaller: route_12
+    fits: {vprtempo: {max_module: 10}}
+  route_12:
+    title: Route, 12 places
+    options: [dataset=synthetic, dataset.places=12, dataset.first_query_place=2]
+    fits: {vprtempo: {max_module: 12}}
+growth:
+  rows: [SAD]
+  options: [dataset=synthetic]
+  sizes: [10, 12, 14, 16]
+  queries: 6
+  at_most: {}
+"""
+RUN = [
+    "timing.minimum_seconds=0",
+    "timing.sample=4",
+    "timing.minimum_queries=4",
+    "timing.batch_sizes=[1,4]",
+    "threads=1",
+]
+
+
+class Apart:
+    """Stands in for processes of their own: the same command line, run here; remembers what was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[list[str]] = []
+
+    def __call__(self, options: Sequence[str], stdout: int | None = None) -> subprocess.CompletedProcess[str]:
+        self.asked.append(list(options))
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            code = cli.main(options)
+        return subprocess.CompletedProcess(list(options), code, printed.getvalue())
+
+
+def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> Apart:
+    """Let tables and figures follow `plan`, in `folder`; returns what stands in for processes."""
+    path = folder / "plan.yaml"
+    path.write_text(plan, encoding="utf-8")
+    apart = Apart()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv(IN_SWEEP, "1")
+    monkeypatch.setattr(fill, "run_apart", apart)
+    monkeypatch.setattr(paper, "read_plan", lambda _: read_plan(path))
+    return apart

@@ -1,0 +1,113 @@
+"""Made-up runs, failures and a plan for what is made of stored runs; every number in them is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import little
+import numpy as np
+
+from vprbench.belonging import ColumnAsked
+from vprbench.plan import Growth, Plan, PlannedColumn, Row
+from vprbench.ranking import Outcome
+from vprbench.records import Failure, Run
+
+RAILWAY = {"name": "railway", "places": 10, "seed": 0}
+STREET = {"name": "street", "root": "/here/street", "source": "a shelf"}
+
+SAD = Row("SAD", "sad", boundary="match", training="none")
+NETVLAD = Row("NetVLAD", "netvlad", boundary="encode", training="pretrained", most_places=5)
+VPRSNN = Row("VPRSNN", "vprsnn", spiking=True)
+VPRTEMPO = Row("VPRTempo", "vprtempo", spiking=True, seeds=(0, 1, 2))
+PUBLIC = Row("VPRTempo (public code)", "vprtempo", spiking=True, arguments={"rules": "reference"})
+
+NORDLAND = PlannedColumn("nordland", "Nordland", ("dataset=nordland",), "Nordland")
+PLANNED = PlannedColumn("railway", "Railway (rendered)", ("dataset=railway",), "Nordland", stand_in_for="nordland")
+CITY = PlannedColumn("street", "City street", ("dataset=street",), None, fits={"vprtempo": {"max_module": 450}})
+
+PLAN = Plan(
+    {row.name: row for row in (SAD, NETVLAD, VPRSNN, VPRTEMPO)},
+    {"vprtempo_public": PUBLIC},
+    {column.name: column for column in (NORDLAND, PLANNED, CITY)},
+    Growth(("VPRTempo",), ("dataset=railway",), (10,), 8, {}),
+)
+ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
+
+RAIL = ColumnAsked(PLANNED, RAILWAY)
+TOWN = ColumnAsked(CITY, STREET)
+
+ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
+LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}
+
+
+def answers(hits: Sequence[int], n_places: int = 10) -> Outcome:
+    """Return answers whose best place is right where `hits` is 1; where it is 0 the right place stands second."""
+    right = np.array(hits, np.int64)
+    ones = np.ones(len(right), np.int64)
+    return Outcome(np.full(len(right), 0.5, np.float32), ones, right, 1 - right, ones, ones, ones, n_places)
+
+
+def run(
+    method: str = "sad",
+    seed: int = 0,
+    hits: Sequence[int] = (1, 1, 0, 0),
+    *,
+    device: str = "cpu",
+    day: str = "2025-03-01",
+    changed: Mapping[str, Any] | None = None,
+    dataset: Mapping[str, Any] = RAILWAY,
+    machine: Mapping[str, Any] | None = None,
+    encode_seconds: Sequence[float] = (0.010,) * 5,
+    match_seconds: Sequence[float] = (0.0025,) * 5,
+    n_places: int = 10,
+    notes: tuple[str, ...] = (),
+    config: Mapping[str, Any] | None = None,
+    **changes: Any,
+) -> Run:
+    """Return an undisturbed run; encoding takes 10 ms and matching 2.5 ms, fitting 12.34 s."""
+    timing = replace(little.a_run().timing, streaming=little.laps(encode_seconds, match_seconds))
+    protocol = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 0, "places": n_places}
+    made = little.a_run(
+        method=method,
+        dataset=str(dataset["name"]),
+        key=f"{method}-{seed}-{device}-{day}",
+        config={
+            "method": {
+                "_target_": f"made.{method}",
+                "rules": "paper",
+                "max_module": 1100,
+                **(changed or {}),
+                "seed": seed,
+            },
+            "dataset": dict(dataset),
+            "seed": seed,
+            "device": device,
+            "overrides": [f"method={method}", *(f"method.{name}={value}" for name, value in (changed or {}).items())],
+            "changed": dict(changed or {}),
+            "code": "c0de",
+            "timing": {"minimum_seconds": 2.0},
+            **(config or {}),
+        },
+        protocol=protocol,
+        environment={**(machine or (LOOM if device == "cuda" else ABACUS)), "time_utc": f"{day}T12:00:00Z"},
+        notes=notes,
+        search=None,
+        timing=timing,
+        outcome=answers(hits, n_places),
+    )
+    return replace(made, **changes)
+
+
+def older(stored: Run) -> Run:
+    """Return a run as a record of an earlier layout holds it."""
+    config = {name: value for name, value in stored.config.items() if name not in ("changed", "code", "timing")}
+    return replace(stored, config=config)
+
+
+def failure(method: str = "sad", seed: int = 0, error: str = "out of thread", **changes: Any) -> Failure:
+    """Return the failure of such a run, of the next day."""
+    day, missing = changes.pop("day", "2025-03-02"), changes.pop("missing", False)
+    given = run(method, seed, **changes)
+    return Failure(method, given.dataset, given.config, error, {"time_utc": f"{day}T12:00:00Z"}, missing)

@@ -1,0 +1,243 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import little
+import numpy as np
+import pytest
+from figure_runs import five_rows, run, series
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
+from vprbench.figures.style import Drawn, pdf
+from vprbench.interface import BadInput
+from vprbench.ranking import outcome
+from vprbench.records import Run
+
+ALL = (precision_recall, recall_at_n, recall_at_tolerance)
+
+
+def panel(drawn: Drawn) -> Axes:
+    (axes,) = drawn.figure.axes
+    return axes
+
+
+def named_lines(drawn: Drawn) -> list[Line2D]:
+    """The lines that the legend names."""
+    return [line for line in panel(drawn).lines if not str(line.get_label()).startswith("_")]
+
+
+def points(line: Line2D) -> list[tuple[float, float]]:
+    return list(zip(np.asarray(line.get_xdata()).tolist(), np.asarray(line.get_ydata()).tolist(), strict=True))
+
+
+def band(drawn: Drawn, number: int = 0) -> dict[float, tuple[float, float]]:
+    """The lowest and highest edge of a band, by x."""
+    vertices = panel(drawn).collections[number].get_paths()[0].vertices
+    edges: dict[float, list[float]] = {}
+    for x, y in np.asarray(vertices).tolist():
+        edges.setdefault(x, []).append(y)
+    return {x: (min(ys), max(ys)) for x, ys in edges.items()}
+
+
+def answers(best: list[float], right: list[bool], **changes: Any) -> Run:
+    """A run over ten places whose best match of each query scores so much and is right or not."""
+    scores = np.zeros((len(best), 10), np.float32)
+    for query, (score, hit) in enumerate(zip(best, right, strict=True)):
+        scores[query, 0 if hit else 5] = score
+    positives = tuple(np.array([0]) for _ in best)
+    order = np.argsort(-scores, axis=1, kind="stable")
+    changes = {"positives": positives, "outcome": outcome(scores, positives), "scores": scores} | changes
+    return little.a_run(top_places=order, top_scores=np.take_along_axis(scores, order, 1), **changes)
+
+
+def without_right_places(a_run: Run) -> Run:
+    n_queries, n_places = len(a_run.outcome), a_run.outcome.n_places
+    empty = (np.empty(0, np.int64),) * n_queries
+    return replace(a_run, positives=empty, outcome=outcome(np.ones((n_queries, n_places), np.float32), empty))
+
+
+# little.a_run() answers right, right, wrong, wrong with falling scores; its right places stand 1st, 1st, 3rd and 8th of
+# ten, and its wrong answers lie 7 and 4 places from them.
+
+
+def test_precision_and_recall_of_four_queries_are_those_worked_by_hand() -> None:
+    (line,) = named_lines(precision_recall([series("SAD", little.a_run())]))
+    assert points(line) == [
+        (0, 1),
+        (0.25, 1),
+        (0.5, 1),
+        (0.5, pytest.approx(2 / 3)),
+        (0.5, 0.5),
+    ]
+    assert line.get_label() == "SAD, AP 0.500"
+
+
+def test_the_area_under_the_drawn_steps_is_the_average_precision_of_the_legend() -> None:
+    for line in named_lines(precision_recall(five_rows(seeds=[0]))):
+        recall, precision = np.array(points(line)).T
+        assert line.get_drawstyle() == "steps-pre"  # a step has the height of its right end
+        area = sum((recall[i] - recall[i - 1]) * precision[i] for i in range(1, len(recall)))
+        assert str(line.get_label()).endswith(f", AP {area:.3f}")
+
+
+def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach() -> None:
+    first = answers([0.9, 0.8, 0.7, 0.6], [True, True, False, True])  # precision 1, 1, 3/4 at recall 1/4, 1/2, 3/4
+    second = answers([0.9, 0.8, 0.7, 0.6], [False, True, True, False])  # precision 1/2, 2/3 at recall 1/4, 1/2
+    drawn = precision_recall([series("VPRTempo", first, second)])
+    (mean,) = named_lines(drawn)
+    assert points(mean) == [(0, 1), (0.25, pytest.approx(3 / 4)), (0.5, pytest.approx(5 / 6))]
+    thin = [line for line in panel(drawn).lines if line is not mean]
+    assert [points(line)[-1] for line in thin] == [(0.75, 0.75), (0.5, 0.5)]
+    # AP (1 + 1 + 3/4) / 4 = 0.6875 and (1/2 + 2/3) / 4 = 0.2917: mean 0.4896, standard deviation 0.2799
+    assert mean.get_label() == "VPRTempo, AP 0.490 ± 0.280"
+
+
+def test_several_seeds_have_no_band_of_queries_and_the_caption_says_what_the_lines_are() -> None:
+    drawn = precision_recall([series("VPRTempo", run(seed=0), run(seed=1))])
+    assert len(panel(drawn).collections) == 0
+    assert "VPRTempo (2 seeds): thin lines are the seeds" in drawn.caption
+    assert "bootstrap" not in drawn.caption
+
+
+def test_a_run_without_an_error_has_a_band_of_no_width_up_to_the_end() -> None:
+    edges = band(precision_recall([series("SAD", answers([0.9 - 0.01 * i for i in range(40)], [True] * 40))]))
+    assert max(edges) == 1
+    assert set(edges.values()) == {(1, 1)}
+
+
+def test_the_band_of_one_run_holds_its_curve_and_ends_before_it() -> None:
+    """The share of right answers is 60 % of 400 queries: some resamples have fewer."""
+    drawn = precision_recall([series("SAD", run("sad", share=0.6, n_queries=400))])
+    (line,) = named_lines(drawn)
+    recall, precision = np.array(points(line)).T
+    edges = band(drawn)
+    assert 0.5 < max(edges) < recall[-1] == pytest.approx(0.6)
+    for x, (low, high) in edges.items():
+        assert low - 1e-9 <= precision[np.argmax(recall >= x - 1e-12)] <= high + 1e-9
+
+
+@pytest.mark.parametrize("n_queries", [800, 3200])
+def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiting_times(n_queries: int) -> None:
+    """At every score one answer in two is right.
+
+    Then 2 r n answers, plus or minus the root of 2 r n, have to be given until r n are right (negative binomial), and
+    precision varies by 0.5 / root(2 r n).
+    """
+    random = np.random.default_rng(0)
+    made = answers(random.random(n_queries).tolist(), (random.random(n_queries) < 0.5).tolist())
+    edges = band(precision_recall([series("SAD", made)]))
+    ratios = [(high - low) / (0.5 / (2 * x * n_queries) ** 0.5) for x, (low, high) in edges.items() if 0.1 < x < 0.4]
+    assert np.mean(ratios) == pytest.approx(2 * 1.96, rel=0.12)
+
+
+def test_too_few_answerable_queries_for_a_band_still_give_the_curve() -> None:
+    made = answers([0.9 - 0.001 * i for i in range(100)], [True] + [False] * 99)
+    positives = (made.positives[0], *(np.empty(0, np.int64),) * 99)
+    assert made.scores is not None
+    made = replace(made, positives=positives, outcome=outcome(made.scores, positives))
+    drawn = precision_recall([series("SAD", made)])
+    assert points(named_lines(drawn)[0])[1] == (1, 1)
+    assert "99 queries have no right place." in drawn.caption
+
+
+def test_recall_at_n_is_that_worked_by_hand_in_percent_with_wilsons_interval() -> None:
+    drawn = recall_at_n([series("SAD", little.a_run())])
+    (line,) = named_lines(drawn)
+    assert points(line) == list(zip(range(1, 11), [50, 50, 75, 75, 75, 75, 75, 100, 100, 100], strict=True))
+    edges = band(drawn)
+    assert edges[1] == pytest.approx((15.00, 85.00), abs=0.01)  # Wilson's interval of 2 of 4
+    assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
+
+
+def test_recall_at_n_goes_from_1_to_25_and_counts_ties_by_their_expected_value() -> None:
+    """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
+    flat = np.zeros((8, 50), np.float32)
+    positives = tuple(np.array([query]) for query in range(8))
+    made = run("sad", n_queries=8, outcome=outcome(flat, positives))
+    (line,) = named_lines(recall_at_n([series("SAD", made)]))
+    assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
+
+
+@pytest.mark.parametrize("draw", [recall_at_n, recall_at_tolerance])
+def test_several_seeds_are_their_mean_and_a_band_of_one_standard_deviation(draw: Any) -> None:
+    shares = (0.25, 0.5, 0.6)
+    drawn = draw([series("VPRTempo", *(run(share=share, seed=seed) for seed, share in enumerate(shares)))])
+    x, y = points(named_lines(drawn)[0])[0]
+    assert y == pytest.approx(45)
+    deviation = 100 * (sum((share - 0.45) ** 2 for share in shares) / 2) ** 0.5
+    assert band(drawn)[x] == pytest.approx((45 - deviation, 45 + deviation))
+    assert "VPRTempo (3 seeds): the line is the mean" in drawn.caption
+    assert "Wilson" not in drawn.caption
+
+
+def test_recall_against_tolerance_is_that_worked_by_hand() -> None:
+    (line,) = named_lines(recall_at_tolerance([series("SAD", little.a_run())]))
+    assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
+
+
+def test_the_caption_names_rows_of_which_more_places_tie_than_are_stored() -> None:
+    coarse = little.a_run(outcome=replace(little.a_run().outcome, top_tied=np.array([1, 3, 1, 1])))
+    drawn = recall_at_tolerance([series("SAD", little.a_run()), series("GCL", coarse)])
+    assert "Of GCL, more places tie than are stored" in drawn.caption
+    assert "more places tie" not in recall_at_tolerance([series("SAD", little.a_run())]).caption
+
+
+def test_the_caption_says_which_tolerance_the_dataset_has_already() -> None:
+    wide = little.a_run(protocol={"tolerance_places": 2})
+    assert "(the dataset itself allows 2)" in recall_at_tolerance([series("SAD", wide)]).caption
+    assert "itself allows" not in recall_at_tolerance([series("SAD", little.a_run())]).caption
+
+
+@pytest.mark.parametrize("draw", ALL)
+def test_captions_name_the_dataset_its_queries_places_and_the_interval(draw: Any) -> None:
+    text = draw(five_rows()).caption
+    assert "Dataset railway (360 queries, 450 places)." in text
+    assert "95 % interval" in text
+    assert "VPRTempo (3 seeds)" in text
+    assert "no right place" not in text
+    assert re.search(r"  |\.\.|None", text) is None
+
+
+@pytest.mark.parametrize("draw", ALL)
+def test_rows_differ_in_more_than_colour_and_stand_in_the_legend_in_their_order(draw: Any) -> None:
+    drawn = draw(five_rows())
+    lines = named_lines(drawn)
+    (legend,) = drawn.figure.legends
+    written = [text.get_text().split(",")[0] for text in legend.get_texts()]
+    assert written == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
+    assert len({line.get_marker() for line in lines}) == 5
+    assert len({str(line._unscaled_dash_pattern) for line in lines}) == 5  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("draw", ALL)
+def test_every_point_and_band_lies_within_the_axes(draw: Any) -> None:
+    drawn = draw([series("SAD", run("sad", share=0.02)), series("GCL", run("gcl", share=1.0))])
+    low, high = panel(drawn).get_ylim()
+    for line in named_lines(drawn):
+        assert all(low <= y <= high for _, y in points(line))
+    for number in range(2):
+        assert all(low <= y <= high for edges in band(drawn, number).values() for y in edges)
+
+
+@pytest.mark.parametrize("draw", ALL)
+def test_what_cannot_be_drawn_is_refused_with_a_reason(draw: Any) -> None:
+    with pytest.raises(BadInput, match="no stored runs"):
+        draw([])
+    with pytest.raises(BadInput, match="no query of dataset journey has a right place"):
+        draw([series("SAD", without_right_places(little.a_run()))])
+
+
+@pytest.mark.parametrize("draw", ALL)
+@pytest.mark.parametrize("other", [{"fingerprint": "e" * 64}, {"protocol": {"tolerance_places": 1}}])
+def test_runs_on_other_images_or_of_another_protocol_are_never_one_figure(draw: Any, other: dict[str, Any]) -> None:
+    with pytest.raises(BadInput, match="different data"):
+        draw([series("SAD", little.a_run()), series("GCL", little.a_run(**other))])
+
+
+def test_the_same_runs_give_the_same_bytes() -> None:
+    rows = five_rows(n_places=50)
+    assert pdf(precision_recall(rows)) == pdf(precision_recall(rows))

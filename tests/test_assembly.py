@@ -1,0 +1,411 @@
+"""Cells say what was measured, what was printed and why they differ, or which word stands for nothing."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from stored_runs import (
+    ABACUS,
+    NETVLAD,
+    PLAN,
+    PUBLIC,
+    RAIL,
+    ROWS,
+    SAD,
+    STREET,
+    TOWN,
+    VPRSNN,
+    VPRTEMPO,
+    failure,
+    older,
+    run,
+)
+
+from vprbench.assembly import assemble
+from vprbench.belonging import ColumnAsked, groups
+from vprbench.cells import Cell, Measured, Table
+from vprbench.plan import QUANTITIES, Quantity, Row
+from vprbench.records import Failure, Run
+
+approx = pytest.approx
+
+
+def table(
+    runs: Sequence[Run] = (),
+    failures: Sequence[Failure] = (),
+    rows: Sequence[Row] = ROWS,
+    asked: Sequence[ColumnAsked] = (RAIL,),
+    left_out: Mapping[tuple[str, str], str] | None = None,
+) -> Table:
+    return assemble(groups(runs, failures, asked, rows), rows, PLAN, left_out or {})
+
+
+def cell(made: Table, row: str, quantity: Quantity, column: str = "railway") -> Cell:
+    return next(each for each in made.rows if each.name == row).cells[column, quantity]
+
+
+def measured(made: Table, row: str, quantity: Quantity, column: str = "railway") -> Measured:
+    found = cell(made, row, quantity, column).measured
+    assert found is not None
+    return found
+
+
+def reasons(made: Table, row: str, quantity: Quantity) -> list[str]:
+    return [made.notes[number - 1] for number in cell(made, row, quantity).notes]
+
+
+def tempo(seed: int = 0, **changes: Any) -> Run:
+    return run("vprtempo", seed, **changes)
+
+
+def absences(made: Table, row: str) -> list[str]:
+    return [cell(made, row, quantity).mark for quantity in QUANTITIES]
+
+
+def test_the_numbers_of_a_single_run_are_those_worked_by_hand() -> None:
+    # 2 of 4 right; Wilson 95 %: [0.1500, 0.8500]; 2.5 ms to match, 12.5 ms with encoding
+    made = table([run()], rows=[SAD])
+    recall = measured(made, "SAD", "recall_at_1")
+    assert (recall.value, recall.spread, recall.total, recall.seeds) == (50.0, None, None, (0,))
+    assert (recall.low, recall.high) == (approx(15.00, abs=0.005), approx(85.00, abs=0.005))
+    query = measured(made, "SAD", "query_cpu")
+    assert (query.value, query.total, query.low) == (approx(400), approx(80), None)
+    assert cell(made, "SAD", "recall_at_1").difference == approx(50 - 48)
+    assert cell(made, "SAD", "query_cpu").difference == approx(400 - 10)
+
+
+def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes() -> None:
+    # R@1 75, 50 and 25 %: mean 50, sample deviation 25; rates 400, 200 and 100 Hz; 1, 2 and 9 minutes
+    runs = [
+        tempo(0, hits=[1, 1, 1, 0], match_seconds=[0.0025] * 5, fit_seconds=60),
+        tempo(1, hits=[1, 1, 0, 0], match_seconds=[0.005] * 5, fit_seconds=540),
+        tempo(2, hits=[1, 0, 0, 0], match_seconds=[0.010] * 5, fit_seconds=120),
+    ]
+    made = table(runs, rows=[VPRTEMPO])
+    recall = measured(made, "VPRTempo", "recall_at_1")
+    assert (recall.value, recall.spread, recall.low, recall.high) == (approx(50), approx(25), None, None)
+    assert recall.seeds == (0, 1, 2)
+    query = measured(made, "VPRTempo", "query_cpu")
+    assert (query.value, query.spread) == (approx(700 / 3), approx(152.7525, abs=1e-3))
+    assert query.total == approx((1 / 0.0125 + 1 / 0.015 + 1 / 0.020) / 3)
+    train = measured(made, "VPRTempo", "train_cpu")
+    assert (train.value, train.spread) == (approx(2), approx(19**0.5))
+    assert cell(made, "VPRTempo", "train_cpu").difference == approx(2 - 60)
+    assert "VPRTempo: seeds 0, 1 and 2; of R@1 and rates the mean, of minutes the median." in made.caption
+
+
+def test_a_rate_is_that_of_the_step_which_the_paper_timed() -> None:
+    made = table([run("netvlad"), run("vprsnn")], rows=[NETVLAD, VPRSNN])
+    assert measured(made, "NetVLAD", "query_cpu").value == approx(100)  # 10 ms to encode
+    assert measured(made, "VPRSNN", "query_cpu").value == approx(400)  # 2.5 ms to match
+
+
+def test_an_empty_store_shows_words_in_every_cell() -> None:
+    made = table()
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries, column.stand_in_for) == (None, None, "Nordland")
+    assert absences(made, "SAD") == ["unfinished", "not applicable", "unfinished", "not applicable", "not run"]
+    assert absences(made, "VPRTempo") == ["unfinished", "unfinished", "unfinished", "not run", "not run"]
+    assert reasons(made, "VPRTempo", "recall_at_1") == ["0 of 3 seeds are stored"]
+    assert reasons(made, "SAD", "recall_at_1") == ["0 of 1 seed is stored"]
+    assert reasons(made, "VPRTempo", "query_gpu") == ["no run of this row on a GPU is stored"]
+    assert made.machines == ()
+
+
+def test_published_numbers_stand_in_every_row_of_the_paper_whether_measured_or_not() -> None:
+    made = table([run()])
+    assert [cell(made, "VPRTempo", quantity).published for quantity in QUANTITIES] == [56, 60, 353, 1, 1634]
+    assert [cell(made, "VPRSNN", quantity).published_mark for quantity in QUANTITIES] == [
+        "measured",
+        "measured",
+        "measured",
+        "not applicable",
+        "not applicable",
+    ]
+    assert [cell(made, "VPRTempo", quantity).difference for quantity in QUANTITIES] == [None] * 5
+
+
+def test_what_the_paper_does_not_have_has_no_published_number() -> None:
+    made = table([run(dataset=STREET)], rows=[SAD, PUBLIC], asked=[RAIL, TOWN])
+    found = cell(made, "SAD", "recall_at_1", "street")
+    assert (found.published, found.published_mark, found.difference) == (None, "none", None)
+    assert cell(made, PUBLIC.name, "recall_at_1").published_mark == "none"
+
+
+def test_sad_has_no_training_here_or_in_the_paper() -> None:
+    made = table([run()], rows=[SAD])
+    found = cell(made, "SAD", "train_cpu")
+    assert (found.mark, found.published_mark, found.measured, found.notes) == ("not applicable",) * 2 + (None, ())
+
+
+@pytest.mark.parametrize("runs", [[], [run("netvlad")]])
+def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs: list[Run]) -> None:
+    made = table(runs, [failure("netvlad", missing=True)], rows=[NETVLAD], asked=[RAIL, TOWN])
+    found = cell(made, "NetVLAD", "train_gpu")
+    assert (found.mark, found.quoted, found.published, found.published_mark) == ("quoted", 15120, 15120, "quoted")
+    assert found.difference is None
+    elsewhere = cell(made, "NetVLAD", "train_cpu", "street")
+    assert (elsewhere.mark, elsewhere.quoted, elsewhere.published, elsewhere.published_mark) == (
+        "quoted",
+        15120,
+        None,
+        "none",
+    )
+
+
+def test_a_pretrained_row_without_a_published_time_quotes_none() -> None:
+    made = table([], rows=[replace(NETVLAD, name="MegaLoc")])
+    assert absences(made, "MegaLoc")[1] == "not applicable"
+    assert "not published" in reasons(made, "MegaLoc", "train_cpu")[0]
+
+
+def test_what_is_missing_is_told_in_a_sentence() -> None:
+    lost = failure("vprsnn", error="there is no method vprsnn here yet; write one", missing=True)
+    made = table([], [lost], rows=[VPRSNN])
+    assert absences(made, "VPRSNN") == ["not there", "not there", "not there", "not run", "not run"]
+    assert reasons(made, "VPRSNN", "recall_at_1") == ["there is no method vprsnn here yet"]
+
+
+def test_a_failed_row_shows_its_error_cut_between_words() -> None:
+    made = table([], [failure(error="MemoryError: " + "thread " * 40)], rows=[SAD])
+    assert absences(made, "SAD")[0] == "failed"
+    (reason,) = reasons(made, "SAD", "recall_at_1")
+    assert reason.startswith("MemoryError: thread thread")
+    assert reason.endswith("thread…")
+    assert len(reason) <= 120
+
+
+def test_an_error_says_more_than_what_is_missing() -> None:
+    made = table([], [failure("vprtempo", 0, "lost", missing=True), failure("vprtempo", 1, "broke")], rows=[VPRTEMPO])
+    assert (absences(made, "VPRTempo")[0], reasons(made, "VPRTempo", "recall_at_1")) == ("failed", ["broke"])
+
+
+def test_a_row_that_takes_too_long_says_where_it_stands() -> None:
+    left_out = {("railway", "NetVLAD"): "it stands under Railway, 450 places"}
+    made = table([run()], rows=[SAD, NETVLAD], left_out=left_out)
+    assert absences(made, "NetVLAD") == ["left out", "quoted", "left out", "quoted", "not run"]
+    assert reasons(made, "NetVLAD", "query_cpu") == [left_out["railway", "NetVLAD"]]
+    assert reasons(made, "NetVLAD", "query_gpu") == ["no run of this row on a GPU is stored"]
+    stored = table([run(), run("netvlad")], rows=[SAD, NETVLAD], left_out=left_out)
+    assert absences(stored, "NetVLAD")[0] == "measured"
+
+
+def test_an_unfinished_row_shows_what_there_is_and_what_failed() -> None:
+    made = table([tempo(0), tempo(1)], [failure("vprtempo", 2, "it diverged")], rows=[VPRTEMPO])
+    found = cell(made, "VPRTempo", "recall_at_1")
+    assert (found.mark, measured(made, "VPRTempo", "recall_at_1").seeds) == ("unfinished", (0, 1))
+    assert "2 of 3 seeds are stored; seed 2 failed: it diverged" in reasons(made, "VPRTempo", "recall_at_1")
+    assert not any("failed" in sentence for sentence in made.caption)
+
+
+def test_a_seed_that_failed_after_it_was_stored_is_named_in_the_caption() -> None:
+    runs = [tempo(seed) for seed in (0, 1, 2)]
+    made = table(runs, [failure("vprtempo", 1, "it diverged", day="2025-04-01")], rows=[VPRTEMPO])
+    assert absences(made, "VPRTempo")[0] == "measured"
+    assert "VPRTempo, Railway (rendered), CPU: seed 1 failed since: it diverged." in made.caption
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"network": "5a" * 32, "fit_seconds": None}, "no training time: a stored network was loaded"),
+        ({"fit_seconds": None}, "no training time: descriptors of an earlier run were used"),
+    ],
+)
+def test_what_was_loaded_or_kept_is_no_training(changes: dict[str, Any], words: str) -> None:
+    made = table([run("vprsnn", **changes)], rows=[VPRSNN])
+    assert absences(made, "VPRSNN")[:3] == ["measured", "not run", "measured"]
+    assert reasons(made, "VPRSNN", "train_cpu") == [words]
+
+
+def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest() -> None:
+    hog = PLAN.row("hog")
+    made = table([run("hog", fit_seconds=6), run("vprsnn", fit_seconds=600)], rows=[hog, VPRSNN])
+    assert measured(made, "hog", "train_cpu").value == approx(0.1)
+    assert reasons(made, "hog", "train_cpu") == ["the time to build the map from the references"]
+    assert not measured(made, "hog", "train_cpu").best
+
+
+def test_a_row_on_request_trains() -> None:
+    made = table([tempo(changed={"rules": "reference"}, fit_seconds=60)], rows=[PUBLIC])
+    assert measured(made, PUBLIC.name, "train_cpu").value == approx(1)
+    assert reasons(made, PUBLIC.name, "train_cpu") == []
+
+
+def test_recall_that_hangs_on_ties_says_between_what() -> None:
+    # the right place shares the highest score with a wrong one for two of four queries
+    two = np.array([1, 1, 2, 2])
+    tied = replace(run(hits=[1, 0, 1, 1]).outcome, top_tied=two, tied=two)
+    made = table([run(outcome=tied)], rows=[SAD])
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)
+    assert any("R@1 is 25.0 to 75.0 %" in reason for reason in reasons(made, "SAD", "recall_at_1"))
+
+
+def test_recall_without_a_right_place_is_not_applicable() -> None:
+    nothing = np.zeros(4, np.int64)
+    undefined = replace(run().outcome, above=nothing + 10, tied=nothing, tied_correct=nothing, n_positives=nothing)
+    made = table([run(outcome=undefined)], rows=[SAD])
+    assert absences(made, "SAD")[0] == "not applicable"
+    assert reasons(made, "SAD", "recall_at_1") == ["no query has a right place"]
+    assert absences(made, "SAD")[2] == "measured"
+
+
+def test_notes_of_a_run_stand_with_the_numbers_that_they_are_about() -> None:
+    notes = ("caching: images seen before are answered faster", "index hnsw: 98.4 % found", "noisy: carts")
+    made = table([run(notes=notes)], rows=[SAD])
+    assert notes[0] in reasons(made, "SAD", "query_cpu")
+    assert notes[1] in reasons(made, "SAD", "recall_at_1")
+    assert notes[0] not in reasons(made, "SAD", "recall_at_1")
+    assert notes[2] not in made.notes
+
+
+def test_times_of_a_busy_machine_are_marked_and_recall_is_not() -> None:
+    made = table([tempo(0), tempo(1, notes=("noisy: carts",)), tempo(2)], rows=[VPRTEMPO])
+    marked = [measured(made, "VPRTempo", quantity).disturbed for quantity in QUANTITIES[:3]]
+    assert marked == [False, True, True]
+    assert any("tilde" in sentence for sentence in made.caption)
+    assert not any("tilde" in sentence for sentence in table([run()]).caption)
+
+
+def test_stores_of_a_cpu_and_of_a_gpu_fill_their_columns_and_name_their_machines() -> None:
+    runs = [run(), run(device="cuda", match_seconds=[0.001] * 5, day="2025-03-09", hits=[1, 0, 0, 0])]
+    made = table(runs, rows=[SAD])
+    assert measured(made, "SAD", "query_cpu").value == approx(400)
+    assert measured(made, "SAD", "query_gpu").value == approx(1000)
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)  # of the CPU
+    assert [made.machines[measured(made, "SAD", quantity).machine] for quantity in ("query_cpu", "query_gpu")] == [
+        "Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-03-01",
+        "Loom 3, 1 of 8 cores, Spindle 80GB, torch 2.6.0, 2025-03-09",
+    ]
+
+
+def test_a_row_that_ran_on_a_gpu_alone_has_recall_from_there() -> None:
+    made = table([run(device="cuda")], rows=[SAD])
+    assert absences(made, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
+    assert reasons(made, "SAD", "query_cpu") == ["no run of this row on a CPU is stored"]
+
+
+def test_one_machine_on_two_days_is_one_machine_of_the_last_day() -> None:
+    made = table([run(day="2025-03-04"), run("vprsnn", day="2025-03-01")])
+    assert made.machines == ("Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-03-04",)
+
+
+def test_two_machines_in_one_column_are_told_apart_and_make_no_best_time() -> None:
+    other = {**ABACUS, "processor": "Loom 3"}
+    runs = [run("vprsnn", fit_seconds=600), *(tempo(seed, fit_seconds=6, machine=other) for seed in (0, 1, 2))]
+    made = table(runs)
+    assert measured(made, "VPRSNN", "train_cpu").machine != measured(made, "VPRTempo", "train_cpu").machine
+    assert not measured(made, "VPRTempo", "train_cpu").best
+
+
+def test_the_best_is_bold_where_tests_separate_it_from_all_others() -> None:
+    all_right, none_right = [1] * 60, [0] * 60
+    runs = [
+        run(hits=none_right, match_seconds=[0.020, 0.021, 0.022, 0.023, 0.024]),
+        *(
+            tempo(seed, hits=all_right, match_seconds=[0.0010, 0.0011, 0.0012, 0.0013, 0.0014], fit_seconds=60)
+            for seed in (0, 1, 2)
+        ),
+        run("vprsnn", hits=none_right, match_seconds=[0.021, 0.022, 0.023, 0.024, 0.025], fit_seconds=600),
+    ]
+    made = table(runs)
+    bold = {
+        (row.name, quantity)
+        for row in made.rows
+        for (_, quantity), found in row.cells.items()
+        if found.measured is not None and found.measured.best
+    }
+    assert bold == {("VPRTempo", "recall_at_1"), ("VPRTempo", "train_cpu"), ("VPRTempo", "query_cpu")}
+    assert any(sentence.startswith("Bold R@1") for sentence in made.caption)
+    assert not any(sentence.startswith("Bold R@1") for sentence in table([run()]).caption)
+
+
+def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart() -> None:
+    old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
+    made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
+    assert [(column.name, column.title) for column in made.columns] == [
+        ("railway", "Railway (rendered), renderer 2"),
+        ("railway-2", "Railway (rendered), renderer 1"),
+    ]
+    assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
+    assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
+
+
+def test_two_versions_of_the_images_are_two_columns() -> None:
+    made = table([run(day="2025-01-01"), run(fingerprint="0123456789" * 6)], rows=[SAD])
+    assert [column.title for column in made.columns] == [
+        "Railway (rendered), images 01234567",
+        "Railway (rendered), images ffffffff",
+    ]
+
+
+def test_an_older_record_is_set_aside_by_name() -> None:
+    made = table([run(), older(run(day="2025-01-01", hits=[1, 1, 1, 1]))], rows=[SAD])
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)
+    (sentence,) = [sentence for sentence in made.caption if sentence.startswith("Set aside")]
+    assert sentence.startswith("Set aside: SAD, Railway (rendered), CPU: seed 0 of 2025-01-01: an older record")
+
+
+def test_an_older_record_alone_is_shown() -> None:
+    assert absences(table([older(run())], rows=[SAD]), "SAD")[0] == "measured"
+
+
+def test_a_column_says_what_was_asked_and_what_it_stands_in_for() -> None:
+    made = table([run()])
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries) == (10, 4)
+    assert column.protocol == "references spring+fall, query summer, tolerance places 0"
+    assert "Railway (rendered) is rendered; it stands in for Nordland and replaces none." in made.caption
+
+
+def test_the_interval_in_blocks_is_given_for_every_row_where_there_are_enough_frames() -> None:
+    # right in every other block of ten: the mean of blocks varies much more than Wilson's interval says
+    hits = ([1] * 10 + [0] * 10) * 10
+    made = table([run(hits=hits), run("vprsnn", hits=[1] * 200)])
+    (sentence,) = [sentence for sentence in made.caption if "in blocks of 10 frames: " in sentence]
+    assert "VPRSNN [100.0, 100.0]" in sentence
+    low, high = (float(end) for end in sentence.partition("SAD [")[2].partition("]")[0].split(", "))
+    wilson = measured(made, "SAD", "recall_at_1")
+    assert wilson.low is not None
+    assert wilson.high is not None
+    assert 25 < low < wilson.low
+    assert wilson.high < high < 75
+    assert not any("blocks of 10 frames: " in sentence for sentence in table([run()]).caption)
+
+
+def test_notes_are_numbered_in_the_order_of_the_table_and_never_twice() -> None:
+    made = table([run(), run("vprsnn"), tempo(0)])
+    seen = [number for row in made.rows for found in row.cells.values() for number in found.notes]
+    assert set(seen) == set(range(1, len(made.notes) + 1))
+    assert len(set(made.notes)) == len(made.notes)
+    firsts = [max(found.notes, default=0) for row in made.rows for found in row.cells.values()]
+    assert firsts[0] == len(cell(made, "SAD", "recall_at_1").notes)
+    assert all(list(found.notes) == sorted(found.notes) for row in made.rows for found in row.cells.values())
+
+
+def test_spiking_rows_stand_below_the_others() -> None:
+    assert [row.name for row in table(rows=[VPRTEMPO, SAD, VPRSNN]).rows] == ["SAD", "VPRTempo", "VPRSNN"]
+
+
+def test_the_order_of_a_store_changes_nothing() -> None:
+    runs = [
+        run(),
+        run(day="2025-01-01"),
+        run(device="cuda"),
+        run(protocol={"query": "night"}, day="2025-02-01"),
+        *(tempo(seed) for seed in (0, 1, 2)),
+        tempo(0, config={"code": "beef"}, day="2025-04-01"),
+        older(run("vprsnn")),
+        run("netvlad"),
+    ]
+    failures = [failure("vprsnn"), failure("vprtempo", 2, day="2025-05-01")]
+    first = asdict(table(runs, failures))
+    for seed in range(5):
+        shuffled = runs.copy()
+        random.Random(seed).shuffle(shuffled)
+        assert asdict(table(shuffled, failures[::-1])) == first

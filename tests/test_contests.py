@@ -1,0 +1,174 @@
+"""A row is best only where every test separates it from every other one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from stored_runs import ABACUS, run
+
+from vprbench.contests import Contestant, best_rate, best_recall, best_training, disturbed, machine
+from vprbench.plan import Boundary
+from vprbench.records import Run
+
+NOISY = ("noisy: two carts passed",)
+
+
+def row(name: str, *runs: Run, boundary: Boundary = "match", finished: bool = True) -> Contestant:
+    return Contestant(name, runs, boundary, finished)
+
+
+def misses(*wrong: int, n_queries: int = 60) -> Run:
+    """Return a run that is right everywhere but at these queries."""
+    return run(hits=[int(query not in wrong) for query in range(n_queries)])
+
+
+def spread(count: int) -> Run:
+    """Return a run of ten queries for each miss; the misses are ten apart, so that every block of ten holds one."""
+    return misses(*range(0, 10 * count, 10), n_queries=10 * count)
+
+
+def test_six_to_nothing_separates_two_rows_and_five_to_nothing_does_not() -> None:
+    # McNemar: p = 2 / 2^6 = 0.031 and 2 / 2^5 = 0.063
+    assert best_recall([row("b", spread(6)), row("a", misses())]) == "a"
+    assert best_recall([row("b", spread(5)), row("a", misses(n_queries=50))]) is None
+
+
+def test_more_rows_need_a_smaller_chance() -> None:
+    # six to nothing: 0.031 > 0.05 / 2; seven to nothing: 2 / 2^7 = 0.016
+    assert best_recall([row("a", misses()), row("b", spread(6)), row("c", spread(6))]) is None
+    perfect = misses(n_queries=70)
+    assert best_recall([row("a", perfect), row("b", spread(7)), row("c", spread(7))]) == "a"
+
+
+def test_a_difference_of_one_stretch_of_the_route_separates_nothing() -> None:
+    # p = 2 / 2^10, but most draws of blocks miss the ten queries or hold few of them
+    assert best_recall([row("a", misses()), row("b", misses(*range(20, 30)))]) is None
+
+
+def test_every_pair_of_seeds_has_to_agree() -> None:
+    same = misses()
+    assert best_recall([row("a", same, same), row("b", spread(6), spread(6))]) == "a"
+    assert best_recall([row("a", same, same), row("b", spread(6), misses(0))]) is None
+    assert best_recall([row("a", same, misses(0)), row("b", spread(6))]) is None
+
+
+def test_rows_of_one_value_are_never_best() -> None:
+    assert best_recall([row("a", misses()), row("b", misses()), row("c", spread(8))]) is None
+
+
+def test_one_row_alone_is_never_best() -> None:
+    fast = run()
+    assert [contest([row("a", fast)]) for contest in (best_recall, best_rate, best_training)] == [None] * 3
+    assert [contest([]) for contest in (best_recall, best_rate, best_training)] == [None] * 3
+
+
+def test_a_row_with_missing_seeds_cannot_win_but_keeps_others_from_it() -> None:
+    ahead = row("a", misses(), finished=False)
+    middle, last = spread(6), misses(*range(60))
+    assert best_recall([ahead, row("b", last)]) is None
+    assert best_recall([ahead, row("b", middle), row("c", last)]) is None
+    assert best_recall([row("b", misses()), row("c", last, finished=False)]) == "b"
+
+
+def test_hits_by_luck_among_equal_scores_separate_nothing() -> None:
+    tied = misses()
+    two = np.full(60, 2)
+    lucky = replace(tied, outcome=replace(tied.outcome, top_tied=two, tied=two))  # expected R@1 1 / 2
+    assert best_recall([row("a", lucky), row("b", misses(*range(60)))]) is None
+    assert best_recall([row("a", tied), row("b", lucky)]) == "a"
+    third = misses(*(query for query in range(60) if query % 3))  # expected R@1 1 / 3, and no luck in it
+    assert best_recall([row("a", lucky), row("b", third)]) is None
+
+
+def test_rows_without_a_defined_recall_are_in_no_contest() -> None:
+    right = misses()
+    nothing = np.zeros(60, np.int64)
+    undefined = replace(right, outcome=replace(right.outcome, n_positives=nothing, tied=nothing, above=nothing + 10))
+    assert best_recall([row("a", right), row("b", spread(6)), row("c", undefined)]) == "a"
+    assert best_recall([row("a", right), row("c", undefined)]) is None
+
+
+def timed(match_ms: list[float], encode_ms: float = 0.001, **changes: Any) -> Run:
+    return run(
+        encode_seconds=[encode_ms / 1e3] * len(match_ms), match_seconds=[each / 1e3 for each in match_ms], **changes
+    )
+
+
+FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
+
+
+def test_five_laps_apart_from_five_separate_two_rates_and_four_do_not() -> None:
+    # Mann-Whitney, exact: p = 2 / C(10, 5) = 0.0079 and 2 / C(8, 4) = 0.029
+    assert best_rate([row("slow", timed(SLOW)), row("fast", timed(FAST))]) == "fast"
+    assert best_rate([row("slow", timed(SLOW[:4])), row("fast", timed(FAST[:4]))]) is None
+
+
+def test_less_than_a_quarter_faster_is_not_faster() -> None:
+    def times(ratio: float) -> list[float]:
+        return [10.2 * ratio + 0.01 * i for i in range(-2, 3)]
+
+    assert best_rate([row("fast", timed(FAST)), row("slow", timed(times(1.26)))]) == "fast"
+    assert best_rate([row("fast", timed(FAST)), row("slow", timed(times(1.24)))]) is None
+
+
+def test_a_rate_is_best_only_where_encode_and_match_together_are_too() -> None:
+    alone = row("match alone", timed(FAST, encode_ms=100.0))
+    assert best_rate([alone, row("slow", timed(SLOW))]) is None
+    assert best_rate([alone, row("slow", timed(SLOW, encode_ms=200.0))]) == "match alone"
+
+
+def test_each_rate_is_taken_at_the_boundary_of_its_row() -> None:
+    encoder = row("encoder", timed([0.001] * 5, encode_ms=50.0), boundary="encode")
+    assert best_rate([row("matcher", timed(FAST)), encoder]) == "matcher"
+
+
+def test_no_rate_is_best_on_a_busy_machine() -> None:
+    busy = timed(SLOW, notes=NOISY)
+    assert best_rate([row("fast", timed(FAST)), row("slow", busy)]) is None
+
+
+def test_no_rate_is_best_across_machines() -> None:
+    other = timed(SLOW, machine={**ABACUS, "processor": "Loom 3"})
+    assert best_rate([row("fast", timed(FAST)), row("slow", other)]) is None
+
+
+def test_every_pair_of_seeds_has_to_be_faster() -> None:
+    assert best_rate([row("fast", timed(FAST), timed(SLOW)), row("slow", timed(SLOW), timed(SLOW))]) is None
+
+
+def trained(*seconds: float, **changes: Any) -> list[Run]:
+    return [run(seed=seed, fit_seconds=each, **changes) for seed, each in enumerate(seconds)]
+
+
+@pytest.mark.parametrize(
+    ("fast", "slow", "best"),
+    [
+        (trained(60), trained(75), "fast"),
+        (trained(60), trained(74), None),
+        (trained(50, 60), trained(75, 90), "fast"),
+        (trained(50, 61), trained(75, 90), None),
+        (trained(60), trained(90, notes=NOISY), None),
+        (trained(60), trained(90, machine={**ABACUS, "threads": 2}), None),
+    ],
+)
+def test_training_is_fastest_where_every_seed_is_a_quarter_faster(
+    fast: list[Run], slow: list[Run], best: str | None
+) -> None:
+    assert best_training([row("slow", *slow), row("fast", *fast)]) == best
+
+
+def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:
+    loaded = run(fit_seconds=None)
+    assert best_training([row("a", *trained(60)), row("b", loaded)]) is None
+
+
+def test_a_run_is_disturbed_by_noise_and_by_too_few_laps_alone() -> None:
+    notes = ["noisy: carts", "invalid rates: too few", "caching: seen before", "a noisy street"]
+    assert [disturbed(run(notes=(note,))) for note in notes] == [True, True, False, False]
+
+
+def test_a_machine_is_the_same_on_another_day() -> None:
+    assert machine(run(day="2025-01-01")) == machine(run(day="2025-12-31")) == "Abacus 9, 1 of 2 cores, torch 2.6.0"

@@ -1,0 +1,206 @@
+"""Runs that failed: stored with the machine and with whether something was missing, until the same run succeeds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+from little import a_failure, a_run
+
+from vprbench.cli import main
+from vprbench.interface import BadInput, NotThere
+from vprbench.records import Failure, Store
+
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    store.prepare()
+    return store
+
+
+def test_a_failure_is_found_again(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert store.failure("little", "journey", a_run().config) == a_failure()
+
+
+def test_of_two_failures_the_last_stays(store: Store) -> None:
+    store.save_failure(a_failure())
+    store.save_failure(a_failure(error="ValueError: no"))
+    found = store.failure("little", "journey", a_run().config)
+    assert found is not None
+    assert found.error == "ValueError: no"
+
+
+def test_a_failure_of_another_configuration_is_not_found(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert store.failure("little", "journey", {**a_run().config, "seed": 4}) is None
+
+
+def test_a_failure_is_no_run(store: Store) -> None:
+    store.save_failure(a_failure())
+    assert list(store.runs()) == []
+
+
+def test_a_failure_vanishes_when_the_run_succeeds(store: Store) -> None:
+    store.save_failure(a_failure())
+    store.save(a_run())
+    assert store.failure("little", "journey", a_run().config) is None
+
+
+def test_a_failure_leaves_the_runs_of_its_method_in_place(store: Store) -> None:
+    store.save(a_run())
+    store.save_failure(a_failure())
+    assert [run.n_references for run in store.runs()] == [20]
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def test_a_damaged_failure_is_none(store: Store) -> None:
+    cut(store.save_failure(a_failure()) / "failure.json")
+    assert store.failure("little", "journey", a_run().config) is None
+
+
+# All failures of a store
+
+
+def test_every_failure_is_found_whatever_its_dataset(store: Store) -> None:
+    for dataset, seed in (("journey", 1), ("journey", 2), ("voyage", 1)):
+        store.save_failure(a_failure(dataset=dataset, config={"seed": seed}))
+    store.save(a_run())
+    assert sorted((failure.dataset, failure.config["seed"]) for failure in store.failures()) == [
+        ("journey", 1),
+        ("journey", 2),
+        ("voyage", 1),
+    ]
+
+
+def test_a_damaged_failure_is_named_and_hides_no_other(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    folder = store.save_failure(a_failure())
+    cut(folder / "failure.json")
+    store.save_failure(a_failure(config={"seed": 8}))
+    assert [failure.config for failure in store.failures()] == [{"seed": 8}]
+    assert [(record.levelno, str(folder) in record.getMessage()) for record in caplog.records] == [
+        (logging.WARNING, True)
+    ]
+
+
+def test_environment_and_what_is_missing_come_back(store: Store) -> None:
+    store.save_failure(a_failure(missing=True))
+    (failure,) = store.failures()
+    assert failure.missing is True
+    assert failure.environment["time_utc"] == "2025-02-01T12:00:00Z"
+
+
+def key_of_an_earlier_version(config: dict[str, Any]) -> str:
+    asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
+    text = json.dumps({"schema": 3, **asked}, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def earlier_failure(store: Store) -> Path:
+    """Write a failure as earlier versions did."""
+    config = {"method": {"window": 5}, "dataset": {}, "seed": 1, "device": "cpu", "load": None}
+    folder = store.root / "journey" / f"little-failed-{key_of_an_earlier_version(config)}"
+    folder.mkdir(parents=True)
+    content = {"method": "little", "dataset": "journey", "config": config, "error": "ValueError: no"}
+    (folder / "failure.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_a_failure_that_an_earlier_version_stored_is_read(store: Store) -> None:
+    earlier_failure(store)
+    (failure,) = store.failures()
+    assert (failure.error, failure.environment, failure.missing) == ("ValueError: no", {}, False)
+    assert store.failure("little", "journey", failure.config) == failure
+
+
+def test_a_run_that_succeeds_removes_its_failure_of_an_earlier_version(store: Store) -> None:
+    folder = earlier_failure(store)
+    (failure,) = store.failures()
+    store.save(a_run(config=failure.config))
+    assert not folder.exists()
+
+
+def test_a_failure_with_fields_of_a_later_version_is_read(store: Store) -> None:
+    path = store.save_failure(a_failure()) / "failure.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "since": "later"}))
+    assert list(store.failures()) == [a_failure()]
+
+
+# What the command line stores
+
+
+@pytest.fixture
+def in_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Record even failures that are the user's, as the runs of a sweep do."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
+
+
+def failed(arguments: list[str]) -> Failure:
+    assert main(arguments) == 2
+    (failure,) = Store(Path("results")).failures()
+    return failure
+
+
+MISSING = {
+    "no root": ["dataset=nordland"],
+    "a root that is no folder": ["dataset=nordland", "dataset.root=/nowhere"],
+    "no season": ["dataset=nordland", "dataset.root=."],
+    "no folders": ["dataset=folders"],
+    "a folder that is none": ["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"],
+    "a folder without images": ["dataset=folders", "dataset.references=[.]", "dataset.queries=."],
+    "weights that may not be fetched": ["method=cosplace", *QUICK],
+    "weights that no program can fetch": ["method=gcl", *QUICK],
+    "a copy of weights that is none": ["method=cosplace", "method.weights.path=/nowhere.pth", *QUICK],
+}
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+@pytest.mark.parametrize("arguments", MISSING.values(), ids=MISSING.keys())
+def test_what_can_be_fetched_or_put_there_is_stored_as_missing(arguments: list[str]) -> None:
+    assert failed(arguments).missing is True
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+@pytest.mark.parametrize(
+    "arguments", [["method.patch=0"], ["dataset.places=0"], ["method=vprtempo", "method.epochs=0"]]
+)
+def test_what_is_asked_for_wrongly_is_not_stored_as_missing(arguments: list[str]) -> None:
+    assert failed([*QUICK, *arguments]).missing is False
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+def test_a_failure_holds_what_it_ran_on_and_which_arguments_were_changed() -> None:
+    failure = failed(["method.patch=0", *QUICK])
+    assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
+    assert failure.config["changed"] == {"patch": 0}
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+@pytest.mark.parametrize(("arguments", "missing"), [(["dataset=nordland"], True), (["method.patch=0", *QUICK], False)])
+def test_a_failure_told_as_json_says_whether_something_was_missing(
+    arguments: list[str], missing: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([*arguments, "output=json"])
+    told = json.loads(capsys.readouterr().out)
+    assert (told["method"], told["missing"]) == ("sad", missing)
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+def test_a_method_that_does_not_exist_is_no_stored_failure() -> None:
+    assert main(["method=sda", *QUICK]) == 2
+    assert not Path("results").exists()
+
+
+def test_what_is_not_there_is_for_the_user_to_mend() -> None:
+    assert issubclass(NotThere, BadInput)

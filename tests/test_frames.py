@@ -1,0 +1,321 @@
+"""Small pictures of a dataset: the right frame for the right place, small, written once and never half."""
+
+from __future__ import annotations
+
+import errno
+import io
+import logging
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench import frames, progress
+from vprbench.cli import main
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, Image
+
+FINGERPRINT = "0123456789abcdef" * 4
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
+
+
+def plain(level: int, size: tuple[int, int] = (20, 40)) -> Image:
+    """Return an image of one grey level; size is height and width."""
+    return np.full((*size, 3), level, np.uint8)
+
+
+def world(
+    references: Sequence[Image], places: Sequence[int], queries: Sequence[Image], right: Sequence[Sequence[int]]
+) -> Dataset:
+    return Dataset(
+        "world",
+        Images.from_arrays(list(references), [f"r{i}.png" for i in range(len(references))]),
+        np.array(places),
+        Images.from_arrays(list(queries), [f"q{i}.png" for i in range(len(queries))]),
+        tuple(np.array(row, np.int64) for row in right),
+        {},
+    )
+
+
+def two_traverses() -> Dataset:
+    """Return three places, each seen twice: at levels 10, 20, 30 and, in another order, at 110, 120, 130."""
+    references = [plain(level) for level in (20, 10, 30, 130, 110, 120)]
+    return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
+
+
+def kept(root: Path, dataset: Dataset) -> frames.Thumbnails:
+    root.mkdir(exist_ok=True)
+    frames.keep(root, FINGERPRINT, dataset)
+    found = frames.find(root, FINGERPRINT)
+    assert found is not None
+    return found
+
+
+def level(webp: bytes) -> int:
+    return round(float(decoded(webp).mean()))
+
+
+def decoded(webp: bytes) -> Image:
+    with PillowImage.open(io.BytesIO(webp)) as picture:
+        assert picture.format == "WEBP"
+        return np.asarray(picture.convert("RGB"))
+
+
+def path(root: Path) -> Path:
+    return root / "frames" / "0123456789abcdef.npz"
+
+
+# The right frame
+
+
+def test_a_place_is_shown_by_its_first_reference_image(tmp_path: Path) -> None:
+    found = kept(tmp_path, two_traverses())
+    assert [level(found.reference(place)) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
+
+
+def test_a_place_has_the_name_of_the_image_that_shows_it(tmp_path: Path) -> None:
+    assert kept(tmp_path, two_traverses()).reference_names == ("r1.png", "r0.png", "r2.png")
+
+
+def test_each_query_is_kept_in_its_order_with_its_name(tmp_path: Path) -> None:
+    found = kept(tmp_path, two_traverses())
+    assert [level(found.query(i)) for i in range(2)] == pytest.approx([35, 15], abs=2)
+    assert found.query_names == ("q0.png", "q1.png")
+
+
+def test_a_colour_stays_what_it_is(tmp_path: Path) -> None:
+    red = np.zeros((20, 40, 3), np.uint8)
+    red[..., 0] = 200
+    found = kept(tmp_path, world([red], [0], [red], [[0]]))
+    assert decoded(found.query(0)).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
+
+
+@pytest.mark.parametrize(
+    ("size", "small"), [((360, 640), (54, 96)), ((640, 360), (96, 54)), ((20, 40), (20, 40)), ((96, 96), (96, 96))]
+)
+def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
+    tmp_path: Path, size: tuple[int, int], small: tuple[int, int]
+) -> None:
+    found = kept(tmp_path, world([plain(9, size)], [0], [plain(9, size)], [[0]]))
+    assert decoded(found.query(0)).shape[:2] == decoded(found.reference(0)).shape[:2] == small
+
+
+# Examples
+
+
+def noise(seed: int, size: tuple[int, int] = (30, 50)) -> Image:
+    return np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
+
+
+def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> None:
+    dataset = world([noise(0), noise(1)], [1, 0], [noise(2), noise(3)], [[], [0]])
+    (example,) = kept(tmp_path, dataset).examples
+    assert (example.query, example.place) == (1, 0)
+    assert np.array_equal(example.query_image, noise(3))
+    assert np.array_equal(example.reference_image, noise(1))
+
+
+def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(tmp_path: Path) -> None:
+    dataset = world([plain(1)] * 10, range(10), [plain(2)] * 10, [[], *([i] for i in range(1, 8)), [], []])
+    assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == [(1, 1), (3, 3), (5, 5), (7, 7)]
+
+
+def test_of_several_right_places_the_middle_one_is_the_example(tmp_path: Path) -> None:
+    assert kept(tmp_path, world([plain(1)] * 5, range(5), [plain(2)], [[1, 2, 3]])).examples[0].place == 2
+
+
+def test_without_a_right_place_there_is_no_example(tmp_path: Path) -> None:
+    assert kept(tmp_path, world([plain(1)], [0], [plain(2)], [[]])).examples == ()
+
+
+def test_an_example_larger_than_640_pixels_is_made_smaller(tmp_path: Path) -> None:
+    (example,) = kept(tmp_path, world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
+    assert example.reference_image.shape == (200, 640, 3)
+
+
+# Small on disk
+
+
+def detailed(seed: int) -> Image:
+    """Return a picture without noise, but full of edges: overlapping bars, 180 x 320 pixels."""
+    draw = np.random.default_rng(seed)
+    image = np.zeros((180, 320, 3), np.uint8)
+    for _ in range(60):
+        top, left = draw.integers(0, 170), draw.integers(0, 300)
+        image[top : top + draw.integers(5, 60), left : left + draw.integers(5, 60)] = draw.integers(0, 256, 3)
+    return image
+
+
+def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path: Path) -> None:
+    references, queries = [detailed(i) for i in range(165)], [detailed(1000 + i) for i in range(135)]
+    kept(tmp_path, world(references, range(165), queries, [[]] * 135))
+    assert path(tmp_path).stat().st_size < 5e6 * 300 / 6000
+
+
+def test_simple_pictures_keep_more_pixels_than_the_most_detailed_ones(tmp_path: Path) -> None:
+    simple, fine = (
+        decoded(kept(tmp_path / name, world([image], [0], [image], [[]])).query(0)).shape
+        for name, image in (("simple", plain(9, (180, 320))), ("fine", detailed(0)))
+    )
+    assert fine[1] < simple[1] == 96
+
+
+# Written once and whole
+
+
+def test_what_is_kept_already_is_not_read_again(tmp_path: Path) -> None:
+    kept(tmp_path, two_traverses())
+
+    def fail(_: int) -> NoReturn:
+        raise AssertionError("an image was read")
+
+    unread = Images(fail, ["a", "b"])
+    frames.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+
+
+def keep_often(root: Path) -> int:
+    """Keep the frames again and again, each time as if they were not there; returns how often they were whole."""
+    whole = 0
+    for _ in range(15):
+        found = frames.find
+        frames.find = lambda *_: None  # type: ignore[assignment]
+        try:
+            frames.keep(root, FINGERPRINT, two_traverses())
+        finally:
+            frames.find = found
+        whole += frames.find(root, FINGERPRINT) is not None
+    return whole
+
+
+def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("forkserver")) as pool:
+        assert list(pool.map(keep_often, [tmp_path] * 2)) == [15, 15]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["frames"]
+    assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
+
+
+def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(to: Path, **_: Any) -> NoReturn:
+        to.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", refuse)
+    with pytest.raises(OSError, match="No space left"):
+        frames.keep(tmp_path, FINGERPRINT, two_traverses())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_frame_that_cannot_be_read_leaves_nothing_behind(tmp_path: Path) -> None:
+    missing = Images.from_files([tmp_path / "gone.png"])
+    dataset = Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {})
+    with pytest.raises(BadInput, match=r"gone\.png"):
+        frames.keep(tmp_path, FINGERPRINT, dataset)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
+    told: list[tuple[str, float]] = []
+    with progress.listening(lambda stage, done: told.append((stage, done))):
+        frames.keep(tmp_path, FINGERPRINT, two_traverses())
+    assert told == [("keeping small frames", i / 5) for i in range(5)]
+
+
+# Found again
+
+
+def test_what_was_never_kept_is_none_without_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert frames.find(tmp_path, FINGERPRINT) is None
+    assert caplog.records == []
+
+
+DAMAGES = {
+    "empty": lambda whole: b"",
+    "cut": lambda whole: whole[: len(whole) // 2],
+    "another kind of file": lambda whole: b"<html></html>",
+}
+
+
+@pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_file_is_none_and_named(tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture) -> None:
+    kept(tmp_path, two_traverses())
+    path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
+    assert frames.find(tmp_path, FINGERPRINT) is None
+    assert [(record.levelno, str(path(tmp_path)) in record.getMessage()) for record in caplog.records] == [
+        (logging.WARNING, True)
+    ]
+
+
+def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> None:
+    right = kept(tmp_path, two_traverses())
+    whole = path(tmp_path).read_bytes()
+    lost = 0
+    for position in range(0, len(whole), 11):
+        path(tmp_path).write_bytes(whole[:position] + bytes([whole[position] ^ 4]) + whole[position + 1 :])
+        found = frames.find(tmp_path, FINGERPRINT)
+        lost += found is None
+        if found is not None:  # a time or a flag that nobody reads
+            assert (found.queries, found.references) == (right.queries, right.references)
+            assert (found.query_names, found.reference_names) == (right.query_names, right.reference_names)
+    assert lost > 50
+
+
+def test_a_damaged_file_is_made_anew(tmp_path: Path) -> None:
+    kept(tmp_path, two_traverses())
+    path(tmp_path).write_bytes(b"")
+    assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
+
+
+def test_frames_of_a_dataset_whose_hash_begins_alike_are_not_taken_for_its_own(tmp_path: Path) -> None:
+    kept(tmp_path, two_traverses())
+    assert frames.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
+
+
+def test_nothing_of_it_is_a_pickle(tmp_path: Path) -> None:
+    kept(tmp_path, two_traverses())
+    with np.load(path(tmp_path), allow_pickle=False) as archive:
+        assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
+
+
+# A run keeps them
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "results" / "frames"
+
+
+def test_a_run_keeps_the_frames_of_its_dataset(here: Path) -> None:
+    assert main(["method=sad", *QUICK]) == 0
+    assert len(list(here.glob("*.npz"))) == 1
+
+
+def test_a_run_from_the_store_makes_the_frames_that_are_missing(here: Path) -> None:
+    main(["method=sad", *QUICK])
+    (made,) = here.glob("*.npz")
+    made.unlink()
+    assert main(["method=sad", *QUICK]) == 0
+    assert list(here.glob("*.npz")) == [made]
+
+
+def test_a_run_leaves_frames_out_where_that_is_asked_for(here: Path) -> None:
+    assert main(["method=sad", "frames=false", *QUICK]) == 0
+    assert not here.exists()
+
+
+def test_a_disk_that_refuses_frames_costs_no_run(
+    here: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_: Any) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(frames, "keep", refuse)
+    with caplog.at_level(logging.WARNING):
+        assert main(["method=sad", *QUICK]) == 0
+    assert "no small pictures of synthetic were kept (No space left on device)" in caplog.text
+    assert len(list(here.parent.glob("synthetic/sad-*/run.json"))) == 1

@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import figure_runs
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from vprbench.figures.growth import growth
+from vprbench.figures.style import png
+from vprbench.growth_series import GrowthSamples, samples
+from vprbench.interface import BadInput
+from vprbench.plan import Row
+from vprbench.records import Run
+
+SIZES = (100, 300, 1000, 3000, 9000, 27000)
+TEMPO, SAD = Row("VPRTempo", "vprtempo"), Row("SAD", "sad", training="none")
+
+
+def grown(row: Row, runs: Sequence[Run] | None = None) -> GrowthSamples:
+    """Return samples of a training of 0.4 s + 4 ms a place and a match of 1 ms a unit of ln places, nearly exact."""
+    wobble = (1.01, 0.99, 1.01, 0.99, 1.01, 0.99)
+    made = [
+        figure_runs.sized(n, (0.4 + 0.004 * n) * w, 0.001 * np.log(n) * w, encode_seconds=0.002)
+        for n, w in zip(SIZES, wobble, strict=True)
+    ]
+    return samples(row, made if runs is None else runs)
+
+
+def labels(axes: Axes) -> list[str]:
+    legend = axes.get_legend()
+    return [text.get_text() for text in legend.get_texts()] if legend else []
+
+
+def test_points_stand_at_places_and_seconds_of_training_and_milliseconds_of_a_query() -> None:
+    left, right = growth([grown(TEMPO)]).figure.axes
+    points = left.containers[0].lines[0]
+    assert list(points.get_xdata()) == list(SIZES)
+    assert points.get_ydata()[:2] == pytest.approx([0.8 * 1.01, 1.6 * 0.99])
+    match, total = (container.lines[0].get_ydata() for container in right.containers)
+    assert match[0] == pytest.approx(np.log(100) * 1.01)
+    assert total[0] == pytest.approx(match[0] + 2)
+
+
+def test_both_axes_of_both_panels_are_logarithmic_and_hold_all_points() -> None:
+    for axes in growth([grown(TEMPO)]).figure.axes:
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        low, high = axes.get_ylim()
+        for container in axes.containers:
+            assert low < min(container.lines[0].get_ydata()) <= max(container.lines[0].get_ydata()) < high
+
+
+def test_the_best_law_is_thick_and_named_and_the_others_say_how_much_worse_they_are() -> None:
+    left, right = growth([grown(TEMPO)]).figure.axes
+    for axes, best in ((left, "linear"), (right, "logarithmic")):
+        widths = {
+            line.get_label().split(",")[0]: line.get_linewidth() for line in axes.lines if "AICc" in line.get_label()
+        }
+        assert set(widths) == {"constant", "logarithmic", "linear"}
+        assert max(widths, key=lambda law: widths[law]) == best
+        assert f"{best}, lowest AICc" in labels(axes)
+        assert sum("AICc higher by" in label for label in labels(axes)) == 2
+
+
+def test_a_drawn_law_passes_through_its_points() -> None:
+    left, _ = growth([grown(TEMPO)]).figure.axes
+    (line,) = (line for line in left.lines if line.get_label() == "linear, lowest AICc")
+    assert np.interp(9000, line.get_xdata(), line.get_ydata()) == pytest.approx(36.4, rel=0.02)
+    assert (line.get_xdata()[0], line.get_xdata()[-1]) == pytest.approx((100, 27000))
+
+
+def test_the_exponent_stands_in_the_legend_with_its_interval() -> None:
+    exact = [figure_runs.sized(n, 0.01 * n, 1e-6 * n**0.5) for n in SIZES]
+    left, right = growth([grown(TEMPO, exact)]).figure.axes
+    assert labels(left)[0] == "training, exponent 1.00 [1.00, 1.00]"
+    assert labels(right)[0] == "match alone, exponent 0.50 [0.50, 0.50]"
+
+
+def test_the_caption_says_where_the_paper_s_claim_holds() -> None:
+    caption = growth([grown(TEMPO)]).caption
+    assert "The paper claims O(n) for training and O(log n) for a query." in caption
+    assert "The training time of VPRTempo is described best by a linear law, O(n), as claimed." in caption
+    assert "The query time of VPRTempo (match alone) is described best by a logarithmic law, O(log n), as c" in caption
+
+
+def test_the_caption_says_where_the_paper_s_claim_does_not_hold() -> None:
+    straight = [figure_runs.sized(n, 2.0, 1e-6 * n) for n in SIZES]
+    caption = growth([grown(TEMPO, straight)]).caption
+    assert "is described best by a constant law, O(1), and not by the claimed O(n), whose AICc is higher by" in caption
+    assert (
+        "is described best by a linear law, O(n), and not by the claimed O(log n), whose AICc is higher by" in caption
+    )
+
+
+def test_a_claim_that_the_times_cannot_decide_is_called_undecided() -> None:
+    runs = [
+        figure_runs.sized(n, 1.0, 0.001 * (1 + 0.001 * n) * w)
+        for n, w in zip(range(1000, 1500, 50), (1.02, 0.98) * 5, strict=True)
+    ]
+    caption = growth([grown(TEMPO, runs)]).caption
+    assert "does not separate these laws: logarithmic and linear; O(log n) is possible, not shown" in caption
+
+
+def test_the_caption_names_sizes_machine_and_what_was_set_aside() -> None:
+    old = figure_runs.sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
+    caption = growth([grown(TEMPO, [*grown(TEMPO).runs, old])]).caption
+    assert "6 maps of 100 to 27,000 places" in caption
+    assert "Measured on Abacus 9" in caption
+    assert "Set aside: runs of VPRTempo at 300 places under another code." in caption
+    assert "95 % interval of the median" in caption
+
+
+def test_too_few_sizes_are_drawn_without_laws_and_said_so() -> None:
+    drawn = growth([grown(TEMPO, grown(TEMPO).runs[:3])])
+    assert labels(drawn.figure.axes[0]) == ["training"]
+    assert (
+        "The training time of VPRTempo was measured at too few numbers of places to tell laws apart." in drawn.caption
+    )
+    assert "AICc" not in drawn.caption
+
+
+def test_a_method_that_trains_nothing_has_query_times_alone() -> None:
+    runs = [figure_runs.sized(n, None, 1e-6 * n) for n in SIZES]
+    drawn = growth([grown(SAD, runs)])
+    left, right = drawn.figure.axes
+    assert [text.get_text() for text in left.texts] == ["nothing was trained"]
+    assert len(right.containers) == 2
+    assert "There is no training time of SAD." in drawn.caption
+
+
+def test_several_rows_show_their_best_laws_alone_under_their_names() -> None:
+    left, _ = growth([grown(TEMPO), grown(Row("other", "other"))]).figure.axes
+    assert [label.split(",")[0] for label in labels(left)] == [
+        "VPRTempo: training",
+        "other: training",
+        "VPRTempo: linear",
+        "other: linear",
+    ]
+
+
+def test_several_seeds_are_several_points() -> None:
+    runs = [figure_runs.sized(n, n / 100 * (1 + seed), 0.001, seed=seed) for n in SIZES for seed in (0, 1)]
+    left, _ = growth([grown(TEMPO, runs)]).figure.axes
+    assert list(left.containers[0].lines[0].get_ydata()[:2]) == pytest.approx([1.0, 2.0])
+
+
+def test_the_bar_of_a_query_is_the_interval_of_its_median() -> None:
+    run = figure_runs.sized(100, 1.0, 0.001, spread=0.5)  # 101 laps: ranks 41 and 61 of the ordered ones
+    laps = np.sort(1e3 * run.timing.streaming.match_seconds)
+    _, right = growth([grown(TEMPO, [run])]).figure.axes
+    ((_, low), (_, high)) = right.containers[0].lines[2][0].get_segments()[0]
+    assert (low, high) == pytest.approx((laps[40], laps[60]))
+
+
+def test_no_row_is_an_error() -> None:
+    with pytest.raises(BadInput, match="there is no growth to draw"):
+        growth([])
+
+
+def test_the_same_samples_give_the_same_picture() -> None:
+    assert png(growth([grown(TEMPO)])) == png(growth([grown(TEMPO)]))

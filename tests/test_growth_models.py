@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+from math import exp, log
+
+import figure_runs
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from vprbench.growth_models import LAWS, compare
+from vprbench.growth_series import interval_of_median, samples
+from vprbench.interface import BadInput
+from vprbench.plan import Row
+
+SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
+TEMPO = Row("VPRTempo", "vprtempo")
+
+
+def noisy(seconds: npt.NDArray[np.float64], percent: float, seed: int) -> npt.NDArray[np.float64]:
+    return seconds * np.exp(percent / 100 * np.random.default_rng(seed).normal(size=len(seconds)))
+
+
+def slow_aicc(shape: npt.NDArray[np.float64], seconds: npt.NDArray[np.float64]) -> float:
+    """Return AICc of seconds = a + b shape by numpy's own weighted polynomial; a constant where shape is all 0."""
+    degree = int(shape.any())
+    fitted = np.polyval(np.polyfit(shape, seconds, degree, w=1 / seconds), shape)
+    m, k = len(seconds), degree + 2
+    likelihood = sum(((y - f) / y) ** 2 for y, f in zip(seconds, fitted, strict=True)) / m
+    return m * log(likelihood) + 2 * k + 2 * k * (k + 1) / (m - k - 1)
+
+
+def test_exact_constant_times_are_constant() -> None:
+    found = compare(SIZES, np.full(6, 0.25))
+    assert found.best == "constant"
+    assert found.supported == ("constant",)
+    assert found.fits["constant"].a == pytest.approx(0.25)
+
+
+def test_exact_logarithmic_times_give_their_coefficients_back() -> None:
+    found = compare(SIZES, 0.001 + 0.002 * np.log(SIZES))
+    assert found.supported == ("logarithmic",)
+    assert (found.fits["logarithmic"].a, found.fits["logarithmic"].b) == pytest.approx((0.001, 0.002))
+    assert found.fits["logarithmic"].at([1, exp(3)]) == pytest.approx([0.001, 0.007])
+
+
+def test_exact_linear_times_give_their_coefficients_back() -> None:
+    found = compare(SIZES, 0.5 + 0.01 * SIZES)
+    assert found.supported == ("linear",)
+    assert (found.fits["linear"].a, found.fits["linear"].b) == pytest.approx((0.5, 0.01))
+    assert found.fits["linear"].at([0, 1000]) == pytest.approx([0.5, 10.5])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_times_of_each_law_with_five_percent_noise_are_told_from_the_other_laws(law: str) -> None:
+    times = {"constant": np.full(6, 2.0), "logarithmic": 0.1 * np.log(SIZES), "linear": 1 + 0.01 * SIZES}[law]
+    for seed in range(10):
+        assert compare(SIZES, noisy(times, 5, seed)).supported == (law,)
+
+
+def test_aicc_is_that_of_an_independent_weighted_fit() -> None:
+    seconds = np.array([1.0, 1.4, 2.1, 2.4, 3.2, 3.4, 1.1])
+    sizes = np.append(SIZES, 100)
+    found = compare(sizes, seconds)
+    shapes = {"constant": np.zeros(7), "logarithmic": np.log(sizes), "linear": sizes}
+    lowest = min(slow_aicc(shape, seconds) for shape in shapes.values())
+    for law in LAWS:
+        assert found.fits[law].aicc == pytest.approx(slow_aicc(shapes[law], seconds))
+        assert found.differences[law] == pytest.approx(slow_aicc(shapes[law], seconds) - lowest)
+
+
+def test_errors_count_relative_to_the_time() -> None:
+    # of 1 and 3 seconds the constant a with the least ((1 - a) / 1)^2 + ((3 - a) / 3)^2 is (1 + 1/3) / (1 + 1/9) = 1.2
+    found = compare([1, 2, 3, 4, 5, 6], [1, 3, 1, 3, 1, 3])
+    assert found.fits["constant"].a == pytest.approx(1.2)
+
+
+def test_falling_times_are_never_fitted_by_a_falling_law() -> None:
+    found = compare(SIZES, 1 / SIZES)
+    assert all(fit.b >= 0 for fit in found.fits.values())
+    assert found.best == "constant"
+
+
+def test_a_logarithm_that_starts_late_is_a_logarithm() -> None:
+    found = compare(SIZES, 0.1 * np.log(SIZES / 50))
+    assert found.supported == ("logarithmic",)
+    assert found.fits["logarithmic"].a == pytest.approx(-0.1 * log(50))
+
+
+@pytest.mark.parametrize("power", [0.0, 0.5, 1.0, 2.0])
+def test_the_exponent_of_an_exact_power_is_that_power_without_width(power: float) -> None:
+    exponent = compare(SIZES, 0.003 * SIZES**power).exponent
+    assert (exponent.low, exponent.value, exponent.high) == pytest.approx((power, power, power), abs=1e-6)
+
+
+def test_the_exponent_s_interval_is_student_s() -> None:
+    # ln places 0 to 4; ln seconds 0, 1, 2, 3, 4 with errors 1, 0, -2, 0, 1, orthogonal to a line and a constant: slope
+    # 1, its standard error sqrt(6 / 3 / 10), Student's 97.5 % quantile of 3 degrees of freedom 3.18245
+    places = np.exp(np.arange(5.0))
+    exponent = compare(places, np.exp(np.array([1.0, 1, 0, 3, 5]))).exponent
+    assert exponent.value == pytest.approx(1)
+    assert exponent.high - 1 == pytest.approx(3.18245 * 0.2**0.5, rel=1e-5)
+    assert 1 - exponent.low == pytest.approx(3.18245 * 0.2**0.5, rel=1e-5)
+
+
+def test_the_interval_of_the_exponent_holds_the_true_one_in_about_95_of_100_noisy_series() -> None:
+    found = [compare(SIZES, noisy(0.01 * SIZES, 10, seed)).exponent for seed in range(200)]
+    assert 180 <= sum(exponent.low <= 1 <= exponent.high for exponent in found) <= 199
+
+
+def test_data_that_two_laws_describe_alike_support_both() -> None:
+    sizes = np.arange(1000, 1500, 50)  # on so short a stretch a logarithm is nearly straight
+    found = compare(sizes, (1 + 0.001 * sizes) * np.tile([1.02, 0.98], 5))
+    assert found.supported == ("logarithmic", "linear")
+
+
+@pytest.mark.parametrize("sizes", [[100, 300, 1000] * 3, [100, 300, 1000, 3000]])
+def test_too_few_sizes_or_times_are_named(sizes: list[int]) -> None:
+    with pytest.raises(BadInput, match=rf"^{len(sizes)} times at {len(set(sizes))} numbers of places"):
+        compare(sizes, np.ones(len(sizes)))
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
+def test_times_that_are_not_above_zero_are_refused(wrong: float) -> None:
+    with pytest.raises(BadInput, match="finite and above 0"):
+        compare(SIZES, [1, 2, 3, 4, 5, wrong])
+
+
+@pytest.mark.parametrize(("n_laps", "k"), [(6, 1), (10, 2), (20, 6), (25, 8), (100, 40)])
+def test_the_interval_of_a_median_lies_at_the_tabulated_ranks(n_laps: int, k: int) -> None:
+    # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
+    laps = np.random.default_rng(0).permutation(np.arange(1.0, n_laps + 1))
+    assert interval_of_median(laps) == (k, n_laps + 1 - k)
+
+
+def test_fewer_than_six_laps_have_no_interval() -> None:
+    assert interval_of_median(np.arange(5.0)) is None
+
+
+def test_samples_stand_in_the_order_of_places_and_seeds() -> None:
+    runs = [figure_runs.sized(n, n / 100, 0.001 * n, seed=seed) for n in (300, 100) for seed in (1, 0)]
+    found = samples(TEMPO, runs)
+    assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == [
+        (100, 0),
+        (100, 1),
+        (300, 0),
+        (300, 1),
+    ]
+    assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
+    assert found.query[-1].seconds == pytest.approx(0.3)
+
+
+def test_the_query_time_is_that_of_the_row_s_boundary_beside_the_total() -> None:
+    run = figure_runs.sized(100, 1.0, match_seconds=0.003, encode_seconds=0.010)
+    assert samples(TEMPO, [run]).query[0].seconds == pytest.approx(0.003)
+    assert samples(Row("GCL", "gcl", boundary="encode"), [run]).query[0].seconds == pytest.approx(0.010)
+    assert samples(TEMPO, [run]).total[0].seconds == pytest.approx(0.013)
+
+
+def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> None:
+    old = [figure_runs.sized(n, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z") for n in (100, 300, 1000)]
+    slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
+    new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
+    found = samples(TEMPO, [*old, *new, *slow])
+    assert [sample.seconds for sample in found.training] == [1.0, 1.0]
+    assert found.aside == (
+        "Set aside: runs of VPRTempo at 300 places under another machine.",
+        "Set aside: runs of VPRTempo at 100, 300, 1,000 places under another code.",
+    )
+
+
+def test_of_two_runs_of_one_size_and_seed_the_newer_counts() -> None:
+    runs = [figure_runs.sized(100, float(day), 0.001, time_utc=f"2025-01-0{day}T00:00:00Z") for day in (2, 3, 1)]
+    assert [sample.seconds for sample in samples(TEMPO, runs).training] == [3.0]
+
+
+def test_a_run_whose_network_was_loaded_gives_query_times_alone() -> None:
+    found = samples(TEMPO, [figure_runs.sized(100, None, 0.001), figure_runs.sized(300, 2.0, 0.002)])
+    assert [sample.n_places for sample in found.training] == [300]
+    assert [sample.n_places for sample in found.query] == [100, 300]
+
+
+def test_no_run_at_all_is_an_error_that_names_the_row() -> None:
+    with pytest.raises(BadInput, match="no run of VPRTempo"):
+        samples(TEMPO, [])

@@ -1,0 +1,223 @@
+"""Oxford RobotCar: the published lists, the places of the paper, and folders in which something is missing."""
+
+import hashlib
+import os
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench.datasets.oxford_robotcar import RECORDINGS, chosen_timestamps, oxford_robotcar, published_timestamps
+from vprbench.interface import BadInput, NotThere
+
+TINY = {"places": 4, "first_query_place": 1, "query_places": 3}
+TINY_STAMPS = {traverse: published_timestamps(traverse)[:28:7] for traverse in RECORDINGS}
+LEVEL = {"sun": 10, "rain": 20, "dusk": 30}
+
+
+def write_traverse(folder, traverse, mode="RGB"):
+    """Four frames whose red level is that of their traverse plus their place."""
+    folder.mkdir(parents=True)
+    for place, stamp in enumerate(TINY_STAMPS[traverse]):
+        level = LEVEL[traverse] + place
+        PillowImage.new(mode, (3, 2), (level, 0, 0) if mode == "RGB" else level).save(folder / f"{stamp}.png")
+
+
+@pytest.fixture
+def tiny_root(tmp_path):
+    for traverse in RECORDINGS:
+        write_traverse(tmp_path / traverse, traverse)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    """The dataset of the paper over one frame that has all the names."""
+    root = tmp_path_factory.mktemp("robotcar")
+    PillowImage.new("RGB", (3, 2)).save(root / "frame.png")
+    for traverse in RECORDINGS:
+        (root / traverse).mkdir()
+        for stamp in set(published_timestamps(traverse)[:3150:7]):
+            os.link(root / "frame.png", root / traverse / f"{stamp}.png")
+    return oxford_robotcar(root=str(root))
+
+
+def answer(kind, **arguments):
+    with pytest.raises(BadInput) as error:
+        oxford_robotcar(**arguments)
+    assert type(error.value) is kind
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def reds(images):
+    return [int(image[0, 0, 0]) for image in images]
+
+
+@pytest.mark.parametrize(
+    ("traverse", "digest"),
+    [
+        # sha256 of the whole original files, header and row numbers included; QVPR/VPRTempo 64154e5, orc-*.csv.
+        ("sun", "3ac989cf3ccb4065b5ad71e8410a25db50791160473e30ec75b0cc7f7d5a86ee"),
+        ("rain", "000c064fec256cd4ecd0eea769f1c9b318f7ff00b3dc759a070ffd52c2a90338"),
+        ("dusk", "0740768981b3065bb6e74b01a80845d6f09ea3f90d2c3152fcabb8bd4c27f019"),
+    ],
+)
+def test_the_lists_are_those_that_were_published(traverse, digest):
+    rows = [f"{stamp}.png,{row}" for row, stamp in enumerate(published_timestamps(traverse))]
+    original = "".join(f"{line}\n" for line in ["Image name,index", *rows])
+    assert hashlib.sha256(original.encode()).hexdigest() == digest
+
+
+@pytest.mark.parametrize(
+    ("traverse", "distinct", "back"), [("sun", 3183, 441), ("rain", 3177, 450), ("dusk", 3276, 132)]
+)
+def test_every_list_has_3369_rows_of_which_some_repeat_or_lead_back_in_time(traverse, distinct, back):
+    stamps = np.array(published_timestamps(traverse))
+    assert len(stamps) == 3369
+    assert len(np.unique(stamps)) == distinct
+    assert (np.diff(stamps) < 0).sum() == back
+
+
+@pytest.mark.parametrize(
+    ("traverse", "stamps"),
+    [
+        ("sun", (1439388276732783, 1439388453708794, 1439390516745976)),
+        ("rain", (1446121117630140, 1446121382132612, 1446122089577106)),
+        ("dusk", (1416586027583964, 1416586236868041, 1416587169054477)),
+    ],
+)
+def test_the_places_of_the_paper_are_every_seventh_row(traverse, stamps):
+    chosen = chosen_timestamps(traverse, 7, 450)
+    assert (chosen[0], chosen[90], chosen[449]) == stamps
+
+
+def test_the_paper_asks_360_queries_of_450_places_in_two_traverses(paper):
+    assert (len(paper.queries), paper.n_places, len(paper.references)) == (360, 450, 900)
+    assert paper.places.tolist() == [*range(450), *range(450)]
+
+
+def test_the_queries_of_the_paper_are_places_90_to_449_and_nothing_else_is_right(paper):
+    assert (paper.queries.names[0], paper.queries.names[-1]) == ("1416586236868041.png", "1416587169054477.png")
+    assert [right.tolist() for right in paper.positives] == [[place] for place in range(90, 450)]
+
+
+def test_the_references_of_the_paper_are_sun_then_rain(paper):
+    assert paper.references.names[0] == "1439388276732783.png"
+    assert paper.references.names[450] == "1446121117630140.png"
+
+
+def test_the_protocol_says_everything_that_was_selected_and_what_is_odd_about_it(paper):
+    # 445 and 448 of the 450 reference images are distinct, and all 360 queries; steps back of 450 places: 55 and 59.
+    protocol = dict(paper.protocol)
+    assert protocol.pop("repeated_images") == {"sun": 5, "rain": 2, "queries": 0}
+    steps = protocol.pop("steps_back_in_time")
+    assert (steps["sun"], steps["rain"]) == (55, 59)
+    assert steps["queries"] <= 5
+    assert protocol == {
+        "references": ["sun", "rain"],
+        "query": "dusk",
+        "stride": 7,
+        "places": 450,
+        "query_places": 360,
+        "first_query_place": 90,
+        "tolerance_places": 0,
+    }
+
+
+def test_traverses_come_in_the_order_asked_for(tiny_root):
+    dataset = oxford_robotcar("mine", str(tiny_root), ["dusk", "sun"], "rain", **TINY)
+    assert dataset.name == "mine"
+    assert reds(dataset.references) == [30, 31, 32, 33, 10, 11, 12, 13]
+    assert reds(dataset.queries) == [21, 22, 23]
+    assert [right.tolist() for right in dataset.positives] == [[1], [2], [3]]
+
+
+def test_the_query_traverse_may_be_the_map(tiny_root):
+    dataset = oxford_robotcar(root=str(tiny_root), references=["sun"], query="sun", **TINY)
+    assert reds(dataset.references)[1:] == reds(dataset.queries)
+
+
+def test_an_image_that_shows_two_places_is_read_for_both(tmp_path):
+    # The published rain list names one image twice in a row.
+    stamps = published_timestamps("rain")
+    twice = next(row for row in range(len(stamps)) if stamps[row] == stamps[row + 1])
+    (tmp_path / "rain").mkdir()
+    for stamp in set(stamps[: twice + 2]):
+        PillowImage.new("RGB", (1, 1)).save(tmp_path / "rain" / f"{stamp}.png")
+    dataset = oxford_robotcar(
+        root=str(tmp_path), references=["rain"], query="rain", stride=1, places=twice + 2, first_query_place=twice,
+        query_places=2,
+    )  # fmt: skip
+    assert dataset.queries.names[0] == dataset.queries.names[1]
+    assert [right.tolist() for right in dataset.positives] == [[twice], [twice + 1]]
+    assert dataset.protocol["repeated_images"]["queries"] == 1
+
+
+def test_a_recordings_own_folder_of_processed_frames_is_found(tmp_path):
+    for traverse in ("sun", "dusk"):
+        write_traverse(tmp_path / RECORDINGS[traverse] / "demosaiced", traverse)
+    dataset = oxford_robotcar(root=str(tmp_path), references=["sun"], **TINY)
+    assert reds(dataset.references) == [10, 11, 12, 13]
+    assert reds(dataset.queries) == [31, 32, 33]
+
+
+def test_no_root_is_answered_with_the_option_and_where_the_frames_are():
+    message = answer(NotThere)
+    assert "dataset.root is not set: oxford_robotcar needs" in message
+    assert "https://mrgdatashare.robots.ox.ac.uk/register/" in message
+    assert "2015-08-12-15-04-18, 2015-10-29-12-18-17, 2014-11-21-16-07-03" in message
+    assert "raw Bayer frames are not accepted yet" in message
+    assert "<root>/sun/1439388276732783.png" in message
+
+
+def test_a_root_that_does_not_exist_is_named(tmp_path):
+    message = answer(NotThere, root=str(tmp_path / "nowhere"))
+    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in message
+
+
+def test_a_missing_traverse_is_named(tiny_root):
+    (tiny_root / "rain").rename(tiny_root / "wet")
+    assert f"{tiny_root / 'rain'} does not exist" in answer(NotThere, root=str(tiny_root), **TINY)
+
+
+@pytest.mark.parametrize(("traverse", "n_wanted"), [("sun", 4), ("dusk", 3)])
+def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, traverse, n_wanted):
+    for stamp in TINY_STAMPS[traverse][2:]:
+        (tiny_root / traverse / f"{stamp}.png").unlink()
+    message = answer(NotThere, root=str(tiny_root), **TINY)
+    assert f"{TINY_STAMPS[traverse][2]}.png is missing from {tiny_root / traverse}" in message
+    assert f"2 of {n_wanted} expected frames are missing" in message
+    assert "dataset.root" in message
+
+
+@pytest.mark.parametrize("traverse", ["rain", "dusk"])
+def test_raw_frames_are_refused_for_what_they_are(tiny_root, traverse):
+    (tiny_root / traverse).rename(tiny_root / "aside")
+    write_traverse(tiny_root / traverse, traverse, mode="L")
+    message = answer(BadInput, root=str(tiny_root), **TINY)
+    assert str(tiny_root / traverse) in message
+    assert "raw Bayer frames" in message
+
+
+def test_a_first_frame_that_is_no_image_is_named(tiny_root):
+    broken = tiny_root / "sun" / f"{TINY_STAMPS['sun'][0]}.png"
+    broken.write_bytes(b"")
+    assert str(broken) in answer(BadInput, root=str(tiny_root), **TINY)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"references": ["sun", "snow"]}, "dataset.references=snow: Oxford RobotCar has sun, rain, dusk"),
+        ({"query": "night"}, "dataset.query=night: Oxford RobotCar has sun, rain, dusk"),
+        ({"references": []}, "dataset.references=[]: name at least one traverse, each once"),
+        ({"places": 483}, "dataset.places=483: the list of 3369 names at stride 7 has 482 places"),
+        ({"stride": 8}, "dataset.places=450: the list of 3369 names at stride 8 has 422 places"),
+        ({"stride": 0}, "dataset.stride=0"),
+        ({"first_query_place": 91}, "dataset.first_query_place=91 and dataset.query_places=360 ask for places"),
+        ({"tolerance": -1}, "dataset.tolerance=-1"),
+    ],
+)  # fmt: skip
+def test_a_bad_option_is_named_in_one_line(arguments, message):
+    assert message in answer(BadInput, **arguments)

@@ -1,0 +1,188 @@
+"""`make table`: what is missing is run once, what cannot run says so, and the stored runs alone give the same table."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_plan import PLAN, RUN, Apart, install
+
+from vprbench.cli import main
+from vprbench.metrics import recall_at
+from vprbench.records import Run, Store
+
+Cells = dict[tuple[str, str, str], dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Apart, int]]:
+    """A folder in which the table was made once, what was run for it, and the exit code."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        apart = install(monkeypatch, folder)
+        code = main(["table", *RUN])
+    yield folder, apart, code
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def copied(made: tuple[Path, Apart, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Apart:
+    """A copy of that folder to work in."""
+    shutil.copytree(made[0] / "results", tmp_path / "results")
+    return install(monkeypatch, tmp_path)
+
+
+def cells(path: Path) -> Cells:
+    with path.open(encoding="utf-8", newline="") as file:
+        return {(line["row"], line["column"], line["quantity"]): line for line in csv.DictReader(file)}
+
+
+def runs(folder: Path, method: str) -> list[Run]:
+    return [run for run in Store(folder, read_only=True).runs() if run.method == method]
+
+
+def test_a_row_without_its_method_is_no_failure_of_the_table(made: tuple[Path, Apart, int]) -> None:
+    folder, _, code = made
+    assert code == 0
+    cell = cells(folder / "results" / "table.csv")["Nobody", "route", "recall_at_1"]
+    assert cell["mark"] == "not there"
+    assert "no_such_method" in cell["notes"]
+
+
+def test_the_measured_recall_is_that_of_the_stored_run(made: tuple[Path, Apart, int]) -> None:
+    folder, _, _ = made
+    (run,) = (run for run in runs(folder / "results", "sad") if run.outcome.n_places == 20)
+    recall = recall_at(run.outcome, 1)
+    assert recall is not None
+    cell = cells(folder / "results" / "table.csv")["SAD", "route", "recall_at_1"]
+    assert float(cell["value"]) == pytest.approx(100 * recall.expected, rel=1e-12)
+    assert float(cell["published"]) == 48
+
+
+def test_several_seeds_give_their_mean_and_spread(made: tuple[Path, Apart, int]) -> None:
+    folder, _, _ = made
+    recalls = [
+        100 * float(np.mean([row[0] in right for row, right in zip(run.top_places, run.positives, strict=True)]))
+        for run in runs(folder / "results", "vprtempo")
+        if run.outcome.n_places == 20
+    ]
+    assert len(recalls) == 2
+    cell = cells(folder / "results" / "table.csv")["VPRTempo", "route", "recall_at_1"]
+    assert float(cell["value"]) == pytest.approx(np.mean(recalls))
+    assert float(cell["spread"]) == pytest.approx(np.std(recalls, ddof=1))
+
+
+def test_a_slow_row_runs_in_the_smaller_column_with_all_the_others(made: tuple[Path, Apart, int]) -> None:
+    folder, _, _ = made
+    found = cells(folder / "results" / "table.csv")
+    assert found["PCA", "route", "recall_at_1"]["mark"] == "left out"
+    assert "Route, 12 places" in found["PCA", "route", "recall_at_1"]["notes"]
+    for row in ("SAD", "PCA", "VPRTempo"):
+        assert found[row, "route_12", "recall_at_1"]["mark"] == "measured"
+
+
+def test_each_run_is_made_once_with_the_arguments_of_its_row_and_size(made: tuple[Path, Apart, int]) -> None:
+    _, apart, _ = made
+    asked = [[option for option in options if option.startswith("method")] for options in apart.asked]
+    small = ["method=vprtempo", "method.max_module=12", "method.height=12", "method.width=12", "method.epochs=1"]
+    assert asked.count(["method=sad"]) == 2
+    assert asked.count(["method=pca"]) == 1
+    assert asked.count(small) == 2
+    assert len(asked) == 2 + 1 + 4
+
+
+def test_from_the_store_alone_the_table_is_the_same_to_the_byte(made: tuple[Path, Apart, int], copied: Apart) -> None:
+    folder, _, _ = made
+    for file in Path("results").glob("table*"):
+        file.unlink()
+    assert main(["table", "stored=true"]) == 0
+    assert copied.asked == []
+    names = ("table.md", "table.csv", "table.tex", "table-runs.csv")
+    assert [Path("results", name).read_bytes() for name in names] == [
+        (folder / "results" / name).read_bytes() for name in names
+    ]
+
+
+def test_a_row_outlives_the_yaml_and_the_code_of_its_method(copied: Apart, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Path("results/table.md").read_text()
+    monkeypatch.setattr("vprbench.registry.entries", lambda group: {})
+    assert main(["table", "stored=true"]) == 0
+    assert Path("results/table.md").read_text() == before
+
+
+def test_a_second_table_runs_nothing_again(copied: Apart, capfd: pytest.CaptureFixture[str]) -> None:
+    keys = {run.key: run.environment["time_utc"] for run in Store(Path("results")).runs()}
+    assert main(["table", *RUN]) == 0
+    assert {run.key: run.environment["time_utc"] for run in Store(Path("results")).runs()} == keys
+
+
+def test_rows_on_request_stand_below_the_papers(copied: Apart) -> None:
+    assert main(["table", "rows=[SAD]", "methods=[big_patches]", *RUN]) == 0
+    found = cells(Path("results/table.csv"))
+    assert [row for row, _, quantity in found if quantity == "recall_at_1"] == ["SAD", "SAD (big patches)"]
+    assert found["SAD (big patches)", "route", "recall_at_1"]["mark"] == "measured"
+
+
+def test_full_runs_slow_rows_at_full_size(copied: Apart) -> None:
+    assert main(["table", "rows=[PCA]", "full=true", *RUN]) == 0
+    found = cells(Path("results/table.csv"))
+    assert {column for _, column, _ in found} == {"route"}
+    assert found["PCA", "route", "recall_at_1"]["mark"] == "measured"
+
+
+def test_a_chosen_column_names_the_files(copied: Apart) -> None:
+    before = Path("results/table.md").read_text()
+    assert main(["table", "columns=[route_12]", "stored=true"]) == 0
+    assert {column for _, column, _ in cells(Path("results/route_12.csv"))} == {"route_12"}
+    assert Path("results/table.md").read_text() == before
+
+
+def test_runs_of_two_protocols_stand_in_two_columns(copied: Apart, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = PLAN.replace("dataset.first_query_place=4]", "dataset.first_query_place=4, dataset.tolerance=1]")
+    apart = install(monkeypatch, Path().absolute(), other)
+    assert main(["table", "rows=[SAD]", *RUN]) == 0
+    assert len(apart.asked) == 1
+    tolerant = float(cells(Path("results/table.csv"))["SAD", "route", "recall_at_1"]["value"])
+    install(monkeypatch, Path().absolute())
+    assert main(["table", "rows=[SAD]", "stored=true"]) == 0
+    strict = float(cells(Path("results/table.csv"))["SAD", "route", "recall_at_1"]["value"])
+    assert len([line for line in Path("results/table.md").read_text().splitlines() if line.startswith("## ")]) == 1
+    by_tolerance = {
+        run.protocol["tolerance_places"]: recall_at(run.outcome, 1)
+        for run in runs(Path("results"), "sad")
+        if run.outcome.n_places == 20
+    }
+    assert {0: strict, 1: tolerant} == {k: pytest.approx(100 * r.expected) for k, r in by_tolerance.items() if r}
+
+
+def test_stores_of_several_machines_merge(copied: Apart) -> None:
+    text = Path("results/table.md").read_text()
+    shutil.move("results", "elsewhere")
+    assert main(["table", "stored=true", "stores=[elsewhere]"]) == 0
+    assert Path("results/table.md").read_text() == text
+
+
+def test_an_empty_store_is_one_line_and_leaves_the_old_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(monkeypatch, tmp_path)
+    Path("results").mkdir()
+    Path("results/table.md").write_text("the old table")
+    assert main(["table", "stored=true"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert Path("results/table.md").read_text() == "the old table"
+
+
+def test_a_table_that_no_row_can_run_for_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(monkeypatch, tmp_path)
+    Path("results").mkdir()
+    Path("results/table.md").write_text("the old table")
+    assert main(["table", "rows=[Nobody]"]) == 2
+    assert "results=results holds no run" in capsys.readouterr().err
+    assert Path("results/table.md").read_text() == "the old table"

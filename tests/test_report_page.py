@@ -1,0 +1,327 @@
+"""The report's page as text: whole, self-contained, small enough, and safe whatever a name holds."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+from little import a_run
+from PIL import Image
+from report_page import (
+    HOSTILE,
+    N_PLACES,
+    N_QUERIES,
+    SAD_WRONG,
+    TABLE,
+    answered,
+    drawn_frame,
+    hostile_section,
+    journey_run,
+    journey_section,
+    journey_thumbnails,
+    made_up_page,
+    place_colour,
+)
+
+from vprbench.records import Run
+from vprbench.report import page as report
+from vprbench.report import words
+from vprbench.report.page import Picture, Section
+from vprbench.series import Series
+
+
+class Parsed(HTMLParser):
+    """The elements of a page with their attributes, and the text of scripts, styles and everything else."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.inside: dict[str, list[str]] = {"script": [], "style": []}
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag in self.inside:
+            self.inside[tag].append("")
+
+    def handle_data(self, data: str) -> None:
+        if self.cdata_elem in self.inside:
+            self.inside[self.cdata_elem][-1] += data
+        else:
+            self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def data(self, name: str) -> Any:
+        number = [attributes.get("id") for attributes in self.all("script")].index(name)
+        return json.loads(self.inside["script"][number])
+
+
+def test_the_page_holds_the_table_unchanged_and_every_figure_with_its_caption() -> None:
+    text = made_up_page()
+    assert TABLE in text
+    parsed = Parsed(text)
+    (image,) = parsed.all("img")
+    assert image["src"] is not None
+    png = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
+    assert Image.open(io.BytesIO(png)).size == (1200, 500)
+    assert "How long a query takes, on Abacus 9." in parsed.text
+    assert "Made from 3 stored runs." in parsed.text
+
+
+def test_the_page_refers_to_nothing_outside_itself() -> None:
+    parsed = Parsed(made_up_page())
+    addresses = [a[name] for _, a in parsed.elements for name in ("src", "href", "action", "srcset") if name in a]
+    assert len(addresses) > 5
+    assert all(address is not None and address.startswith(("#", "data:")) for address in addresses)
+    assert "url(" not in parsed.inside["style"][0]
+    assert "@import" not in parsed.inside["style"][0]
+
+
+def test_every_link_inside_the_page_has_its_target() -> None:
+    parsed = Parsed(made_up_page())
+    ids = [attributes["id"] for _, attributes in parsed.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {str(link["href"])[1:] for link in parsed.all("a")} <= set(ids)
+
+
+def test_the_policy_allows_this_script_and_this_style_alone() -> None:
+    parsed = Parsed(made_up_page())
+    (policy,) = [meta["content"] for meta in parsed.all("meta") if "http-equiv" in meta]
+    assert policy is not None
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    running = [text for a, text in zip(parsed.all("script"), parsed.inside["script"], strict=True) if "type" not in a]
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in running]
+    assert rules["script-src"] == f"'sha256-{digests[0]}'"
+    assert len(digests) == 1
+    style = base64.b64encode(hashlib.sha256(parsed.inside["style"][0].encode()).digest()).decode()
+    assert rules["style-src"] == f"'sha256-{style}'"
+    assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
+
+
+def test_hostile_names_are_text_everywhere() -> None:
+    picture = Picture(HOSTILE, HOSTILE, b"")
+    text = report.page("", [picture], [hostile_section()], title=HOSTILE, made_from=HOSTILE)
+    harmless, parsed = Parsed(made_up_page()), Parsed(text)
+    assert HOSTILE not in text
+    assert len(parsed.all("script")) == len(harmless.all("script"))
+    assert all(image["src"] == "data:image/png;base64," for image in parsed.all("img"))
+    (section,) = parsed.data("answers")
+    assert section["queryNames"][0] == section["title"] == section["runs"][0]["name"] == HOSTILE
+
+
+def test_a_name_that_is_no_text_does_not_keep_the_page_from_being_written() -> None:
+    run = journey_run(SAD_WRONG, notes=("folder caf\udce9",))
+    text = report.page("", [], [Section("caf\udce9", (Series("SAD", False, (run,)),), None)])
+    assert "folder caf?" in text
+    text.encode()
+
+
+def test_the_same_runs_make_the_same_page() -> None:
+    assert made_up_page() == made_up_page()
+
+
+def test_a_page_without_runs_still_shows_the_table() -> None:
+    text = report.page(TABLE, [], [Section("Journey", (), None)])
+    assert TABLE in text
+    assert "query by query" not in text
+
+
+def test_a_section_of_two_datasets_is_refused() -> None:
+    runs = (journey_run({}, 0), journey_run({}, 1, fingerprint="e" * 64))
+    with pytest.raises(ValueError, match="Journey are of different images"):
+        report.page("", [], [Section("Journey", (Series("SAD", False, runs),), None)])
+
+
+# Frames
+
+
+def embedded(text: str) -> dict[str, Any]:
+    frames: dict[str, Any] = Parsed(text).data("frames-0")
+    return frames
+
+
+def test_a_frame_stands_in_the_page_once_for_all_methods() -> None:
+    text = made_up_page()
+    frame = base64.b64encode(drawn_frame(place_colour(15))).decode()  # the right place of query 10, which all miss
+    assert text.count(frame) == 1
+    assert embedded(text)["places"]["15"] == frame
+
+
+def test_frames_that_no_query_shows_are_left_out() -> None:
+    first_two = answered([[0.5, 0.25, 0.125, 0, 0, 0], [0.25, 0.5, 0.125, 0, 0, 0]], [[4], [1]])
+    kept = journey_thumbnails()
+    text = report.page("", [], [Section("Journey", (Series("SAD", False, (first_two,)),), kept)])
+    assert set(embedded(text)["places"]) == {"0", "1", "2", "4"}
+    assert len(embedded(text)["queries"]) == 2
+
+
+def test_without_thumbnails_the_page_says_so_and_names_nothing() -> None:
+    text = made_up_page([journey_section()])
+    (section,) = Parsed(text).data("answers")
+    assert section["framesMissing"].startswith("The frames of this dataset are not stored")
+    assert (section["queryNames"], section["placeNames"]) == (None, None)
+    assert embedded(text) == {"queries": [], "places": {}}
+
+
+class Noise:
+    """Thumbnails of so many bytes each: a few frames of noise, again and again."""
+
+    examples = ()
+
+    def __init__(self, n_queries: int, n_places: int, quality: int = 1, height: int = 54) -> None:
+        self.query_names = tuple(f"images-{query:05d}.png" for query in range(n_queries))
+        self.reference_names = tuple(f"images-{place:05d}.png" for place in range(n_places))
+        random = np.random.default_rng(0)
+        self.frames = []
+        for _ in range(8):
+            written = io.BytesIO()
+            pixels = random.integers(0, 256, (height, 96, 3), np.uint8)
+            Image.fromarray(pixels).save(written, "WEBP", quality=quality)
+            self.frames.append(written.getvalue())
+
+    def query(self, i: int) -> bytes:
+        return self.frames[i % len(self.frames)]
+
+    def reference(self, place: int) -> bytes:
+        return self.query(place)
+
+
+def sized_section(n_places: int, n_queries: int, n_methods: int, thumbnails: Any) -> Section:
+    """Return runs of noise, whose numbers are as long as numbers get."""
+    random = np.random.default_rng(0)
+    first = n_places - n_queries
+    series = []
+    for method in range(n_methods):
+        scores = random.random((n_queries, n_places), np.float32) - 10
+        run = answered(scores, [[first + query] for query in range(n_queries)], depth=100, scores=None)
+        series.append(Series(f"method {method}", False, (run,)))
+    return Section("Railway", tuple(series), thumbnails)
+
+
+def test_a_page_of_3300_places_and_six_methods_with_figures_stays_below_10_mb() -> None:
+    frames = Noise(2700, 3300, height=39)
+    assert np.mean([len(frame) for frame in frames.frames]) > 5e6 / 6000  # all of them are 5 MB
+    pictures = [Picture(f"figure-{i}", "A caption.", bytes(100_000)) for i in range(8)]
+    text = report.page(TABLE, pictures, [sized_section(3300, 2700, 6, frames)])
+    assert len(text.encode()) < 10_000_000
+    kept = embedded(text)
+    assert [len(kept["queries"]), len(kept["places"])] == [2700, 3300]
+    assert base64.b64decode(kept["queries"][5]) == frames.query(5)
+
+
+def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
+    section = sized_section(60, 40, 2, Noise(40, 60, quality=90))
+    whole = len(report.page("", [], [section]).encode())
+    most = whole - sum(map(len, embedded(report.page("", [], [section]))["queries"])) // 2
+    monkeypatch.setattr(report, "MOST_BYTES", most)
+    text = report.page("", [], [section])
+    assert len(text.encode()) <= most
+    assert len(embedded(text)["queries"]) == 40
+    assert Image.open(io.BytesIO(base64.b64decode(embedded(text)["queries"][0]))).size == (96, 54)
+
+
+def test_where_no_frames_fit_names_stand_in_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    section = sized_section(60, 40, 2, Noise(40, 60))
+    monkeypatch.setattr(report, "MOST_BYTES", 1000)
+    text = report.page("", [], [section])
+    (told,) = Parsed(text).data("answers")
+    assert told["framesMissing"].startswith("This page would be too large with frames")
+    assert told["queryNames"][3] == "images-00003.png"
+    assert embedded(text)["queries"] == []
+
+
+# Words
+
+
+def told(facts: words.Facts) -> dict[str, str]:
+    return dict(facts)
+
+
+def test_the_protocol_is_told_in_words() -> None:
+    protocol = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 2, "places": 9}
+    protocol |= {"first_query_place": 4, "repeated_images": {"spring": 1, "fall": 0}, "unmatched": None}
+    positives = [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4]]
+    run = answered(np.eye(3, 9), positives, protocol=protocol, n_references=18, fingerprint="abcd" * 16)
+    facts = told(words.protocol([run]))
+    assert facts["Dataset"] == "journey, images abcdabcdabcdabcd"
+    assert facts["Map"] == "9 places, from 18 reference images (spring and fall)"
+    assert facts["Queries"] == "3 images (summer)"
+    assert facts["Right places"] == (
+        "A place up to 2 places from the one that the query shows is right. A query has 3 to 5 of them."
+    )
+    assert facts["Also recorded"] == "first query place: 4; repeated images: spring 1, fall 0"
+    assert facts["Timing"].startswith("At least 2 s and 64 queries from a sample of 256 images in memory")
+
+
+def test_other_kinds_of_ground_truth_are_told_too() -> None:
+    within = answered(np.eye(2, 3), [[0, 1], []], protocol={"queries": "rain", "radius_metres": 25.0})
+    assert told(words.protocol([within]))["Right places"] == (
+        "A place within 25 m of the query is right. A query has 2 of them. 1 query has none and cannot be answered."
+    )
+    listed = answered(np.eye(2, 3), [[0], [1]], protocol={})
+    assert told(words.protocol([listed]))["Right places"] == "One for each query."
+
+
+def on(run: Run, **changes: Any) -> Run:
+    return replace(run, environment={**run.environment, **changes})
+
+
+def test_each_machine_is_told_once_with_what_ran_on_it() -> None:
+    git = {"commit": "0123456789abcdef0123", "changed": True}
+    first = on(a_run(), memory_bytes=16e9, python="3.11.2", git=git)
+    later = on(first, load_average=[1.75, 0, 0], time_utc="2025-02-03T00:00:00Z", libraries={"torch": "2.7.0"})
+    other = on(a_run(dataset="street"), processor="Difference Engine", accelerator="Mill", accelerator_memory_bytes=8e9)
+    series = [Series("SAD", False, (first,)), Series("GCL", False, (later,)), Series("VPRTempo", True, (other,))]
+    one, two = words.machines(series)
+    assert (one.name, two.name) == ("Machine 1", "Machine 2")
+    facts = told(one.facts)
+    assert facts["Processor"] == "Abacus 9"
+    assert facts["Threads"] == "1 of 2 cores"
+    assert facts["Memory"] == "16 GB"
+    assert facts["Libraries"] == "torch 2.6.0 and 2.7.0"
+    assert facts["Commit"] == "0123456789ab with changes that are not committed"
+    assert facts["Load before a run"] == "0.5 to 1.8 processes on average over a minute"
+    assert facts["Dates"] == "2025-01-31 to 2025-02-03"
+    assert facts["Runs"] == "SAD (journey); GCL (journey)"
+    assert "Accelerator" not in facts
+    assert told(two.facts)["Accelerator"] == "Mill, 8 GB"
+    assert told(two.facts)["Commit"] == "not recorded"
+
+
+def test_a_record_that_knows_little_of_its_machine_is_no_obstacle() -> None:
+    (machine,) = words.machines([Series("SAD", False, (a_run(environment={"processor": "Abacus 1"}),))])
+    assert told(machine.facts) == {"Processor": "Abacus 1", "Commit": "not recorded", "Runs": "SAD (journey)"}
+
+
+def test_notes_name_their_run_and_its_seed_where_there_are_several() -> None:
+    runs = (journey_run({}, 0, notes=("audit failed",)), journey_run({}, 1, notes=("noisy", "caching")))
+    assert words.notes("Journey", [Series("VPRTempo", True, runs)]) == (
+        ("Journey: VPRTempo, seed 0", "audit failed"),
+        ("Journey: VPRTempo, seed 1", "noisy"),
+        ("Journey: VPRTempo, seed 1", "caching"),
+    )
+    assert "two carts passed" in Parsed(made_up_page()).text
+
+
+def test_margin_and_verdicts_are_defined_on_the_page_itself() -> None:
+    text = Parsed(made_up_page()).text
+    assert "best right place less the score of its best wrong place" in text
+    assert "only if its best place is right and no wrong place has the same score" in text
+
+
+def test_every_run_is_told_with_its_seed_where_there_are_several() -> None:
+    (section,) = Parsed(made_up_page()).data("answers")
+    assert (section["nPlaces"], section["nQueries"]) == (N_PLACES, N_QUERIES)
+    assert [run["name"] for run in section["runs"]] == ["SAD", "VPRTempo, seed 0", "VPRTempo, seed 1"]
+    wrong = [query for query, verdict in enumerate(section["runs"][0]["verdicts"]) if verdict in "wt"]
+    assert wrong == sorted(SAD_WRONG)

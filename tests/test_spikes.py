@@ -1,0 +1,292 @@
+"""Spikes of each layer: what a run keeps of them, and that those of VPRTempo are the ones of its forward pass."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import Lookup, journey, pictures
+
+from vprbench import runner
+from vprbench.conformance import Journey
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, Method, NotFittedError
+from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.methods.vprtempo.int8 import VPRTempoInt8
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.records import Run, Store
+from vprbench.spikes import LayerSpikes, summary
+from vprbench.stopwatch import Protocol, Stopwatch
+
+QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
+SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
+
+# What is kept
+
+
+def only(layer: LayerSpikes) -> dict[str, Any]:
+    found = summary([layer])
+    assert found is not None
+    (values,) = found["layers"]
+    return dict(values)
+
+
+def test_counts_are_added_up_for_each_query() -> None:
+    layer = only(LayerSpikes("hidden", np.array([[2, 0, 1], [0, 0, 4]])))
+    assert layer == {
+        "name": "hidden",
+        "neurons": 3,
+        "spikes_per_query": [3.0, 4.0],
+        "active_share": pytest.approx(2 / 3),
+        "amplitude_mean": None,
+    }
+
+
+def test_an_amplitude_is_one_spike() -> None:
+    layer = only(LayerSpikes("input", np.array([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]]), "amplitude"))
+    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == ([2.0, 1.0], 0.5, 0.5)
+
+
+def test_a_silent_layer_has_no_amplitude() -> None:
+    layer = only(LayerSpikes("output", np.zeros((2, 3)), "amplitude"))
+    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == ([0.0, 0.0], 0.0, None)
+
+
+def test_layers_keep_their_order_and_the_number_of_queries() -> None:
+    found = summary([LayerSpikes("b", np.ones((5, 2))), LayerSpikes("a", np.ones((5, 1)))])
+    assert found is not None
+    assert (found["queries"], [layer["name"] for layer in found["layers"]]) == (5, ["b", "a"])
+
+
+def test_what_is_kept_is_plain() -> None:
+    found = summary([LayerSpikes("input", np.array([[1, 0]], np.uint8)), LayerSpikes("output", np.ones((1, 2)))])
+    assert json.loads(json.dumps(found)) == found
+
+
+def test_without_a_layer_nothing_is_kept() -> None:
+    assert summary([]) is None
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [
+        [LayerSpikes("input", np.ones((2, 3))), LayerSpikes("output", np.ones((3, 3)))],
+        [LayerSpikes("input", np.ones(3))],
+        [LayerSpikes("input", np.array([[1.0, np.nan]]))],
+        [LayerSpikes("input", np.array([[1.0, np.inf]]))],
+        [LayerSpikes("input", np.array([[1.0, -0.5]]))],
+    ],
+    ids=["other queries", "no row a query", "NaN", "infinite", "below 0"],
+)
+def test_impossible_spikes_are_refused_by_the_name_of_the_layer(layers: list[LayerSpikes]) -> None:
+    with pytest.raises(BadInput, match="input"):
+        summary(layers)
+
+
+# What a run asks for
+
+
+@dataclass
+class Ticking(Lookup):
+    """A lookup whose one layer spikes as often as the number of the query; remembers what it was asked for."""
+
+    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        self.counted = codes.tolist()
+        return [LayerSpikes("tick", codes[:, None])]
+
+
+class Failing(Ticking):
+    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        raise KeyError("the layer\nis gone")
+
+
+def run_of(method: Method, dataset: Dataset) -> Run:
+    config = {"method": {"_target_": "little.Lookup"}, "dataset": {}, "seed": 0, "device": "cpu", "depth": 3}
+    return runner.run("little", method, dataset, config, "key", "fingerprint", QUICK, 1)
+
+
+def test_a_run_keeps_the_spikes_of_every_query_where_they_are_few() -> None:
+    run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
+    assert run.spikes is not None
+    assert run.spikes["queries"] == 6
+    assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_of_many_queries_256_are_asked_for_from_the_first_to_the_last() -> None:
+    method = Ticking(np.zeros((1000, 4), np.float32))
+    run = run_of(method, journey(1000, 4))
+    assert run.spikes is not None
+    assert (run.spikes["queries"], method.counted[0], method.counted[-1]) == (256, 0, 999)
+    assert set(np.diff(method.counted)) == {3, 4}
+
+
+def test_a_method_without_spikes_is_not_asked_again() -> None:
+    method = Lookup(np.eye(6, dtype=np.float32))
+    run = run_of(method, journey(6, 6))
+    assert run.spikes is None
+    asked = len(method.asked)
+    again = Ticking(np.eye(6, dtype=np.float32))
+    run_of(again, journey(6, 6))
+    assert len(again.asked) == asked + 1
+
+
+def test_spikes_that_cannot_be_counted_lose_no_run() -> None:
+    run = run_of(Failing(np.eye(6, dtype=np.float32)), journey(6, 6))
+    assert run.spikes is None
+    assert run.outcome.above.tolist() == [0] * 6
+    assert "no spikes were counted (KeyError: 'the layer\\nis gone')" in run.notes
+
+
+def test_impossible_spikes_are_a_note_of_the_run() -> None:
+    class Negative(Ticking):
+        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+            return [LayerSpikes("tick", -1.0 - codes[:, None])]
+
+    (note,) = [note for note in run_of(Negative(np.eye(6, dtype=np.float32)), journey(6, 6)).notes if "spikes" in note]
+    assert note == "no spikes were counted (BadInput: the spikes of layer tick are not all finite and 0 or more)"
+
+
+def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    passed = [0.0]  # seconds, of the method's counting alone
+
+    class Slow(Ticking):
+        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+            passed[0] += 1000.0
+            return super().spikes(codes)
+
+    def stopwatch(protocol: Protocol, **options: Any) -> Stopwatch:
+        ticks = itertools.count()
+        return Stopwatch(protocol, lambda: int(passed[0] * 1e9) + next(ticks), **options)
+
+    monkeypatch.setattr(runner, "time", SimpleNamespace(perf_counter=lambda: passed[0]))
+    monkeypatch.setattr(runner, "Stopwatch", stopwatch)
+    run = run_of(Slow(np.eye(6, dtype=np.float32)), journey(6, 6))
+    assert passed == [1000.0]
+    assert max(run.harness_seconds, run.method_seconds, run.timing.streaming.total_seconds.max()) < 1
+
+
+def test_spikes_come_back_from_the_store(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
+    store.save(run)
+    (back,) = store.runs()
+    assert back.spikes == run.spikes
+
+
+def test_a_plain_method_has_no_layers() -> None:
+    method = Lookup(np.eye(3, dtype=np.float32))
+    assert list(method.spikes(method.encode(pictures(range(3))))) == []
+
+
+# VPRTempo
+
+
+def fitted(kind: type[VPRTempo], **arguments: Any) -> tuple[VPRTempo, npt.NDArray[np.float32]]:
+    world = Journey.draw(0)
+    method = kind(**SMALL, **arguments).fit(Images.from_arrays(world.references), world.places)
+    return method, method.encode(Images.from_arrays(world.queries))
+
+
+def by_eq_1(state: dict[str, npt.NDArray[Any]], codes: npt.NDArray[Any]) -> tuple[list[Any], list[Any]]:
+    """Return the feature and output spikes of a stored network, query by query and neuron by neuron, in float64."""
+    feature_rows, output_rows = [], []
+    for x in codes.astype(np.float64):
+        features: list[float] = []
+        outputs: list[float] = []
+        for module in range(len(state["features"])):
+            own = []
+            for weights, constant, threshold in zip(
+                state["features"][module],
+                state["constant"][module],
+                state["feature_thresholds"][module],
+                strict=True,
+            ):
+                above = float(np.dot(weights.astype(np.float64), x)) + float(constant) - float(threshold)
+                own.append(min(max(above, 0.0), 0.9))
+            features += own
+            for weights, threshold in zip(
+                state[f"outputs_{module}"], state[f"output_thresholds_{module}"], strict=True
+            ):
+                above = float(np.dot(weights.astype(np.float64), own)) - float(threshold)
+                outputs.append(min(max(above, 0.0), 0.9))
+        feature_rows.append(features)
+        output_rows.append(outputs)
+    return feature_rows, output_rows
+
+
+def test_the_spikes_of_vprtempo_are_those_of_eq_1() -> None:
+    method, codes = fitted(VPRTempo)
+    shown, features, outputs = method.spikes(codes)
+    right_features, right_outputs = by_eq_1(dict(method.state()), codes)
+    assert [shown.name, features.name, outputs.name] == ["input", "feature", "output"]
+    assert {layer.kind for layer in (shown, features, outputs)} == {"amplitude"}
+    assert np.array_equal(shown.values, codes)
+    assert features.values == pytest.approx(np.array(right_features), abs=1e-5)
+    assert outputs.values == pytest.approx(np.array(right_outputs), abs=1e-5)
+    assert 0 < np.count_nonzero(features.values) < features.values.size
+
+
+def test_the_output_spikes_of_one_plain_network_are_its_scores() -> None:
+    method, codes = fitted(VPRTempo)
+    assert method.spikes(codes)[2].values == pytest.approx(method.match(codes), abs=1e-5)
+
+
+def test_calibration_shows_in_scores_and_not_in_spikes() -> None:
+    method, codes = fitted(VPRTempo, calibrated_scores=True)
+    plain, _ = fitted(VPRTempo)
+    assert np.array_equal(method.spikes(codes)[2].values, plain.spikes(codes)[2].values)
+
+
+def test_of_an_ensemble_the_first_network_is_shown() -> None:
+    ensemble, codes = fitted(VPRTempoEnsemble, members=2, seed=4)
+    single, _ = fitted(VPRTempo, seed=4)
+    for layer, own in zip(ensemble.spikes(codes), single.spikes(codes), strict=True):
+        assert layer.values == pytest.approx(own.values, abs=1e-5)
+
+
+def test_a_linear_query_has_spikes_at_its_input_alone() -> None:
+    method, codes = fitted(VPRTempo, query_rule="linear")
+    assert [layer.name for layer in method.spikes(codes)] == ["input"]
+
+
+def test_in_8_bits_the_spikes_are_the_quantised_ones() -> None:
+    method, codes = fitted(VPRTempoInt8)
+    features, outputs = (layer.values for layer in method.spikes(codes)[1:])
+    steps = features * 255 / 0.9
+    assert steps == pytest.approx(np.rint(steps), abs=1e-3)
+    assert outputs == pytest.approx(method.match(codes), abs=1e-5)
+    assert features == pytest.approx(np.array(by_eq_1(dict(method.state()), codes)[0]), abs=0.03)
+
+
+def test_a_network_that_was_never_trained_has_no_spikes() -> None:
+    with pytest.raises(NotFittedError):
+        VPRTempo(**SMALL).spikes(np.zeros((1, 144), np.float32))
+
+
+def test_a_restored_network_spikes_as_the_trained_one() -> None:
+    method, codes = fitted(VPRTempo)
+    restored = VPRTempo(**SMALL).restore(method.state())
+    for layer, own in zip(restored.spikes(codes), method.spikes(codes), strict=True):
+        assert np.array_equal(layer.values, own.values)
+
+
+def test_a_run_of_vprtempo_keeps_three_layers() -> None:
+    world = Journey.draw(0)
+    queries = Images.from_arrays(world.queries)
+    right = tuple(np.array([place]) for place in world.right.tolist())
+    dataset = Dataset("world", Images.from_arrays(world.references), world.places, queries, right, {})
+    found = run_of(VPRTempo(**SMALL), dataset).spikes
+    assert found is not None
+    assert [(layer["name"], layer["neurons"]) for layer in found["layers"]] == [
+        ("input", 144),
+        ("feature", 3 * 288),
+        ("output", 20),
+    ]

@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+
+import figure_runs
+import little
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+from vprbench.figures.style import Drawn, png
+from vprbench.figures.tradeoff import against_memory, against_rate, front
+from vprbench.interface import BadInput
+from vprbench.series import Series
+
+METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
+
+
+def method(name: str, share: float, hz: float = 100.0, megabytes: float = 500.0, kept: int | None = None) -> Series:
+    """Return a row of one run on 400 queries whose encode and match take equally long."""
+    run = figure_runs.run(
+        name,
+        share,
+        n_queries=400,
+        n_places=450,
+        encode_seconds=0.5 / hz,
+        match_seconds=0.5 / hz,
+        peak_memory_bytes=int(megabytes * 1e6),
+        bytes_per_place=kept,
+    )
+    return figure_runs.series(name, run)
+
+
+def points(axes: Axes) -> list[tuple[float, float]]:
+    lines = [container.lines[0] for container in axes.containers]
+    return [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in lines]
+
+
+def steps(axes: Axes) -> list[tuple[float, float]]:
+    """Return the corners of the front: the only line with more than one of them."""
+    (line,) = (line for line in axes.lines if len(line.get_xdata()) > 1)
+    return [(float(x), float(y)) for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)]
+
+
+def marker_boxes(axes: Axes) -> list[Bbox]:
+    where = axes.transData.transform(points(axes))
+    half = 2 * axes.get_figure().dpi / 72  # markers are 4 points wide
+    return [Bbox.from_extents(x - half, y - half, x + half, y + half) for x, y in where]
+
+
+def label_boxes(figure: Figure, axes: Axes) -> list[Bbox]:
+    """Return the boxes of the names, without the lines that lead to their points."""
+    figure.draw_without_rendering()
+    return [Text.get_window_extent(text) for text in axes.texts]
+
+
+def slow_front(costs: Sequence[float], gains: Sequence[float]) -> set[int]:
+    """Return the points for which no other is at least as good in both and better in one."""
+    pairs = list(zip(costs, gains, strict=True))
+    return {
+        i
+        for i, (cost, gain) in enumerate(pairs)
+        if not any(c <= cost and g >= gain and (c, g) != (cost, gain) for c, g in pairs)
+    }
+
+
+def crowded() -> list[Series]:
+    return [method(name, 0.5 + 0.01 * i, 1000 - 20 * i, 400 + 3 * i, 4096 + i) for i, name in enumerate(METHODS)]
+
+
+def spread() -> list[Series]:
+    costs = (1000, 900, 5, 0.5, 40, 30)
+    return [
+        method(name, share, hz, 10000 / hz**0.5, 4096)
+        for name, share, hz in zip(METHODS, (0.9, 0.88, 0.4, 0.3, 0.6, 0.62), costs, strict=True)
+    ]
+
+
+def alike() -> list[Series]:
+    return [method(name, 0.5, 100, 500, 4096) for name in METHODS]
+
+
+def test_points_stand_at_the_total_rate_and_the_recall_in_percent() -> None:
+    (axes,) = against_rate([method("SAD", 0.5, 80), method("GCL", 0.25, 2)]).figure.axes
+    assert points(axes) == [pytest.approx((80, 50)), pytest.approx((2, 25))]
+
+
+def test_bars_are_wilson_s_interval() -> None:
+    # of 200 of 400: (1/2 + z^2/800 -+ z sqrt(1/1600 + z^2/640000)) / (1 + z^2/400), z = 1.959964
+    (axes,) = against_rate([method("SAD", 0.5)]).figure.axes
+    ((_, low), (_, high)) = axes.containers[0].lines[2][0].get_segments()[0]
+    assert (low, high) == pytest.approx((45.123, 54.877), abs=0.001)
+
+
+def test_several_seeds_are_one_point_at_their_means() -> None:
+    runs = [
+        figure_runs.run("vprtempo", share, seed=i, peak_memory_bytes=10**8 * (i + 1))
+        for i, share in enumerate((0.5, 0.7))
+    ]
+    drawn = against_memory([figure_runs.series("VPRTempo", *runs)])
+    assert points(drawn.figure.axes[0]) == [pytest.approx((150, 60))]
+    assert "VPRTempo (2 seeds): means over the seeds." in drawn.caption
+
+
+def test_the_front_is_that_of_a_slow_search_over_all_pairs() -> None:
+    grid = list(product(range(3), repeat=2))
+    for chosen in ([grid[i] for i in order] for order in product(range(9), repeat=4)):
+        costs, gains = zip(*chosen, strict=True)
+        assert set(front(costs, gains)) == slow_front(costs, gains)
+
+
+def test_the_front_comes_cheapest_first() -> None:
+    assert front([3, 1, 2, 2.5], [9, 1, 5, 4]) == [1, 2, 0]
+
+
+def test_the_steps_run_from_the_fastest_to_the_slow_end_of_the_rates() -> None:
+    series = [method("A", 0.25, 100), method("B", 0.5, 10), method("C", 0.75, 1), method("D", 0.25, 50)]
+    (axes,) = against_rate(series).figure.axes
+    slow = axes.get_xlim()[0]
+    corners = [(100, 25), (10, 25), (10, 50), (1, 50), (1, 75), (slow, 75)]
+    assert steps(axes) == [pytest.approx(corner) for corner in corners]
+
+
+def test_the_steps_run_from_the_smallest_to_the_large_end_of_the_memory() -> None:
+    series = [method("A", 0.25, megabytes=100), method("B", 0.5, megabytes=1000)]
+    (axes,) = against_memory(series).figure.axes
+    corners = [(100, 25), (1000, 25), (1000, 50), (axes.get_xlim()[1], 50)]
+    assert steps(axes) == [pytest.approx(corner) for corner in corners]
+
+
+def test_the_caption_names_the_methods_on_the_front() -> None:
+    caption = against_rate([method("A", 0.25, 100), method("B", 0.5, 10), method("D", 0.25, 50)]).caption
+    assert "no other row beats A and B in both" in caption
+
+
+def test_the_map_has_a_panel_of_its_own_for_the_rows_that_keep_descriptors() -> None:
+    drawn = against_memory([method("SAD", 0.5, kept=784), method("VPRTempo", 0.6), method("GCL", 0.3, kept=8192)])
+    _, right = drawn.figure.axes
+    assert points(right) == [pytest.approx((784, 50)), pytest.approx((8192, 30))]
+    assert "of SAD and GCL: the other rows keep no descriptors" in drawn.caption
+
+
+def test_without_descriptors_there_is_no_such_panel() -> None:
+    drawn = against_memory([method("VPRTempo", 0.6)])
+    assert len(drawn.figure.axes) == 1
+    assert "descriptors" not in drawn.caption
+
+
+@pytest.mark.parametrize("series", [crowded(), spread(), alike()], ids=["crowded", "spread", "alike"])
+@pytest.mark.parametrize("draw", [against_rate, against_memory])
+def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_inside(
+    series: list[Series], draw: Callable[[list[Series]], Drawn]
+) -> None:
+    figure = draw(series).figure
+    for axes in figure.axes:
+        names, markers = label_boxes(figure, axes), marker_boxes(axes)
+        assert [text.get_text() for text in axes.texts] == list(METHODS)
+        assert not any(one.overlaps(other) for i, one in enumerate(names) for other in names[:i])
+        assert not any(name.overlaps(marker) for name in names for marker in markers)
+        assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in names)
+
+
+def test_a_caption_says_dataset_interval_and_machine() -> None:
+    for caption in (against_rate([method("SAD", 0.5)]).caption, against_memory([method("SAD", 0.5)]).caption):
+        assert "railway (400 queries, 450 places)" in caption
+        assert "95 % intervals of R@1 (Wilson)" in caption
+        assert "Measured on Abacus 9" in caption
+
+
+def test_a_recall_of_zero_and_of_one_are_drawn_within_the_axis() -> None:
+    (axes,) = against_rate([method("A", 0.0, 10), method("B", 1.0, 100)]).figure.axes
+    assert axes.get_ylim() == (0, 100)
+
+
+def test_rows_on_different_images_are_never_one_figure() -> None:
+    other = replace(method("GCL", 0.5).runs[0], fingerprint="0" * 64)
+    with pytest.raises(BadInput, match="different data"):
+        against_rate([method("SAD", 0.5), figure_runs.series("GCL", other)])
+
+
+def test_queries_without_right_places_are_an_error() -> None:
+    with pytest.raises(BadInput, match="no query of journey has a right place"):
+        against_rate([figure_runs.series("SAD", little.unanswerable_run())])
+
+
+def test_no_row_is_an_error() -> None:
+    with pytest.raises(BadInput, match="no stored runs to draw"):
+        against_memory([])
+
+
+def test_the_same_runs_give_the_same_picture() -> None:
+    assert png(against_memory(spread())) == png(against_memory(spread()))

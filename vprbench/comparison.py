@@ -1,0 +1,98 @@
+"""Why a measured number and the one that the paper printed are not the same thing: short reasons for each cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from vprbench.absence import one_sentence
+from vprbench.plan import PlannedColumn, Quantity, Row
+from vprbench.records import Run
+
+PAPER = "VPRTempo (ICRA 2024), Table II"
+PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
+
+_RENDERED = "other data: rendered frames stand in for {}"
+_HARDWARE = "other hardware: {}; the paper's: {}"
+_BOUNDARIES = {
+    "encode": "the rate covers feature extraction alone, here and in the paper",
+    "match": "the rate covers matching alone, here and in the paper",
+}
+_DISTRACTORS = "our map keeps the {:,} places that are not queried; the paper does not say whether its map does"
+_LOOP = "the paper's rate looks like a loop over the references; ours compares all at once"
+_READING = "ours reads the images from disk within this time; the public code reads them before"
+
+
+@dataclass(frozen=True)
+class _Protocol:
+    """What the paper says of one of its datasets; no tolerance in either."""
+
+    places: int
+    queries: int
+    references: frozenset[str]
+    query: str
+
+
+_PAPER = {
+    "Nordland": _Protocol(3300, 2700, frozenset({"spring", "fall"}), "summer"),
+    "Oxford RobotCar": _Protocol(450, 360, frozenset({"sun", "rain"}), "dusk"),
+}
+
+
+def reasons(row: Row, planned: PlannedColumn, real_title: str | None, quantity: Quantity, run: Run) -> list[str]:
+    """Return why a row's number and the published one cannot be compared, the weightiest first.
+
+    `real_title` names the dataset that a rendered one stands in for. `run` is one of the cell's; all of them share what
+    is looked at here. Nothing is returned for a column that the paper does not have.
+    """
+    paper = _PAPER.get(planned.published or "")
+    if paper is None:
+        return []
+    found = [*_data(real_title, run, paper)]
+    if quantity == "recall_at_1":
+        found += _protocol(run, paper)
+        if not found and run.outcome.n_places > len(run.outcome):
+            found.append(_DISTRACTORS.format(run.outcome.n_places - len(run.outcome)))
+    else:
+        if run.outcome.n_places != paper.places:
+            found.append(f"other size: {run.outcome.n_places:,} places; the paper's: {paper.places:,}")
+        found += _hardware(quantity, run)
+        found += [_READING] if quantity in ("train_cpu", "train_gpu") else _rate(row)
+    return [one_sentence(reason, sentences=False) for reason in found]
+
+
+def _data(real_title: str | None, run: Run, paper: _Protocol) -> Iterator[str]:
+    if real_title is not None:
+        yield _RENDERED.format(real_title)
+        return
+    references, query = run.protocol.get("references"), run.protocol.get("query")
+    if references is not None and (frozenset(references), query) != (paper.references, paper.query):
+        theirs = f"{' and '.join(sorted(paper.references, reverse=True))} against {paper.query}"
+        yield f"other traverses: {' and '.join(references)} against {query}; the paper's: {theirs}"
+
+
+def _protocol(run: Run, paper: _Protocol) -> Iterator[str]:
+    places, queries = run.outcome.n_places, len(run.outcome)
+    if (places, queries) != (paper.places, paper.queries):
+        yield (
+            f"other protocol: {queries:,} queries of {places:,} places; "
+            f"the paper's: {paper.queries:,} of {paper.places:,}"
+        )
+    for name, unit in (("tolerance_places", "place"), ("tolerance_metres", "m"), ("radius_metres", "m")):
+        if within := run.protocol.get(name):
+            words = f"{within:g} {unit}{'s' if unit == 'place' and within > 1 else ''}"
+            yield f"other protocol: right within {words}; the paper's: the same place alone"
+
+
+def _hardware(quantity: Quantity, run: Run) -> Iterator[str]:
+    ours, theirs = str(run.environment["processor"]), PAPER_CPU
+    if quantity in ("train_gpu", "query_gpu"):
+        ours, theirs = str(run.environment.get("accelerator", "an unknown GPU")), PAPER_GPU
+    if theirs.split()[-1] not in ours:
+        yield _HARDWARE.format(ours, theirs)
+
+
+def _rate(row: Row) -> Iterator[str]:
+    yield _BOUNDARIES[row.boundary]
+    if row.name == "SAD":
+        yield _LOOP

@@ -1,0 +1,155 @@
+"""Which row of a column is best, where a test says so: nothing is bold that chance or a busy machine may have made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from vprbench.intervals import block_bootstrap, mcnemar_exact
+from vprbench.metrics import hits_at, recall_at
+from vprbench.plan import Boundary
+from vprbench.records import Run
+from vprbench.stopwatch import Seconds
+from vprbench.tables import machine_line
+
+CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
+RATE_CHANCE = 0.01
+FASTER = 1.25  # times: less is within what machines vary by
+BLOCK = 10  # consecutive frames that see nearly the same
+
+NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
+RULES = (
+    f"Bold R@1: in every pair of seeds the exact McNemar test gives p < {CHANCE} / number of other rows, and "
+    f"the interval of the difference, in blocks of {BLOCK} frames, lies above 0.",
+    f"Bold times: on one undisturbed machine and {FASTER} times apart in every pair of seeds; rates also by "
+    f"the Mann-Whitney U test of their laps, p < {RATE_CHANCE}, at their own and at the common boundary.",
+)
+
+Stage = Boundary | None  # None: encode and match together
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One measured row."""
+
+    name: str
+    runs: tuple[Run, ...]  # one a seed, at least one
+    boundary: Boundary
+    finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
+
+
+def best_recall(rows: Sequence[Contestant]) -> str | None:
+    """Return the row with the highest R@1 where a paired test separates it from every other row; None where not.
+
+    For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the block bootstrap
+    interval of the mean difference, in blocks of 10 queries, lies above 0. All runs answer the same queries.
+    """
+    rows = [row for row in rows if mean_recall(row.runs) is not None]
+    chance = CHANCE / max(1, len(rows) - 1)
+    return _winner(rows, lambda row: mean_recall(row.runs) or 0.0, partial(_more_accurate, chance=chance))
+
+
+def best_rate(rows: Sequence[Contestant]) -> str | None:
+    """Return the row with the highest query rate where the laps separate it from every other row; None where not.
+
+    All rows ran undisturbed on one machine. For every pair of seeds it is at least 1.25 times as fast, and the
+    Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode and match
+    together, for rows of different boundaries do not do the same work.
+    """
+    if not _comparable(rows):
+        return None
+    return _winner(rows, lambda row: float(np.mean([rate(run, row.boundary) for run in row.runs])), _faster)
+
+
+def best_training(rows: Sequence[Contestant]) -> str | None:
+    """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None where there is none.
+
+    All rows trained undisturbed on one machine. One fit a seed is no sample that a test could weigh.
+    """
+    rows = [row for row in rows if all(run.fit_seconds is not None for run in row.runs)]
+    if not _comparable(rows):
+        return None
+    return _winner(rows, lambda row: -_slowest(row), lambda one, other: FASTER * _slowest(one) <= _fastest(other))
+
+
+def mean_recall(runs: Sequence[Run]) -> float | None:
+    """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None where no query has a right place."""
+    recalls = [recall_at(run.outcome, 1) for run in runs]
+    expected = [recall.expected for recall in recalls if recall is not None]
+    return float(np.mean(expected)) if expected else None
+
+
+def rate(run: Run, stage: Stage) -> float:
+    """Return the streaming rate of a stage in Hz: 1 / median."""
+    return 1 / float(np.median(_laps(run, stage)))
+
+
+def disturbed(run: Run) -> bool:
+    """Tell whether a run's times were taken while the machine did other things, or are too few."""
+    return any(note.startswith(("noisy", "invalid")) for note in run.notes)
+
+
+def machine(run: Run) -> str:
+    """Return what a run's times were measured on, without the day."""
+    return machine_line(run).rpartition(", ")[0]
+
+
+def _winner(
+    rows: Sequence[Contestant],
+    value: Callable[[Contestant], float],
+    beats: Callable[[Contestant, Contestant], bool],
+) -> str | None:
+    """Return the row of the highest value if it is the only one of that value and beats all others one by one."""
+    if len(rows) < 2:
+        return None
+    leader, *others = sorted(rows, key=value, reverse=True)
+    won = leader.finished and value(leader) > value(others[0]) and all(beats(leader, other) for other in others)
+    return leader.name if won else None
+
+
+def _more_accurate(one: Contestant, other: Contestant, chance: float) -> bool:
+    return all(_separated(first, second, chance) for first, second in product(one.runs, other.runs))
+
+
+def _separated(first: Run, second: Run, chance: float) -> bool:
+    test = mcnemar_exact(hits_at(first.outcome, 1, "pessimistic"), hits_at(second.outcome, 1, "pessimistic"))
+    if test.b <= test.c or test.p_value >= chance:
+        return False
+    interval = block_bootstrap(hits_at(first.outcome, 1) - hits_at(second.outcome, 1), BLOCK)
+    return interval is not None and interval.low > 0
+
+
+def _faster(one: Contestant, other: Contestant) -> bool:
+    from scipy.stats import mannwhitneyu  # takes long to import
+
+    stages: tuple[tuple[Stage, Stage], ...] = ((one.boundary, other.boundary), (None, None))
+    for (first, second), (ours, theirs) in product(product(one.runs, other.runs), stages):
+        if rate(first, ours) < FASTER * rate(second, theirs):
+            return False
+        if mannwhitneyu(_laps(first, ours), _laps(second, theirs)).pvalue >= RATE_CHANCE:
+            return False
+    return True
+
+
+def _comparable(rows: Sequence[Contestant]) -> bool:
+    runs = [run for row in rows for run in row.runs]
+    return len({machine(run) for run in runs}) == 1 and not any(map(disturbed, runs))
+
+
+def _laps(run: Run, stage: Stage) -> Seconds:
+    streaming = run.timing.streaming
+    if stage is None:
+        return streaming.total_seconds
+    return streaming.encode_seconds if stage == "encode" else streaming.match_seconds
+
+
+def _slowest(row: Contestant) -> float:
+    return max(run.fit_seconds or 0.0 for run in row.runs)
+
+
+def _fastest(row: Contestant) -> float:
+    return min(run.fit_seconds or 0.0 for run in row.runs)

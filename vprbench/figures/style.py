@@ -1,0 +1,162 @@
+"""What all figures share: sizes, type, looks that read in colour and in grey, and files whose bytes repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from io import BytesIO
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib.style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from vprbench.interface import BadInput
+
+SINGLE_MM = 88.0  # one column of a two-column page
+DOUBLE_MM = 180.0  # both columns
+GREY = "#6E6E6E"  # of what is no method: fronts, chance, annotations
+
+Dash = tuple[int, tuple[float, ...]]  # offset, then lengths of lines and gaps in line widths; () is a solid line
+Arguments = ParamSpec("Arguments")
+
+_SETTINGS: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same glyphs on every machine
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "axes.titlelocation": "left",
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 2.8,  # long enough for a whole dash
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 4,
+    "errorbar.capsize": 2,
+    "hatch.linewidth": 0.6,
+    "image.cmap": "gray",
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "savefig.dpi": 200,
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure and its caption in full sentences."""
+
+    figure: Figure
+    caption: str
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one method looks in every figure: no two rely on colour alone."""
+
+    colour: str
+    marker: str
+    dash: Dash
+    hatch: str
+
+
+# Colours of Okabe and Ito (2008), without their yellow, which is too light for a line on white paper.
+_PAPER = {
+    "SAD": Look("#56B4E9", "o", (0, (1.5, 1.2)), "...."),
+    "NetVLAD": Look("#0072B2", "s", (0, (5, 1.5)), "\\\\\\\\"),
+    "GCL": Look("#E69F00", "^", (0, (5, 1.5, 1.2, 1.5)), "xxxx"),
+    "VPRSNN": Look("#000000", "v", (0, (9, 2)), "----"),
+    "VPRTempo": Look("#D55E00", "D", (0, ()), "////"),
+}
+_COLOURS = ("#009E73", "#CC79A7", "#999999")
+_MARKERS = ("P", "X", "<", ">", "h", "p", "d", "*")
+_DASHES: tuple[Dash, ...] = ((0, (3, 1, 1, 1, 1, 1)), (0, (7, 2, 2, 2)), (0, (1, 2.5)), (0, (3, 3)), (0, ()))
+_HATCHES = ("++++", "oo", "||||", "**")
+
+
+def look(name: str) -> Look:
+    """Return the look of one of the paper's rows; of any other method the first of the further looks."""
+    return looks([name])[name]
+
+
+def looks(names: Sequence[str]) -> dict[str, Look]:
+    """Return a look for each name: fixed ones for the paper's rows, further ones for others in their order.
+
+    Up to 120 others look different. Give the same names to figures that stand side by side.
+    """
+    others = [name for name in dict.fromkeys(names) if name not in _PAPER]
+    further = {
+        name: Look(
+            _COLOURS[i % len(_COLOURS)],
+            _MARKERS[i % len(_MARKERS)],
+            _DASHES[i % len(_DASHES)],
+            _HATCHES[i % len(_HATCHES)],
+        )
+        for i, name in enumerate(others)
+    }
+    return {name: _PAPER.get(name) or further[name] for name in dict.fromkeys(names)}
+
+
+def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
+    """Draw in the type and lines of this module, whatever matplotlib's own settings are; for every figure function."""
+
+    @wraps(draw)
+    def in_style(*given: Arguments.args, **named: Arguments.kwargs) -> Drawn:
+        with matplotlib.style.context(_SETTINGS, after_reset=True):
+            return draw(*given, **named)
+
+    return in_style
+
+
+def new(width_mm: float, height_mm: float, rows: int = 1, columns: int = 1) -> tuple[Figure, tuple[Axes, ...]]:
+    """Return an empty figure and its axes, row by row; labels make room for themselves within the given size."""
+    with matplotlib.style.context(_SETTINGS, after_reset=True):
+        figure = Figure(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
+        FigureCanvasAgg(figure)
+        return figure, tuple(figure.subplots(rows, columns, squeeze=False).flat)
+
+
+def png(drawn: Drawn) -> bytes:
+    """Return a figure as PNG, 200 dots per inch, its caption as the description; the same bytes for the same data."""
+    return _saved(drawn.figure, "png", {"Software": None, "Description": drawn.caption})
+
+
+def pdf(drawn: Drawn) -> bytes:
+    """Return a figure as PDF, its caption as the subject; the same bytes for the same data."""
+    return _saved(drawn.figure, "pdf", {"CreationDate": None, "Subject": drawn.caption})
+
+
+def write(drawn: Drawn, folder: Path, name: str) -> tuple[Path, Path]:
+    """Write `<name>.pdf` and `<name>.png` into a folder, made where missing; raises BadInput where the disk refuses."""
+    paths = folder / f"{name}.pdf", folder / f"{name}.png"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, content in zip(paths, (pdf(drawn), png(drawn)), strict=True):
+            partial = path.with_name(f".{path.name}.partial")
+            partial.write_bytes(content)
+            partial.replace(path)
+    except OSError as error:
+        raise BadInput(
+            f"figure {name} could not be written to {folder} ({error.strerror or error}): choose another folder"
+        ) from error
+    return paths
+
+
+def _saved(figure: Figure, kind: str, metadata: dict[str, Any]) -> bytes:
+    content = BytesIO()
+    with matplotlib.style.context(_SETTINGS, after_reset=True):
+        figure.savefig(content, format=kind, metadata=metadata)
+    return content.getvalue()

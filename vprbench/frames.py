@@ -1,0 +1,206 @@
+"""Small pictures of a dataset's frames, kept beside its runs: figures and the report need no dataset then."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import shutil
+import socket
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image as PillowImage
+
+from vprbench import progress
+from vprbench.images import Images
+from vprbench.interface import Dataset, Image
+
+logger = logging.getLogger(__name__)
+
+_FOLDER = "frames"
+_EXAMPLE_SIDE = 640  # pixels, the longest
+_EXAMPLES = 4
+_THUMBNAIL_BYTES = 780  # on average: 3300 references and 2700 queries fit into 5 MB
+_LOOKS = ((96, 65), (96, 50), (96, 35), (96, 20), (80, 20), (64, 20))  # longest side in pixels, quality of WebP
+_PROBES = 32  # frames of each traverse by which one of these is chosen
+_EFFORT = 4  # of WebP, 0 to 6
+
+
+@dataclass(frozen=True)
+class Example:
+    """A query beside the place that is right for it, without loss."""
+
+    query: int
+    place: int
+    query_image: Image
+    reference_image: Image
+
+
+@dataclass(frozen=True)
+class Thumbnails:
+    """All frames of a dataset, small: each query, and the first reference image of each place."""
+
+    query_names: tuple[str, ...]
+    reference_names: tuple[str, ...]  # by place
+    examples: tuple[Example, ...]  # spread over the queries that have a right place
+    queries: tuple[bytes, ...]
+    references: tuple[bytes, ...]
+
+    def query(self, i: int) -> bytes:
+        """Return query i as WebP."""
+        return self.queries[i]
+
+    def reference(self, place: int) -> bytes:
+        """Return the first reference image of a place as WebP."""
+        return self.references[place]
+
+
+def keep(root: Path, fingerprint: str, dataset: Dataset) -> None:
+    """Keep small pictures of a dataset below a results folder, unless they are there already.
+
+    Several processes may do so at once; a reader finds a whole file or none. Raises OSError where the disk refuses and
+    BadInput where a frame cannot be read.
+    """
+    if find(root, fingerprint) is not None:
+        return
+    content = _content(fingerprint, dataset)
+    # The store removes such a folder where the process that made it is gone.
+    partial = Path(tempfile.mkdtemp(prefix=f".partial-{socket.gethostname()}-{os.getpid()}-", dir=root))
+    try:
+        whole = partial / "frames.npz"
+        np.savez_compressed(whole, allow_pickle=False, **content)
+        path = _path(root, fingerprint)
+        path.parent.mkdir(exist_ok=True)
+        whole.replace(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def find(root: Path, fingerprint: str) -> Thumbnails | None:
+    """Return the pictures kept of a dataset; None where there are none or, with a warning, where they are damaged."""
+    path = _path(root, fingerprint)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"{damaged} is not what was written")
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+        if content["fingerprint"].item() != fingerprint:
+            raise ValueError("they are of another dataset")
+        return _thumbnails(content)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, SyntaxError) as error:
+        reason: Exception = error
+    except (zipfile.BadZipFile, zlib.error) as error:
+        reason = error
+    logger.warning("%s cannot be used (%s): the next run on that dataset makes it anew", path, reason)
+    return None
+
+
+def _path(root: Path, fingerprint: str) -> Path:
+    return root / _FOLDER / f"{fingerprint[:16]}.npz"
+
+
+def _content(fingerprint: str, dataset: Dataset) -> dict[str, npt.NDArray[Any]]:
+    """Return everything that is kept of a dataset, as named arrays."""
+    _, first_of_place = np.unique(dataset.places, return_index=True)
+    references = dataset.references[first_of_place]
+    answerable = [query for query, right in enumerate(dataset.positives) if len(right)]
+    spread = np.linspace(0, len(answerable) - 1, min(_EXAMPLES, len(answerable))).astype(int).tolist()
+    examples = [answerable[i] for i in spread]
+    right = [int(dataset.positives[query][len(dataset.positives[query]) // 2]) for query in examples]
+    look = _look([dataset.queries, references])
+    total = len(dataset.queries) + len(references)
+    return {
+        "fingerprint": np.array(fingerprint),
+        "query_names": np.array(dataset.queries.names),
+        "reference_names": np.array(references.names),
+        "examples": np.array([examples, right], np.int64),  # (2, n_examples)
+        **_packed("queries", _small(dataset.queries, look, 0, total)),
+        **_packed("references", _small(references, look, len(dataset.queries), total)),
+        **_packed("example_queries", (_lossless(dataset.queries[query]) for query in examples)),
+        **_packed("example_references", (_lossless(references[place]) for place in right)),
+    }
+
+
+def _look(traverses: Sequence[Images]) -> tuple[int, int]:
+    """Return the best side and quality at which some frames of each traverse take few enough bytes, or the least."""
+    probes = [
+        image
+        for images in traverses
+        for image in images[np.linspace(0, len(images) - 1, min(_PROBES, len(images))).astype(np.int64)]
+    ]
+    for side, quality in _LOOKS:
+        if sum(len(_thumbnail(probe, side, quality)) for probe in probes) <= _THUMBNAIL_BYTES * len(probes):
+            break
+    return side, quality
+
+
+def _small(images: Images, look: tuple[int, int], done: int, total: int) -> Iterator[bytes]:
+    """Yield thumbnails of images, of which so many of `total` are done before the first."""
+    for number, image in enumerate(images, done):
+        progress.report("keeping small frames", number / total)
+        yield _thumbnail(image, *look)
+
+
+def _thumbnail(image: Image, side: int, quality: int) -> bytes:
+    return _webp(_shrunk(image, side), quality=quality)
+
+
+def _lossless(image: Image) -> bytes:
+    return _webp(_shrunk(image, _EXAMPLE_SIDE), lossless=True)
+
+
+def _shrunk(image: Image, side: int) -> PillowImage.Image:
+    """Return an image whose longest side has at most `side` pixels."""
+    picture = PillowImage.fromarray(image)
+    picture.thumbnail((side, side))
+    return picture
+
+
+def _webp(picture: PillowImage.Image, **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, "WEBP", method=_EFFORT, **options)
+    return buffer.getvalue()
+
+
+def _packed(name: str, parts: Iterator[bytes]) -> dict[str, npt.NDArray[Any]]:
+    """Return byte strings as one array of bytes and one of where each ends."""
+    encoded = list(parts)
+    ends = np.cumsum([len(part) for part in encoded], dtype=np.int64)
+    return {name: np.frombuffer(b"".join(encoded), np.uint8), f"{name}_end": ends}
+
+
+def _unpacked(content: dict[str, npt.NDArray[Any]], name: str) -> tuple[bytes, ...]:
+    joined, ends = content[name].tobytes(), content[f"{name}_end"].tolist()
+    return tuple(joined[start:end] for start, end in zip([0, *ends], ends, strict=False))
+
+
+def _thumbnails(content: dict[str, npt.NDArray[Any]]) -> Thumbnails:
+    queries, places = content["examples"].tolist()
+    pictures = zip(_unpacked(content, "example_queries"), _unpacked(content, "example_references"), strict=True)
+    return Thumbnails(
+        query_names=tuple(content["query_names"].tolist()),
+        reference_names=tuple(content["reference_names"].tolist()),
+        examples=tuple(
+            Example(query, place, _decoded(asked), _decoded(right))
+            for query, place, (asked, right) in zip(queries, places, pictures, strict=True)
+        ),
+        queries=_unpacked(content, "queries"),
+        references=_unpacked(content, "references"),
+    )
+
+
+def _decoded(webp: bytes) -> Image:
+    with PillowImage.open(io.BytesIO(webp)) as picture:
+        return np.asarray(picture.convert("RGB"))

@@ -1,0 +1,120 @@
+"""How time grows with the number of places: constant, logarithmic and linear laws compared, and a power's exponent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import BadInput
+
+Law = Literal["constant", "logarithmic", "linear"]
+LAWS: tuple[Law, ...] = ("constant", "logarithmic", "linear")
+
+_FEWEST_SIZES = 4
+_FEWEST_SAMPLES = 5  # with fewer the correction of AICc for two coefficients is infinite
+_CLOSEST = 1e-6  # relative error below which no time is known: keeps exact data from an infinite likelihood
+_SEPARATED = 2.0  # a difference of AICc below which a law keeps substantial support (Burnham and Anderson 2002)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Seconds under one law: a, a + b ln n or a + b n, with b at least 0."""
+
+    law: Law
+    a: float
+    b: float
+    aicc: float
+
+    def at(self, n_places: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return the seconds at numbers of places (n,)."""
+        return self.a + self.b * _shape(self.law, np.asarray(n_places, np.float64))
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """The power of n that seconds grow with, and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How well each law describes the samples."""
+
+    fits: Mapping[Law, Fit]
+    best: Law  # with the lowest AICc
+    differences: Mapping[Law, float]  # AICc less that of the best
+    exponent: Exponent
+
+    @property
+    def supported(self) -> tuple[Law, ...]:
+        """The laws that the samples do not separate from the best: their AICc lies within 2 of it."""
+        return tuple(law for law in LAWS if self.differences[law] < _SEPARATED)
+
+
+def compare(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Comparison:
+    """Fit the laws to times (n_samples,) at numbers of places (n_samples,) and compare them.
+
+    Each law is fitted by least squares on the error relative to the measured time, so that small maps count as much
+    as large ones. None falls, nor lies below 0 at the smallest map. AICc = m ln(S / m) + 2 k + 2 k (k + 1) /
+    (m - k - 1), S the sum of squared relative errors of m samples and k the coefficients and the variance (Hurvich and
+    Tsai 1989). The exponent is the slope of ln seconds over ln places with Student's interval. Raises BadInput for
+    fewer than 4 different sizes or 5 samples, and for times that are not above 0.
+    """
+    sizes, times = np.asarray(n_places, np.float64), np.asarray(seconds, np.float64)
+    different = len(np.unique(sizes))
+    if different < _FEWEST_SIZES or len(sizes) < _FEWEST_SAMPLES:
+        raise BadInput(
+            f"{len(sizes)} times at {different} numbers of places cannot tell laws of growth apart: "
+            f"run at least {_FEWEST_SAMPLES} of them at {_FEWEST_SIZES} numbers of places or more"
+        )
+    if not (np.isfinite(times).all() and times.min() > 0 and sizes.min() >= 1):
+        raise BadInput(
+            f"times from {times.min():g} s at maps from {sizes.min():g} places cannot be fitted: "
+            "times have to be finite and above 0, and maps of one place or more"
+        )
+    fits = {law: _fit(law, sizes, times) for law in LAWS}
+    best = min(LAWS, key=lambda law: fits[law].aicc)
+    differences = {law: fits[law].aicc - fits[best].aicc for law in LAWS}
+    return Comparison(fits, best, differences, _exponent(sizes, times))
+
+
+def _fit(law: Law, sizes: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> Fit:
+    from scipy.optimize import nnls  # takes long to import
+
+    shape = _shape(law, sizes)
+    columns = [np.ones(len(sizes)), shape - shape.min()][: 1 if law == "constant" else 2]
+    relative = np.stack(columns, axis=1) / times[:, None]
+    scales = np.linalg.norm(relative, axis=0)
+    coefficients = nnls(relative / scales, np.ones(len(sizes)))[0] / scales
+    errors = relative @ coefficients - 1
+    smallest, b = [*coefficients.tolist(), 0.0][:2]
+    return Fit(law, smallest - b * shape.min(), b, _aicc(float(np.mean(errors**2)), len(sizes), len(columns) + 1))
+
+
+def _shape(law: Law, sizes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if law == "logarithmic":
+        return np.log(sizes)
+    return sizes if law == "linear" else np.zeros_like(sizes)
+
+
+def _aicc(mean_square: float, n_samples: int, n_parameters: int) -> float:
+    correction = 2 * n_parameters * (n_parameters + 1) / (n_samples - n_parameters - 1)
+    return n_samples * log(max(mean_square, _CLOSEST**2)) + 2 * n_parameters + correction
+
+
+def _exponent(sizes: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> Exponent:
+    from scipy.stats import t  # takes long to import
+
+    x, y = np.log(sizes) - np.log(sizes).mean(), np.log(times) - np.log(times).mean()
+    slope = float(x @ y / (x @ x))
+    left = len(sizes) - 2
+    half = float(t.ppf(0.975, left)) * float(np.sqrt(np.sum((y - slope * x) ** 2) / left / (x @ x)))
+    return Exponent(slope, slope - half, slope + half)

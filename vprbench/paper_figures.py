@@ -1,0 +1,128 @@
+"""`make figures`: every figure of the paper and some beyond it, from stored runs, those that are missing made first."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vprbench.belonging import ColumnAsked, Group, groups, of_row, series, title
+from vprbench.fill import fill, results_folder
+from vprbench.frames import Thumbnails, find
+from vprbench.growth_series import GrowthSamples, samples
+from vprbench.interface import BadInput
+from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
+from vprbench.paper_table import exit_code
+from vprbench.records import Run, Store
+from vprbench.replacing import replace_text
+
+if TYPE_CHECKING:
+    from vprbench.figures.style import Drawn
+
+logger = logging.getLogger(__name__)
+
+
+def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+    """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
+    from vprbench.figures.style import write
+
+    found = gather(asked, options, compose)
+    growth = growth_columns(found, compose)
+    runs = found.runs
+    if not asked.stored:
+        store = Store(results_folder(asked.results))
+        rows = [found.chosen.plan.row(name) for name in found.chosen.plan.growth.rows]
+        fill([run for column in growth for run in wanted(found.chosen, column, rows)], options, store)
+        runs = tuple(stored(asked)[0])
+    folder = Path(asked.results).expanduser() / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    captions = ["# Captions\n"]
+    for name, drawn in draw_all(found, runs, growth, asked):
+        paths = write(drawn, folder, name)
+        captions.append(f"**{name}.** {drawn.caption}\n")
+        print(f"{paths[0]} and .png")
+    replace_text(folder / "captions.md", "\n".join(captions))
+    print(f"what each shows: {folder / 'captions.md'}")
+    return exit_code(found)
+
+
+def draw_all(
+    found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked], asked: Asked
+) -> Iterator[tuple[str, Drawn]]:
+    """Yield each figure with the name of its files; one that has nothing to show is named in a log line."""
+    for name, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
+        try:
+            yield name, draw()
+        except BadInput as error:
+            logger.info("%s is not drawn: %s", name, error)
+
+
+def thumbnails_of(group: Group, asked: Asked) -> Thumbnails | None:
+    """Return the frames that were kept of a group's dataset, from the first store that has them."""
+    for folder in (asked.results, *asked.stores):
+        kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
+        if kept is not None:
+            return kept
+    return None
+
+
+def group_name(group: Group) -> str:
+    """Return what a group is called in the names of files."""
+    return group.asked.planned.name + (f"-{group.number}" if group.number > 1 else "")
+
+
+def growth_columns(found: Material, compose: Compose) -> list[ColumnAsked]:
+    """Return a column for each size of the growth."""
+    planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
+    return [ColumnAsked(column, dict(compose(column.options)["dataset"])) for column in planned]
+
+
+Draw = Callable[[], "Drawn"]
+
+
+def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> Iterator[tuple[str, Draw]]:
+    """Yield Figure 2: training time, query rate, and both against the number of places."""
+    from vprbench.figures import growth as growing
+    from vprbench.figures import speed
+
+    group = next((group for group in found.groups if group.runs), None)
+    if group is not None:
+        rows = found.chosen.rows
+        measured = series(group, rows), series(group, rows, "cuda")
+        yield "fig2a-training-time", partial(speed.training_time, *measured, rows, group.asked.planned)
+        yield "fig2b-query-rate", partial(speed.query_rate, *measured, rows, group.asked.planned)
+    yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
+
+
+def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> list[GrowthSamples]:
+    """Return the samples of each row of the growth."""
+    chosen = []
+    for name in found.chosen.plan.growth.rows:
+        row = found.chosen.plan.row(name)
+        there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
+        chosen.append(samples(row, there))
+    return chosen
+
+
+def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
+    """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
+    from vprbench.figures import accuracy, pictures, spikes, tradeoff
+
+    for group in found.groups:
+        shown = series(group, found.chosen.rows)
+        if not shown:
+            continue
+        name = group_name(group)
+        thumbnails = thumbnails_of(group, asked)
+        if thumbnails is not None:
+            yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
+        one = next((one for one in reversed(shown) if one.spiking), shown[-1])  # the paper shows VPRTempo's
+        yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
+        yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
+        yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
+        yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
+        yield f"rate-{name}", partial(tradeoff.against_rate, shown)
+        yield f"memory-{name}", partial(tradeoff.against_memory, shown)
+        yield f"spikes-{name}", partial(spikes.spike_statistics, shown)

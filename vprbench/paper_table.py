@@ -1,0 +1,46 @@
+"""`make table`: Table II from stored runs, those that are missing made first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from vprbench import table_formats, tables
+from vprbench.paper import Asked, Compose, Material, gather
+from vprbench.records import Store
+from vprbench.replacing import replace_text
+
+
+def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
+    found = gather(asked, options, compose)
+    folder = Path(asked.results).expanduser()
+    written = write(found, folder, file_name(asked))
+    print(table_formats.markdown(found.table), end="")
+    print(f"\nwritten to {', '.join(str(path) for path in written)}")
+    return exit_code(found)
+
+
+def write(found: Material, folder: Path, name: str) -> list[Path]:
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
+    Store(folder).prepare()
+    runs = [run for group in found.groups for run in group.runs]
+    texts = {
+        f"{name}.md": table_formats.markdown(found.table),
+        f"{name}.csv": table_formats.csv(found.table),
+        f"{name}.tex": table_formats.latex(found.table),
+        f"{name}-runs.csv": tables.csv(runs),
+    }
+    for file, text in texts.items():
+        replace_text(folder / file, text)
+    return [folder / file for file in texts]
+
+
+def file_name(asked: Asked) -> str:
+    """Return what the files are called: the columns, where some were asked for."""
+    return asked.name or ("-".join(asked.columns) if asked.columns else "table")
+
+
+def exit_code(found: Material) -> int:
+    """Return 1 where a run failed that could have been made."""
+    return int(any(ending.code and not ending.missing for ending in found.endings))

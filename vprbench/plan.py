@@ -1,0 +1,133 @@
+"""What Table II and the figures are made of: rows, columns, sizes of the growth, and what the paper printed."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import yaml
+
+from vprbench.interface import BadInput
+
+Quantity = Literal["recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu"]
+Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
+Training = Literal["own", "none", "pretrained"]
+
+QUANTITIES: tuple[Quantity, ...] = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: a method with the arguments that set it apart, and what the paper timed of it."""
+
+    name: str
+    method: str
+    boundary: Boundary = "match"
+    training: Training = "own"
+    spiking: bool = False  # stands below the rule that ends the conventional methods
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    seeds: tuple[int, ...] = (0,)
+    most_places: int | None = None  # how many places are its share of 15 minutes; None: any number
+
+
+@dataclass(frozen=True)
+class PlannedColumn:
+    """A group of columns: a dataset with its options, and the published dataset that it stands beside."""
+
+    name: str
+    title: str
+    options: tuple[str, ...]  # of the command line
+    published: str | None = None  # the dataset of the paper's table
+    stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
+    smaller: str | None = None  # the column where rows run that take too long here
+    fits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by method, arguments that this size needs
+
+    def arguments(self, row: Row) -> dict[str, Any]:
+        """Return the arguments of a row's method here."""
+        return {**self.fits.get(row.method, {}), **row.arguments}
+
+
+@dataclass(frozen=True)
+class Growth:
+    """The runs behind time against the number of places."""
+
+    rows: tuple[str, ...]
+    options: tuple[str, ...]  # of the dataset
+    sizes: tuple[int, ...]  # places
+    queries: int  # at most
+    at_most: Mapping[str, Mapping[str, int]]  # by method, arguments that fewer places lower to their number
+
+    def column(self, places: int) -> PlannedColumn:
+        """Return the column of one size; of the synthetic route the first 2/11 of the places are not queried."""
+        queries = min(self.queries, places - round(places * 2 / 11))
+        options = (*self.options, f"dataset.places={places}", f"dataset.query_places={queries}")
+        fits = {
+            method: {name: places for name, most in arguments.items() if places < most}
+            for method, arguments in self.at_most.items()
+        }
+        return PlannedColumn(f"growth_{places}", f"{places:,} places", options, fits=fits)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything in conf/table.yaml, by name."""
+
+    rows: Mapping[str, Row]  # of the paper's table
+    more_rows: Mapping[str, Row]  # on request
+    columns: Mapping[str, PlannedColumn]
+    growth: Growth
+
+    def row(self, name: str) -> Row:
+        """Return a row by its name, or one that shows a method under its default arguments."""
+        known = {**self.rows, **self.more_rows}
+        return known[name] if name in known else Row(name, name)
+
+
+def read_plan(path: Path) -> Plan:
+    """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        rows, more = (
+            {name: _row(name, given) for name, given in content[group].items()} for group in ("rows", "more_rows")
+        )
+        columns = {name: _column(name, given) for name, given in content["columns"].items()}
+        growth = _growth(**content["growth"])
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
+    for column in columns.values():
+        for named in (column.smaller, column.stand_in_for):
+            if named is not None and named not in columns:
+                raise BadInput(f"{path}: column {column.name} names {named}, which is none: there are {[*columns]}")
+    return Plan(rows, more, columns, growth)
+
+
+def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:
+    """Return what the paper printed in Table II, by row and dataset: R@1 in %, training in minutes, queries in Hz.
+
+    None is its "-". Source: VPRTempo (ICRA 2024), Table II.
+    """
+    printed: dict[tuple[str, str], dict[Quantity, float | None]] = {}
+    with Path(__file__).with_name("published_table2.csv").open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            cells = printed.setdefault((line["method"], line["dataset"]), {})
+            quantity = next(known for known in QUANTITIES if known == line["metric"])
+            cells[quantity] = float(line["value"]) if line["value"] else None
+    return printed
+
+
+def _row(name: str, given: Mapping[str, Any]) -> Row:
+    row = Row(**{"name": name, **given, "seeds": tuple(given.get("seeds", (0,)))})
+    if row.boundary not in get_args(Boundary) or row.training not in get_args(Training) or not row.seeds:
+        raise TypeError(f"row {name}: boundary {row.boundary}, training {row.training}, seeds {list(row.seeds)}")
+    return row
+
+
+def _growth(rows: list[str], options: list[str], sizes: list[int], **rest: Any) -> Growth:
+    return Growth(tuple(rows), tuple(options), tuple(sizes), **rest)
+
+
+def _column(name: str, given: Mapping[str, Any]) -> PlannedColumn:
+    return PlannedColumn(name, **{**given, "options": tuple(given["options"])})

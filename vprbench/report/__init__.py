@@ -1,0 +1,1 @@
+"""One self-contained HTML page from stored runs: the table, the figures, and a browser of single queries."""

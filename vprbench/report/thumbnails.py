@@ -1,0 +1,45 @@
+"""Thumbnails in a page: as they are stored, or coarser where they would make it too large."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+from PIL import Image
+
+_STEPS = ((96, 40), (96, 20), (80, 20), (64, 20), (48, 20), (32, 20), (24, 10))  # longest side in pixels, WebP quality
+_SAMPLED = 50  # frames by which the size of all is estimated
+_ENCLOSING = 3  # bytes of the quotes and the comma around a frame
+
+
+def text_bytes(frames: Sequence[bytes]) -> int:
+    """Return how many bytes frames fill in a page, in base64."""
+    return sum(4 * -(-len(frame) // 3) + _ENCLOSING for frame in frames)
+
+
+def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
+    """Return the frames so that all of them fill at most `most_bytes` of a page; None where they cannot.
+
+    They stay as they are where that is little enough, or else are all made coarser in the same way.
+    """
+    if not frames or text_bytes(frames) <= most_bytes:
+        return list(frames)
+    sample = frames[:: max(1, len(frames) // _SAMPLED)]
+    for side, quality in _STEPS:
+        estimated = text_bytes([_coarser(frame, side, quality) for frame in sample]) / len(sample) * len(frames)
+        if estimated > most_bytes:
+            continue
+        made = [_coarser(frame, side, quality) for frame in frames]
+        if text_bytes(made) <= most_bytes:
+            return made
+    return None
+
+
+def _coarser(frame: bytes, side: int, quality: int) -> bytes:
+    """Return a WebP image with its longest side at most `side`, never larger in bytes than it was."""
+    with Image.open(io.BytesIO(frame)) as image:
+        small = image.convert("RGB")
+    small.thumbnail((side, side))
+    written = io.BytesIO()
+    small.save(written, "WEBP", quality=quality, method=4)
+    return min(frame, written.getvalue(), key=len)

@@ -1,0 +1,47 @@
+"""What a run keeps of the spikes of a network: plain values for each layer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vprbench.interface import BadInput, LayerSpikes
+
+__all__ = ["LayerSpikes", "summary"]
+
+
+def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
+    """Return the statistics of layers over their queries, as plain values; None without a layer.
+
+    Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and
+    `amplitude_mean`, of all spikes, None where only their number is known or there is none. Raises BadInput for
+    layers of different queries and for values that are not finite or below 0.
+    """
+    if not layers:
+        return None
+    counts = sorted({len(layer.values) for layer in layers})
+    if len(counts) > 1 or any(layer.values.ndim != 2 for layer in layers):
+        shapes = ", ".join(f"{layer.name} {layer.values.shape}" for layer in layers)
+        raise BadInput(f"spikes of shapes {shapes} came; wanted (n_queries, n_neurons), all of the same queries")
+    return {"queries": counts[0], "layers": [_of_layer(layer) for layer in layers]}
+
+
+def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
+    values = np.asarray(layer.values)
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise BadInput(f"the spikes of layer {layer.name} are not all finite and 0 or more")
+    spiked = values > 0
+    per_query = spiked if layer.kind == "amplitude" else values
+    return {
+        "name": layer.name,
+        "neurons": values.shape[1],
+        "spikes_per_query": per_query.sum(1, dtype=np.float64).tolist(),
+        "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
+        "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
+    }
+
+
+def _has_amplitudes(layer: LayerSpikes) -> bool:
+    return layer.kind == "amplitude" and bool((layer.values > 0).any())

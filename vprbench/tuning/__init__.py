@@ -1,0 +1,1 @@
+"""The hyperparameter search of the VPRTempo paper: a random search, then a grid around its best, on places apart."""

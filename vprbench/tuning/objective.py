@@ -1,0 +1,126 @@
+"""What a trial does: train the method on one stretch of places under some settings, and ask it all queries there."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench import environment, progress, registry
+from vprbench.images import Images
+from vprbench.interface import Dataset, Method, Places, TrainingDivergedError
+from vprbench.metrics import hits_at
+from vprbench.ranking import outcome
+
+StretchName = Literal["searched", "checked"]
+
+_TOGETHER = 64  # images encoded together
+
+
+@dataclass(frozen=True)
+class Task:
+    """Settings to try, and where."""
+
+    stretch: StretchName
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """How the queries of a stretch were answered; none is where the training diverged."""
+
+    hits: npt.NDArray[np.float64]  # (n_queries,), expected under ties
+    sure_hits: npt.NDArray[np.float64]  # (n_queries,), 0 or 1, ties pessimistic: for a paired test
+    diverged: str | None = None  # how that was seen
+
+    @property
+    def recall_at_1(self) -> float:
+        """The share of queries whose best place is right."""
+        return float(self.hits.mean())
+
+
+@dataclass(frozen=True)
+class Training:
+    """Gives, in a process of its own, what tries settings on stretches whose codes lie in a folder."""
+
+    folder: Path
+    method: Mapping[str, Any]  # its configuration; settings replace arguments
+
+    def __call__(self) -> Callable[[Task], Tried]:
+        """Limit the process to one thread, and return what tries a task."""
+        environment.pin_threads(1)
+        return self._tried
+
+    def _tried(self, task: Task) -> Tried:
+        stretch = _Stretch.read(self.folder / task.stretch)
+        n_places = int(stretch.places.max()) + 1
+        fitting = {"max_module": min(self.method["max_module"], n_places)}
+        method = registry.make_method({**self.method, **fitting, **task.values})
+        # How an image becomes spikes is not searched: they were made once, for all trials.
+        vars(method)["encode"] = lambda images: stretch.references
+        try:
+            method.fit(Images.from_arrays([]), stretch.places)
+        except TrainingDivergedError as error:
+            nothing = np.zeros(len(stretch.queries))
+            return Tried(nothing, nothing, str(error))
+        ranked = outcome(method.match(stretch.queries), stretch.positives)
+        return Tried(hits_at(ranked, 1), hits_at(ranked, 1, "pessimistic"))
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """What a method needs of a stretch: codes instead of images."""
+
+    references: npt.NDArray[Any]  # (n_references, ...)
+    places: Places  # (n_references,)
+    queries: npt.NDArray[Any]  # (n_queries, ...)
+    positives: list[npt.NDArray[np.int64]]  # per query the right places
+
+    @classmethod
+    def read(cls, folder: Path) -> _Stretch:
+        """Map the arrays into memory, which all processes share."""
+        # Copy-on-write, because PyTorch warns of arrays that it may not write.
+        references, places, queries, right, counts = (
+            np.load(folder / f"{name}.npy", mmap_mode="c", allow_pickle=False) for name in _ARRAYS
+        )
+        return cls(references, np.asarray(places), queries, np.split(np.asarray(right), np.cumsum(counts)[:-1]))
+
+
+_ARRAYS = ("references", "places", "queries", "right_places", "right_places_per_query")
+
+
+def keep(folder: Path, dataset: Dataset, method: Method) -> None:
+    """Encode a stretch once for all trials, in `folder`; nothing is done where that is there already."""
+    if folder.exists():
+        return
+    partial = folder.with_name(f".partial-{folder.name}")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    stage = f"drawing the {folder.name} places"
+    total = len(dataset.references) + len(dataset.queries)
+    encoded = {
+        "references": _encoded(dataset.references, method, lambda done: progress.report(stage, done / total)),
+        "queries": _encoded(
+            dataset.queries, method, lambda done: progress.report(stage, (len(dataset.references) + done) / total)
+        ),
+        "places": dataset.places,
+        "right_places": np.concatenate(dataset.positives),
+        "right_places_per_query": np.array([len(right) for right in dataset.positives]),
+    }
+    for name, array in encoded.items():
+        np.save(partial / f"{name}.npy", array, allow_pickle=False)
+    partial.rename(folder)
+
+
+def _encoded(images: Images, method: Method, report: Callable[[int], None]) -> npt.NDArray[Any]:
+    codes = []
+    report(0)
+    for block in images.blocks(_TOGETHER):
+        codes.append(method.encode(block))
+        report(sum(map(len, codes)))
+    return np.concatenate(codes)

@@ -1,0 +1,86 @@
+"""Which places may be searched: none that a reported result queries, and some of them held back for a check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import yaml
+
+from vprbench.interface import BadInput, Dataset
+from vprbench.plan import PlannedColumn
+
+FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
+
+_ELSEWHERE = "search on dataset=synthetic, which has journeys that no result uses"
+
+
+@dataclass(frozen=True)
+class Searchable:
+    """A dataset and two stretches of its places that no reported result queries."""
+
+    dataset: Mapping[str, Any]  # the configuration, under which all places of both stretches are queried
+    searched: range
+    checked: range
+
+
+def searchable(name: str, config: Mapping[str, Any], places: int, columns: Iterable[PlannedColumn]) -> Searchable:
+    """Return where to search with `places` places, and where to check what was found.
+
+    A rendered dataset is another journey than the reported ones, `places` to search and as many to check. Of a
+    recorded one there are the places that neither its own protocol nor a column of the table queries: the longest
+    stretch is searched, the longest left then is checked. Raises BadInput where there are too few.
+    """
+    options = [{**config, **_arguments(column)} for column in columns if f"dataset={name}" in column.options]
+    reported = [config, *options]
+    if "seed" in config:
+        journey = 1 + max(each["seed"] for each in reported)
+        other = {"seed": journey, "places": 2 * places, "first_query_place": 0, "query_places": 2 * places}
+        return Searchable({**config, **other}, range(places), range(places, 2 * places))
+    if not {"places", "first_query_place", "query_places"} <= config.keys():
+        raise BadInput(f"dataset={name}: nothing says which of its places no reported result queries; {_ELSEWHERE}")
+    free = np.ones(config["places"], np.bool_)
+    for each in reported:
+        free[each["first_query_place"] :][: each["query_places"]] = False
+    longest = _longest(free)
+    if not longest:
+        raise BadInput(f"dataset={name}: reported results query all of its {config['places']} places; {_ELSEWHERE}")
+    searched = longest[:places]
+    free[searched.start : searched.stop] = False
+    checked = _longest(free)[:places]
+    if len(searched) < places or len(checked) < FEWEST:
+        raise BadInput(
+            f"places={places}: of dataset={name} {len(longest)} places in a row are queried by no reported result, and "
+            f"{FEWEST} or more have to be left to check what is found: give fewer, or {_ELSEWHERE}"
+        )
+    whole = {"first_query_place": 0, "query_places": config["places"]}
+    return Searchable({**config, **whole}, searched, checked)
+
+
+def cut(dataset: Dataset, stretch: range) -> Dataset:
+    """Return the references of some places, and the queries all of whose right places are among them."""
+    shown = np.flatnonzero(np.isin(dataset.places, stretch))
+    asked = [n for n, right in enumerate(dataset.positives) if len(right) and np.isin(right, stretch).all()]
+    return replace(
+        dataset,
+        references=dataset.references[shown],
+        places=dataset.places[shown] - stretch.start,
+        queries=dataset.queries[np.array(asked, np.int64)],
+        positives=tuple(dataset.positives[n] - stretch.start for n in asked),
+        protocol={**dataset.protocol, "stretch": [stretch.start, stretch.stop - 1]},
+    )
+
+
+def _arguments(column: PlannedColumn) -> dict[str, Any]:
+    """Return the arguments of its dataset that a column changes."""
+    pairs = (option.partition("=") for option in column.options)
+    return {name.removeprefix("dataset."): yaml.safe_load(value) for name, _, value in pairs if "." in name}
+
+
+def _longest(free: np.typing.NDArray[np.bool_]) -> range:
+    """Return the longest run of places that are free, of equals the first."""
+    edges = np.flatnonzero(np.diff(free, prepend=False, append=False)).tolist()
+    runs = [range(first, last) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+    return max(runs, key=len, default=range(0))

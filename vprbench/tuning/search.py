@@ -1,0 +1,225 @@
+"""The search itself: random settings, then a grid around the best, then best and paper on places held back."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import optuna
+
+from vprbench import environment, progress, registry
+from vprbench.interface import BadInput
+from vprbench.intervals import Interval, McNemar, mcnemar_exact, wilson
+from vprbench.plan import read_plan
+from vprbench.records import content_key
+from vprbench.runner import code_hash, fingerprint
+from vprbench.tuning import objective, places, space
+from vprbench.tuning.objective import StretchName, Task, Tried
+from vprbench.tuning.space import Values
+from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
+from vprbench.tuning.workers import Workers
+
+_ATTEMPTS = 3  # at settings whose trial failed, before they are left out
+_ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong with all of them
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where to search, and how long; raises BadInput where nothing would be tried."""
+
+    places: int = 500  # of the stretch that is searched
+    trials: int = 200  # two thirds of them random, the rest on the grid
+    jobs: int | None = None  # processes of one thread each; None: one for each core this process may use
+    dataset: str = "synthetic"
+    root: str | None = None  # the folder of a recorded dataset
+    quick: bool = False  # tiny sizes: everything runs, nothing is found
+    seed: int = 0  # of what is drawn, and of each training
+    results: str = "results"
+
+    def __post_init__(self) -> None:
+        """Check that something will be tried."""
+        for name, least in (("places", places.FEWEST), ("trials", 1), ("jobs", 1), ("seed", 0)):
+            given = getattr(self, name)
+            if given is not None and given < least:
+                raise BadInput(f"{name}={given}: give at least {least}")
+
+
+QUICK: Mapping[str, Any] = {"places": 20, "trials": 6}
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """R@1 under some settings on a stretch, and its 95 % interval (Wilson)."""
+
+    recall_at_1: float
+    interval: Interval
+    diverged: str | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The best settings and the paper's on the same queries."""
+
+    n_places: int
+    n_queries: int
+    best: Accuracy
+    paper: Accuracy
+    test: McNemar
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found."""
+
+    settings: Settings
+    method: Mapping[str, Any]  # its configuration, before settings replace arguments
+    protocols: Mapping[StretchName, Mapping[str, Any]]  # the dataset's, of each stretch
+    folder: Path  # of the study
+    trials: tuple[Trial, ...]  # all that are stored
+    tried_now: int  # how many of them this call tried
+    best: Trial
+    importance: Mapping[str, float]  # by parameter, the largest first
+    compared: Mapping[StretchName, Comparison]
+    jobs: int
+    minutes: float  # of this call
+    environment: Mapping[str, Any]
+
+
+def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, Any]) -> Found:
+    """Search the best settings of a method, or go on where an earlier search of the same was ended.
+
+    `method` is a configuration of VPRTempo, `dataset` that of the dataset named in the settings. Raises BadInput
+    where its places are not free to be searched.
+    """
+    started = time.perf_counter()
+    jobs = settings.jobs or len(environment.cores())
+    surroundings = environment.capture("cpu", jobs)
+    columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
+    allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
+    whole = registry.make_dataset(allowed.dataset)
+    stretches = {name: places.cut(whole, stretch) for name, stretch in _named(allowed).items()}
+    method = {**method, "seed": settings.seed, "device": "cpu"}
+    encoder = registry.make_method(method)
+    origin = {
+        "method": method,
+        "code": [code_hash(type(encoder)), hashlib.sha256(Path(objective.__file__).read_bytes()).hexdigest()],
+        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
+        "space": [asdict(parameter) for parameter in space.PARAMETERS],
+        "seed": settings.seed,
+        "libraries": {**environment.library_versions(), "optuna": optuna.__version__},
+    }
+    folder = Path(settings.results).expanduser() / "search" / content_key(origin)
+    with opened(folder) as study:
+        for name, part in stretches.items():
+            objective.keep(folder / name, part, encoder)
+        with Workers(objective.Training(folder, method), jobs) as workers:
+            tried_now = explore(study, workers, settings.trials, settings.seed)
+            trials = study.trials()
+            best = best_of(trials)
+            if best is None:
+                raise RuntimeError("no trial came to an end")
+            compared = _compared(workers, best.values, {name: part.n_places for name, part in stretches.items()})
+        importance = study.importance()
+    return Found(
+        settings=settings,
+        method=method,
+        protocols={name: part.protocol for name, part in stretches.items()},
+        folder=folder,
+        trials=tuple(trials),
+        tried_now=tried_now,
+        best=best,
+        importance=importance,
+        compared=compared,
+        jobs=jobs,
+        minutes=(time.perf_counter() - started) / 60,
+        environment=surroundings,
+    )
+
+
+def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int) -> int:
+    """Try random settings, then a grid around the best of them, until `trials` are stored; returns how many it tried.
+
+    What a killed process was trying is tried again, and so are settings whose trial fails, a few times.
+    """
+    n_random = trials - trials // 3
+    tried = _stage(study, workers, "random", space.drawn(n_random, seed), trials)
+    best = best_of(study.trials(), "random")
+    if best is not None:
+        grid = list(islice(space.around(best.values), 2 * trials))  # of which some may have been tried before
+        tried += _stage(study, workers, "grid", grid, trials)
+    return tried
+
+
+def _stage(study: Study, workers: Workers[Task, Tried], stage: Stage, points: Sequence[Values], trials: int) -> int:
+    """Try settings that were not tried yet, in their order, as long as there is room for trials.
+
+    Raises RuntimeError where the first few all fail.
+    """
+    tried = 0
+    failures: Counter[int] = Counter()  # by point
+    while todo := _untried(study.trials(), points, failures, trials):
+        begun: dict[int, int] = {}
+
+        def begin(task: int, todo: list[int] = todo, begun: dict[int, int] = begun) -> None:
+            begun[task] = study.begin(stage, todo[task], points[todo[task]])
+
+        progress.report(f"{stage} settings", 0.0)
+        tasks = [Task("searched", points[point]) for point in todo]
+        for done, answer in enumerate(workers.answers(tasks, begin), 1):
+            if answer.given is None:
+                study.fail(begun[answer.task], answer.error)
+                failures[todo[answer.task]] += 1
+                if failures.total() == _ALL_FAIL and not tried:
+                    raise RuntimeError(f"the first {_ALL_FAIL} trials failed; the last: {answer.error}")
+            else:
+                study.end(begun[answer.task], answer.given.recall_at_1, answer.given.diverged)
+                tried += 1
+            progress.report(f"{stage} settings", done / len(todo))
+    return tried
+
+
+def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mapping[int, int], most: int) -> list[int]:
+    """Return which points are left to try, as many as there is room for."""
+    done = [trial.values for trial in trials if trial.recall_at_1 is not None]
+    left = [
+        number for number, values in enumerate(points) if values not in done and failures.get(number, 0) < _ATTEMPTS
+    ]
+    return left[: max(0, most - len(done))]
+
+
+def _compared(
+    workers: Workers[Task, Tried], best: Values, n_places: Mapping[StretchName, int]
+) -> dict[StretchName, Comparison]:
+    """Train under the best settings and the paper's, on both stretches."""
+    tasks = [Task(stretch, values) for stretch in n_places for values in (best, space.PAPER)]
+    given: dict[int, Tried] = {}
+    for answer in workers.answers(tasks, lambda task: progress.report("best against paper", task / len(tasks))):
+        if answer.given is None:
+            raise RuntimeError(f"the comparison with the paper's settings failed: {answer.error}")
+        given[answer.task] = answer.given
+    return {
+        stretch: _comparison(n_places[stretch], given[2 * number], given[2 * number + 1])
+        for number, stretch in enumerate(n_places)
+    }
+
+
+def _comparison(n_places: int, best: Tried, paper: Tried) -> Comparison:
+    return Comparison(
+        n_places, len(best.hits), _accuracy(best), _accuracy(paper), mcnemar_exact(best.sure_hits, paper.sure_hits)
+    )
+
+
+def _accuracy(tried: Tried) -> Accuracy:
+    interval = wilson(float(tried.hits.sum()), len(tried.hits))
+    assert interval is not None  # a stretch has queries
+    return Accuracy(tried.recall_at_1, interval, tried.diverged)
+
+
+def _named(allowed: places.Searchable) -> dict[StretchName, range]:
+    return {"searched": allowed.searched, "checked": allowed.checked}

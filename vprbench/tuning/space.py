@@ -1,0 +1,86 @@
+"""Which settings of VPRTempo are searched: the parameters of the paper's Table I, drawn at random or on a grid."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import optuna
+from optuna.distributions import BaseDistribution, FloatDistribution
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)  # it would tell of every trial
+
+Values = Mapping[str, float]  # of every parameter, by the name of VPRTempo's argument
+
+_DIGITS = 3  # significant ones, so that what was found can be typed
+_RINGS = 6  # steps of the grid to either side, at most: 28,560 points
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of Table I: its value in the paper and the range that is searched."""
+
+    name: str  # of the argument
+    symbol: str
+    paper: float
+    low: float
+    high: float
+    log: bool = False
+    step: float | None = None  # of the grid; None: stays at the best random value
+
+
+# VPRTempo (ICRA 2024), Table I; the paper prints no ranges. Its grid is over the rates and the probabilities.
+PARAMETERS = (
+    Parameter("threshold_max", "theta_max", 0.5, 0.0, 1.0),
+    Parameter("stdp_rate", "eta_STDP init", 0.005, 0.0002, 0.02, log=True),
+    Parameter("itp_rate", "eta_ITP init", 0.15, 0.01, 0.5, log=True),
+    Parameter("rate_min", "f_min", 0.2, 0.05, 1.0, step=0.05),
+    Parameter("rate_max", "f_max", 0.9, 0.05, 1.0, step=0.05),
+    Parameter("p_excitatory", "P_exc", 0.1, 0.02, 0.5, step=0.03),
+    Parameter("p_inhibitory", "P_inh", 0.5, 0.05, 1.0, step=0.1),
+    Parameter("constant_input", "C", 0.1, 0.0, 0.3),
+)
+
+PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}
+
+
+def distributions() -> dict[str, BaseDistribution]:
+    """Return the ranges as Optuna knows them."""
+    return {each.name: FloatDistribution(each.low, each.high, log=each.log) for each in PARAMETERS}
+
+
+def drawn(count: int, seed: int) -> list[Values]:
+    """Draw settings at random; a larger count of the same seed begins with the same ones."""
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed))
+    ranges = distributions()
+    settings: list[Values] = []
+    while len(settings) < count:
+        values = {name: _rounded(value) for name, value in study.ask(ranges).params.items()}
+        if _possible(values):
+            settings.append(values)
+    return settings
+
+
+def around(best: Values) -> Iterator[Values]:
+    """Yield the points of a grid around settings, nearest first: those that differ in one parameter, in two, ..."""
+    stepped = [each for each in PARAMETERS if each.step is not None]
+    for ring in range(1, _RINGS + 1):
+        steps = itertools.product(range(-ring, ring + 1), repeat=len(stepped))
+        outer = [taken for taken in steps if max(map(abs, taken)) == ring]
+        for taken in sorted(outer, key=lambda taken: (sum(map(bool, taken)), sum(map(abs, taken)), taken)):
+            moved = {
+                each.name: _rounded(best[each.name] + n * (each.step or 0))
+                for each, n in zip(stepped, taken, strict=True)
+            }
+            values = {**best, **moved}
+            if _possible(values) and all(each.low <= values[each.name] <= each.high for each in stepped):
+                yield values
+
+
+def _possible(values: Values) -> bool:
+    return values["rate_min"] <= values["rate_max"]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
