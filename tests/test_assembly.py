@@ -360,7 +360,14 @@ def test_a_column_says_what_was_asked_and_what_it_stands_in_for() -> None:
     (column,) = made.columns
     assert (column.n_places, column.n_queries) == (10, 4)
     assert column.protocol == "references spring+fall, query summer, tolerance places 0"
-    assert "Railway (rendered) is rendered; it stands in for Nordland and replaces none." in made.caption
+    assert "Railway (rendered) stands in for Nordland and replaces none." in made.caption
+
+
+def test_what_a_reader_has_to_know_of_a_column_stands_in_the_caption() -> None:
+    remark = "How hard it is was set by hand."
+    asked = ColumnAsked(replace(RAIL.planned, remark=remark), RAIL.dataset)
+    made = assemble(groups([run()], (), [asked], [SAD]), [SAD], PLAN, {})
+    assert remark in made.caption
 
 
 def test_the_interval_in_blocks_is_given_for_every_row_where_there_are_enough_frames() -> None:

@@ -294,6 +294,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["table", "seeds=0"], "seeds=0: give at least 1"),
         (["table", "stored=true"], "results=results holds no run: leave stored=true out"),
         (["search", "dataset=nordland_64x32"], "nordland_64x32"),
+        (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
@@ -409,3 +410,15 @@ def test_a_stored_run_is_shown_under_the_words_it_was_asked_with(capsys: pytest.
     assert "sad patch=7" in capsys.readouterr().out
     main(["method=sad", *QUICK])
     assert "patch=7" not in capsys.readouterr().out
+
+
+def test_a_stored_failure_does_not_name_a_persons_home(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError(f"{Path.home() / 'photos'} is strange")
+
+    monkeypatch.setattr("vprbench.methods.sad.SAD.match", fail)
+    assert main(["method=sad", *QUICK]) == 1
+    (failure,) = Path("results").rglob("failure.json")
+    assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"

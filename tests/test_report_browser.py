@@ -8,11 +8,10 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 from report_page import (
     N_QUERIES,
     SAD_WRONG,
@@ -30,12 +29,12 @@ from report_page import (
     query_colour,
     right_place,
 )
+from report_reader import PATIENCE, Reader, choose, colours, contrasts, current, focused, listed, queries_of, widest
 
 from vprbench.report.page import Section, page
 from vprbench.series import Series
 
 MINUS = "\N{MINUS SIGN}"
-PATIENCE = 3_000  # milliseconds, where nothing is slow but the machine may be
 ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
@@ -58,29 +57,6 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
-class Reader:
-    """Someone who opens pages and writes down what goes wrong meanwhile."""
-
-    def __init__(self, browser: Browser, folder: Path) -> None:
-        self.browser = browser
-        self.folder = folder
-        self.contexts: list[BrowserContext] = []
-        self.complaints: list[str] = []
-        self.requests: list[str] = []
-
-    def read(self, text: str, **options: Any) -> Page:
-        file = self.folder / f"report-{len(self.contexts)}.html"
-        file.write_text(text, encoding="utf-8")
-        self.contexts.append(self.browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options}))
-        self.contexts[-1].set_default_timeout(PATIENCE)
-        tab = self.contexts[-1].new_page()
-        tab.on("console", lambda message: self.complaints.append(message.text))
-        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        tab.on("request", lambda request: self.requests.append(request.url))
-        tab.goto(file.as_uri())
-        return tab
-
-
 @pytest.fixture
 def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
     reader = Reader(browser, tmp_path)
@@ -93,45 +69,6 @@ def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
 @pytest.fixture
 def tab(reader: Reader) -> Page:
     return reader.read(made_up_page())
-
-
-def choose(tab: Page, **labels: str) -> None:
-    for name, label in labels.items():
-        options = tab.locator(f"#{name.replace('_', '-')} option").all_text_contents()
-        (chosen,) = [option for option in options if option == label or option.startswith(f"{label} (")]
-        tab.locator(f"#{name.replace('_', '-')}").select_option(label=chosen)
-
-
-def listed(tab: Page) -> list[int]:
-    """The queries in the list, in its order."""
-    return [int(text) for text in tab.locator("#queries > li").evaluate_all("all => all.map(e => e.dataset.query)")]
-
-
-def current(tab: Page) -> int:
-    return int(tab.locator("#queries > .current").get_attribute("data-query") or "-1")
-
-
-def focused(tab: Page) -> str:
-    return str(tab.evaluate("document.activeElement.id"))
-
-
-def colours(row: Locator) -> list[tuple[int, ...]]:
-    """The colour in the middle of each frame of a row, decoded by the browser."""
-    decode = """async (images) => Promise.all(images.map(async (image) => {
-        await image.decode();
-        const canvas = document.createElement("canvas");
-        [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
-        const context = canvas.getContext("2d");
-        context.drawImage(image, 0, 0);
-        return [...context.getImageData(canvas.width >> 1, canvas.height >> 1, 1, 1).data].slice(0, 3);
-    }))"""
-    return [tuple(colour) for colour in row.locator("img").evaluate_all(decode)]
-
-
-def queries_of(path: str) -> set[int]:
-    """The queries that the bars of a strip cover."""
-    runs = re.findall(r"M(\d+) 100h(\d+)v", path)
-    return {query for first, length in runs for query in range(int(first), int(first) + int(length))}
 
 
 def test_the_page_loads_without_a_complaint_and_asks_for_nothing_else(reader: Reader) -> None:
@@ -322,6 +259,9 @@ def test_the_slider_steps_from_one_shown_query_to_the_next_along_the_route(tab: 
     slider.press("ArrowLeft")
     slider.press("ArrowLeft")
     assert current(tab) == 10
+    slider.press("ArrowRight")
+    assert current(tab) == 11
+    slider.press("ArrowLeft")
     expect(slider).to_have_attribute("aria-valuetext", "query 10: wrong")
 
 
@@ -404,10 +344,6 @@ def test_of_thousands_of_queries_twenty_are_in_the_page_at_a_time(reader: Reader
 WIDE = "unbroken" * 40
 
 
-def widest(tab: Page) -> int:
-    return int(tab.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)"))
-
-
 def test_a_phone_of_360_pixels_never_scrolls_sideways(reader: Reader) -> None:
     table = TABLE.replace("<td>none</td>", "<td>none</td>" * 20).replace("Measured here", WIDE)
     names = journey_thumbnails(query_names=(WIDE,) * N_QUERIES)
@@ -422,35 +358,6 @@ def test_a_phone_of_360_pixels_never_scrolls_sideways(reader: Reader) -> None:
     assert widest(tab) <= 360
     choose(tab, dataset="Other")
     assert widest(tab) <= 360
-
-
-def contrasts(tab: Page) -> dict[str, float]:
-    """The contrast (WCAG 2) of every text that is seen, from the styles that the browser computed."""
-    seen = tab.evaluate("""() => {
-        const found = [];
-        const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-        while (walker.nextNode()) {
-            const text = walker.currentNode.data.trim();
-            const element = walker.currentNode.parentElement;
-            if (!text || !element.checkVisibility() || element.closest("script, noscript, :disabled")) continue;
-            let behind = element;
-            while (getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
-            found.push([text, getComputedStyle(element).color, getComputedStyle(behind).backgroundColor]);
-        }
-        return found;
-    }""")
-    return {f"{text}: {ink} on {ground}": contrast(ink, ground) for text, ink, ground in seen}
-
-
-def contrast(ink: str, ground: str) -> float:
-    def luminance(colour: str) -> float:
-        assert colour.startswith("rgb("), colour
-        channels = np.array([int(part) for part in re.findall(r"\d+", colour)]) / 255
-        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    high, low = sorted((luminance(ink), luminance(ground)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
 
 
 @pytest.mark.parametrize("look", ["light", "dark", "print"])

@@ -25,30 +25,30 @@ def column(*options: str) -> PlannedColumn:
 
 
 NORDLAND = config("nordland")
-JOURNEY = config("synthetic")
-ROBOTCAR = {"places": 450, "first_query_place": 90, "query_places": 360}
+ROBOTCAR = config("oxford_robotcar")
 
 
-def test_a_rendered_journey_is_another_one_than_every_reported_one() -> None:
-    reported = [column("dataset=synthetic"), column("dataset=synthetic", "dataset.seed=7")]
-    allowed = searchable("synthetic", {**JOURNEY, "seed": 3}, 20, reported)
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_a_rendered_journey_is_another_one_than_every_reported_one(name: str) -> None:
+    reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]
+    allowed = searchable(name, {**config(name), "seed": 3}, 20, reported)
     assert allowed.dataset["seed"] not in (3, 7)
 
 
-def test_a_rendered_journey_has_as_many_places_to_check_as_to_search_and_all_are_queried() -> None:
-    allowed = searchable("synthetic", JOURNEY, 20, [])
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_a_rendered_journey_has_as_many_places_to_check_as_to_search_and_all_are_queried(name: str) -> None:
+    allowed = searchable(name, config(name), 20, [])
     assert (allowed.searched, allowed.checked) == (range(20), range(20, 40))
     dataset = registry.make_dataset(allowed.dataset)
     assert [right.tolist() for right in dataset.positives] == [[place] for place in range(40)]
 
 
-def test_the_frames_of_the_other_journey_are_none_of_the_reported_one() -> None:
-    other = registry.make_dataset(searchable("synthetic", JOURNEY, 10, []).dataset)
-    reported = registry.make_dataset({**JOURNEY, "places": 20})
-    for season in range(2):
-        for place in range(3):
-            frame = season * 20 + place
-            assert not np.array_equal(other.references[frame], reported.references[frame])
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_the_frames_of_the_other_journey_are_none_of_the_reported_one(name: str) -> None:
+    other = registry.make_dataset(searchable(name, config(name), 10, []).dataset)
+    reported = registry.make_dataset({**config(name), "places": 20})
+    for frame in (0, 1, 20, 21):  # of both traverses
+        assert not np.array_equal(other.references[frame], reported.references[frame])
 
 
 def test_of_nordland_only_the_600_places_that_the_paper_does_not_query_are_searched() -> None:

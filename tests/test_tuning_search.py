@@ -163,6 +163,7 @@ def test_a_killed_search_goes_on_where_it_stopped(tmp_path: Path, workers: Stubs
         assert child.stdout is not None
         assert child.stdout.readline().strip() == HALTS  # in the fourth trial
         child.send_signal(signal.SIGKILL)
+        assert child.stdout.read() == ""  # ends when its worker has ended too
     with opened(killed) as study:
         before = study.trials()
     assert [trial.recall_at_1 is not None for trial in before] == [True, True, True, False]

@@ -94,10 +94,13 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     planned = group.asked.planned
     real = plan.columns[planned.stand_in_for].title if planned.stand_in_for else None
     if not group.runs:
-        return Column(planned.name, planned.title, None, None, "no run is stored", real)
+        return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
     run = group.runs[0]
     name = planned.name if group.number == 1 else f"{planned.name}-{group.number}"
-    return Column(name, title(group, groups), run.outcome.n_places, len(run.outcome), protocol_words(run), real)
+    n_queries = len(run.outcome)
+    return Column(
+        name, title(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+    )
 
 
 def _best(entries: Sequence[_Entry], quantity: Quantity, plan: Plan) -> str | None:
@@ -252,7 +255,9 @@ def _caption(columns: Sequence[Column], entries: Sequence[_Entry], rows: Sequenc
     )
     for column in columns:
         if column.stand_in_for is not None:
-            yield f"{column.title} is rendered; it stands in for {column.stand_in_for} and replaces none."
+            yield f"{column.title} stands in for {column.stand_in_for} and replaces none."
+        if column.remark is not None:
+            yield column.remark
     several = {entry.row.name: entry.row for entry in entries if len(entry.row.seeds) > 1 and entry.runs("recall_at_1")}
     for row in several.values():
         seeds = f"{', '.join(map(str, row.seeds[:-1]))} and {row.seeds[-1]}"

@@ -58,6 +58,7 @@ class Column:
     n_queries: int | None
     protocol: str  # in words
     stand_in_for: str | None  # the title of the real dataset that a rendered one stands in for
+    remark: str | None = None  # what a reader has to know of the data
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        return _complain("interrupted; nothing was stored", 128 + signal.SIGINT)
+        return _complain("interrupted; what was finished before is stored", 128 + signal.SIGINT)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:
@@ -151,7 +151,7 @@ def _run(config: DictConfig) -> int:
             choices["method"],
             asked["dataset"].get("name", choices["dataset"]),
             asked,
-            text.splitlines()[0],
+            _public(text.splitlines()[0]),
             environment.capture(settings.device, n_threads(settings)),
             isinstance(error, NotThere),
         )
@@ -164,6 +164,11 @@ def _run(config: DictConfig) -> int:
         if not os.environ.get(IN_SWEEP):
             _record(failure, store, "row")
         return _complain(f"{failure.method} failed: {failure.error}", 1)
+
+
+def _public(text: str) -> str:
+    """Return an error without the name of a person's home, for it may be printed in a table."""
+    return text.replace(str(Path.home()), "~")
 
 
 def _record(failure: Failure, store: Store, output: str) -> None:
@@ -223,6 +228,7 @@ def _search(options: list[str]) -> int:
     from vprbench.tuning import search, text
 
     settings = chosen(search.Settings, options, search.QUICK)
+    _check_names([f"dataset={settings.dataset}"])
     root = [] if settings.root is None else [f"dataset.root={settings.root}"]
     config = _composed(_readable(["method=vprtempo", f"dataset={settings.dataset}", *root]))
     folder = Path(settings.results).expanduser()

@@ -34,7 +34,8 @@ def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
     if not asked.stored:
         store = Store(results_folder(asked.results))
         rows = [found.chosen.plan.row(name) for name in found.chosen.plan.growth.rows]
-        fill([run for column in growth for run in wanted(found.chosen, column, rows)], options, store)
+        sizes = [run for column in growth for run in wanted(found.chosen, column, rows)]
+        fill(sizes, [*options, "frames=false"], store)  # nobody looks at theirs
         runs = tuple(stored(asked)[0])
     folder = Path(asked.results).expanduser() / "figures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,12 +98,15 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) 
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> list[GrowthSamples]:
-    """Return the samples of each row of the growth."""
+    """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
     chosen = []
     for name in found.chosen.plan.growth.rows:
         row = found.chosen.plan.row(name)
         there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
-        chosen.append(samples(row, there))
+        if there:
+            chosen.append(samples(row, there))
+    if not chosen:
+        raise BadInput("no run at other numbers of places is stored: make figures makes them")
     return chosen
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -15,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vprbench.interface import BadInput
+
+logging.getLogger("fontTools").setLevel(logging.WARNING)  # it tells every glyph that it embeds
 
 SINGLE_MM = 88.0  # one column of a two-column page
 DOUBLE_MM = 180.0  # both columns

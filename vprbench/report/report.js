@@ -266,7 +266,7 @@
     for (const made of list.children) {
       const current = Number(made.dataset.query) === shown[at];
       made.classList.toggle("current", current);
-      made.querySelector("button").tabIndex = 0;
+      made.querySelector("button").tabIndex = current ? 0 : -1;
       if (current) made.setAttribute("aria-current", "true");
       else made.removeAttribute("aria-current");
     }

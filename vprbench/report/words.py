@@ -11,15 +11,15 @@ from vprbench.series import Series
 
 Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
 
-MARGIN = (
+_MARGIN = (
     "The margin of a query is the score of its best right place less the score of its best wrong place. Above 0 the "
     "query is right; below 0 it is wrong, and the lower, the surer the method was of a wrong place; 0 is a tie. Scores "
     "have a unit of the method's own: compare margins of one method, never of two."
 )
-VERDICTS = (
+_VERDICTS = (
     "A query counts as right only if its best place is right and no wrong place has the same score. Where a right and "
-    "a wrong place share the best score the query is tied; the browser counts it as wrong and shows it as tied, and "
-    "lists wrong places first among equal scores. A query without a right place cannot be answered."
+    "a wrong place share the best score the query is tied: it counts as wrong and is shown as tied. Among equal scores "
+    "wrong places are listed first. A query without a right place cannot be answered."
 )
 TERMS: Facts = (
     (
@@ -30,7 +30,7 @@ TERMS: Facts = (
     (
         "Interval",
         "95 % Wilson score interval of R@1 of one run. It takes queries as independent; neighbouring frames are not, "
-        "so the truth is wider.",
+        "so the true uncertainty is larger.",
     ),
     (
         "Seeds",
@@ -44,11 +44,8 @@ TERMS: Facts = (
         "after a warm-up. Encode needs no map, match scores all places, and total is both together. The paper prints "
         "only one of the two stages of each method; total is the one rate that all rows share.",
     ),
-    (
-        "Right, tied, wrong",
-        VERDICTS,
-    ),
-    ("Margin", MARGIN),
+    ("Right, tied, wrong", _VERDICTS),
+    ("Margin", _MARGIN),
 )
 
 _TRAVERSES = ("references", "reference")

@@ -61,7 +61,7 @@ class Training:
         n_places = int(stretch.places.max()) + 1
         fitting = {"max_module": min(self.method["max_module"], n_places)}
         method = registry.make_method({**self.method, **fitting, **task.values})
-        # How an image becomes spikes is not searched: they were made once, for all trials.
+        # How an image becomes spikes is not searched: they were made once, for all trials, and stand in for images.
         vars(method)["encode"] = lambda images: stretch.references
         try:
             method.fit(Images.from_arrays([]), stretch.places)

@@ -77,7 +77,7 @@ def _how(found: Found) -> str:
     diverged = sum(trial.diverged is not None for trial in done)
     n_random = sum(trial.stage == "random" for trial in done)
     failed = len(found.trials) - len(done)
-    again = f" {failed} more failed or were killed, and others took their place." * (failed > 0)
+    again = f" Failed or killed, and made up for: {failed}." * (failed > 0)
     return (
         f"{len(done)} trials of VPRTempo on {found.settings.dataset}: {n_random} with random settings, then "
         f"{len(done) - n_random} on a grid of rates and probabilities around the best of those. In {diverged} of them "

@@ -1,0 +1,50 @@
+"""Runs of a method on a few small images, without what makes a run long: the canary and the look at the machine."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vprbench import environment, runner
+from vprbench.interface import Dataset, Method, Scores
+from vprbench.records import Run
+from vprbench.stopwatch import Protocol
+
+CONFIG: dict[str, Any] = {
+    "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
+    "dataset": {"name": "journey"},
+    "seed": 0,
+    "device": "cpu",
+    "depth": 3,
+    "overrides": [],
+}
+QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
+
+
+def run_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK, **changes: Any) -> Run:
+    return runner.run("little", method, dataset, {**CONFIG, **changes}, "key", "fingerprint", protocol, 1)
+
+
+def table(n_queries: int, n_places: int, levels: int = 1000) -> Scores:
+    """Return random scores of so many levels."""
+    return np.random.default_rng(1).integers(0, levels, (n_queries, n_places)).astype(np.float32)
+
+
+@contextmanager
+def quiet_surroundings() -> Iterator[SimpleNamespace]:
+    """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
+    quick = {"capture": lambda device, threads: {}, "canary_seconds": lambda: 1.0, "cpu_pressure": lambda: 0.0}
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in = SimpleNamespace(**{**vars(environment), **quick})
+        patch.setattr(runner, "environment", stand_in)
+        gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
+        try:
+            yield stand_in
+        finally:
+            gc.unfreeze()

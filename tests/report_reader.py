@@ -1,0 +1,107 @@
+"""Someone who reads a report in a browser, and what they see of it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import Browser, BrowserContext, Locator, Page
+
+PATIENCE = 30_000  # milliseconds, where nothing is slow but the machine may be
+
+
+class Reader:
+    """Someone who opens pages and writes down what goes wrong meanwhile."""
+
+    def __init__(self, browser: Browser, folder: Path) -> None:
+        self.browser = browser
+        self.folder = folder
+        self.contexts: list[BrowserContext] = []
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+
+    def read(self, text: str, **options: Any) -> Page:
+        file = self.folder / f"report-{len(self.contexts)}.html"
+        file.write_text(text, encoding="utf-8")
+        self.contexts.append(self.browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options}))
+        self.contexts[-1].set_default_timeout(PATIENCE)
+        tab = self.contexts[-1].new_page()
+        tab.on("console", lambda message: self.complaints.append(message.text))
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.on("request", lambda request: self.requests.append(request.url))
+        tab.goto(file.as_uri())
+        return tab
+
+
+def choose(tab: Page, **labels: str) -> None:
+    for name, label in labels.items():
+        options = tab.locator(f"#{name.replace('_', '-')} option").all_text_contents()
+        (chosen,) = [option for option in options if option == label or option.startswith(f"{label} (")]
+        tab.locator(f"#{name.replace('_', '-')}").select_option(label=chosen)
+
+
+def listed(tab: Page) -> list[int]:
+    """The queries in the list, in its order."""
+    return [int(text) for text in tab.locator("#queries > li").evaluate_all("all => all.map(e => e.dataset.query)")]
+
+
+def current(tab: Page) -> int:
+    return int(tab.locator("#queries > .current").get_attribute("data-query") or "-1")
+
+
+def focused(tab: Page) -> str:
+    return str(tab.evaluate("document.activeElement.id"))
+
+
+def colours(row: Locator) -> list[tuple[int, ...]]:
+    """The colour in the middle of each frame of a row, decoded by the browser."""
+    decode = """async (images) => Promise.all(images.map(async (image) => {
+        await image.decode();
+        const canvas = document.createElement("canvas");
+        [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+        const context = canvas.getContext("2d");
+        context.drawImage(image, 0, 0);
+        return [...context.getImageData(canvas.width >> 1, canvas.height >> 1, 1, 1).data].slice(0, 3);
+    }))"""
+    return [tuple(colour) for colour in row.locator("img").evaluate_all(decode)]
+
+
+def queries_of(path: str) -> set[int]:
+    """The queries that the bars of a strip cover."""
+    runs = re.findall(r"M(\d+) 100h(\d+)v", path)
+    return {query for first, length in runs for query in range(int(first), int(first) + int(length))}
+
+
+def widest(tab: Page) -> int:
+    return int(tab.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)"))
+
+
+def contrasts(tab: Page) -> dict[str, float]:
+    """The contrast (WCAG 2) of every text that is seen, from the styles that the browser computed."""
+    seen = tab.evaluate("""() => {
+        const found = [];
+        const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+        while (walker.nextNode()) {
+            const text = walker.currentNode.data.trim();
+            const element = walker.currentNode.parentElement;
+            if (!text || !element.checkVisibility() || element.closest("script, noscript, :disabled")) continue;
+            let behind = element;
+            while (getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
+            found.push([text, getComputedStyle(element).color, getComputedStyle(behind).backgroundColor]);
+        }
+        return found;
+    }""")
+    return {f"{text}: {ink} on {ground}": contrast(ink, ground) for text, ink, ground in seen}
+
+
+def contrast(ink: str, ground: str) -> float:
+    def luminance(colour: str) -> float:
+        assert colour.startswith("rgb("), colour
+        channels = np.array([int(part) for part in re.findall(r"\d+", colour)]) / 255
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    high, low = sorted((luminance(ink), luminance(ground)), reverse=True)
+    return (high + 0.05) / (low + 0.05)

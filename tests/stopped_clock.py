@@ -1,0 +1,64 @@
+"""A clock that only tests move, in place of those by which runs are timed, and reading that waits to be waited for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from types import ModuleType, SimpleNamespace
+from typing import Any, Self
+
+import pytest
+
+from vprbench.stopwatch import Protocol, Stopwatch
+
+
+class Clock:
+    """Stands still until somebody spends time; any thread may."""
+
+    def __init__(self) -> None:
+        self.now = 0  # nanoseconds
+        self._one_at_a_time = threading.Lock()
+
+    def __call__(self) -> int:
+        return self.now
+
+    def seconds(self) -> float:
+        return self.now / 1e9
+
+    def spend(self, seconds: float) -> None:
+        with self._one_at_a_time:
+            self.now += round(seconds * 1e9)
+
+    def replaces_those_of(self, modules: list[ModuleType], patch: pytest.MonkeyPatch) -> None:
+        """Let modules take the time from this clock, themselves and by the stopwatches that they make."""
+        clock = self
+
+        class Stopped(Stopwatch):
+            def __init__(self, protocol: Protocol, **options: Any) -> None:
+                super().__init__(protocol, clock, **options)
+
+        for module in modules:
+            if hasattr(module, "time"):
+                patch.setattr(module, "time", SimpleNamespace(perf_counter=self.seconds))
+            if hasattr(module, "Stopwatch"):
+                patch.setattr(module, "Stopwatch", Stopped)
+
+
+class ReadersThatWait:
+    """In place of a pool of threads: does what it was asked for when the answer is waited for, and not before."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> SimpleNamespace:
+        return SimpleNamespace(result=partial(call, *arguments))
+
+    def shutdown(self, cancel_futures: bool = False) -> None:
+        """Nothing is under way."""

@@ -1,0 +1,95 @@
+"""The machine under a run: how it is described, its fixed computation, and its memory."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Self
+
+import numpy as np
+import psutil
+import pytest
+from little import Lookup, journey
+from little_runs import quiet_surroundings, run_of, table
+
+from vprbench import environment
+from vprbench.images import Images
+from vprbench.interface import Places
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+def _windows_of_memory_exist() -> bool:
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+in_a_window = pytest.mark.skipif(not _windows_of_memory_exist(), reason="this system keeps no window of peak memory")
+
+
+def test_the_machine_is_described_in_values_that_json_can_hold() -> None:
+    described = environment.capture("cpu", 1)
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+
+
+@pytest.mark.parametrize("name", ["processor", "python", "threads", "cores", "memory_bytes", "load_average"])
+def test_the_machine_is_described_by(name: str) -> None:
+    assert environment.capture("cpu", 1)[name]
+
+
+def test_a_fixed_computation_takes_some_time() -> None:
+    assert environment.canary_seconds() > 0
+
+
+def test_the_canary_takes_no_notice_of_an_interrupted_lap() -> None:
+    laps = (1.0 if lap % 5 == 0 else 0.008 for lap in itertools.count())  # seconds
+    moments = itertools.accumulate(round(lap * 1e9) for lap in laps)
+    assert environment.canary_seconds(lambda: next(moments)) == 0.008
+
+
+@in_a_window
+def test_peak_memory_rises_by_200_megabytes_that_were_held_for_a_moment() -> None:
+    environment.reset_peak_memory()
+    before = environment.peak_memory_bytes()
+    np.ones(200_000_000, np.uint8)
+    assert 190e6 <= environment.peak_memory_bytes() - before <= 260e6
+
+
+@in_a_window
+def test_a_new_window_forgets_an_earlier_peak() -> None:
+    np.ones(200_000_000, np.uint8)
+    high = environment.peak_memory_bytes()
+    environment.reset_peak_memory()
+    assert environment.peak_memory_bytes() <= high - 150e6
+
+
+@in_a_window
+def test_a_run_knows_the_memory_that_its_method_took() -> None:
+    @dataclass
+    class Large(Lookup):
+        resident_bytes: int = 0  # before
+
+        def fit(self, references: Images, places: Places) -> Self:
+            self.resident_bytes = psutil.Process().memory_info().rss
+            np.ones(200_000_000, np.uint8)
+            return self
+
+    method = Large(table(6, 4))
+    large = run_of(method, journey(6, 4)).peak_memory_bytes
+    assert large - method.resident_bytes >= 190e6
+    assert run_of(Lookup(table(6, 4)), journey(6, 4)).peak_memory_bytes <= large - 150e6
+
+
+def test_a_cpu_has_no_device_memory() -> None:
+    assert environment.peak_device_memory_bytes("cpu") is None

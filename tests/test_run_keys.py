@@ -1,0 +1,180 @@
+"""The key of a run and the hash of its code: what can change a run changes them, and nothing else does."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from little import Lookup, journey, picture, pictures
+from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
+
+from vprbench import environment, runner
+from vprbench.images import Images
+from vprbench.interface import Dataset, Method
+from vprbench.stopwatch import Protocol
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+METHOD = Lookup(np.ones((6, 4), np.float32))
+
+
+def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int = 1, **changes: Any) -> str:
+    dataset = dataset or journey(6, 4)
+    config: Mapping[str, Any] = {**CONFIG, **changes}
+    return runner.run_key(METHOD, config, dataset, runner.fingerprint(dataset), protocol, threads)
+
+
+def test_a_run_asked_for_again_has_the_same_key() -> None:
+    assert key(journey(6, 4)) == key(journey(6, 4))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"method": {"_target_": "little.Lookup", "window": 6}},
+        {"seed": 1},
+        {"depth": 4},
+        {"threads": 2},
+        {"protocol": replace(QUICK, minimum_queries=6)},
+        {"protocol": replace(QUICK, batch_sizes=[1, 8])},
+        {"dataset": replace(journey(6, 4), name="voyage")},
+        {"dataset": replace(journey(6, 4), protocol={"queries": "dawn", "tolerance_places": 0})},
+        {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
+        {"dataset": replace(journey(6, 4), queries=pictures([0, 1, 2, 3, 4, 6]))},
+        {"dataset": replace(journey(6, 4), queries=pictures([1, 0, 2, 3, 4, 5]))},
+        {"dataset": replace(journey(6, 4), references=pictures([0, 1, 2, 4]))},
+        {"dataset": replace(journey(6, 4), places=np.array([0, 1, 3, 2]))},
+    ],
+    ids=[
+        "argument of the method",
+        "seed",
+        "depth",
+        "threads",
+        "timing",
+        "batch sizes",
+        "name of the dataset",
+        "protocol of the dataset",
+        "ground truth",
+        "query image",
+        "order of the queries",
+        "reference image",
+        "places",
+    ],
+)
+def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any]) -> None:
+    assert key(**changes) != key()
+
+
+def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_training() -> None:
+    dataset = journey(6, 4)
+    keys = [
+        runner.run_key(METHOD, CONFIG, dataset, "f", QUICK, 1, network) for network in (None, "a" * 64, "b" * 64, None)
+    ]
+    assert len(set(keys)) == 3
+    assert keys[0] == keys[3]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"overrides": ["results=elsewhere"]},
+        {"method": {"device": "cpu", "window": 5, "_target_": "little.Lookup"}},
+        {"method": {"window": 5, "_target_": "little.Lookup"}},
+    ],
+    ids=["way of asking", "order of the arguments", "device among the arguments"],
+)
+def test_what_cannot_change_a_run_does_not_change_its_key(changes: dict[str, Any]) -> None:
+    assert key(**changes) == key()
+
+
+@pytest.mark.parametrize("changes", [{"changed": {"window": 5}}, {"code": "c0de"}, {"timing": {"sample": 3}}])
+def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, Any]) -> None:
+    assert key(**changes) == key()
+
+
+def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
+    run = run_of(METHOD, journey(6, 4))
+    assert run.config["code"] == runner.code_hash(type(METHOD))
+    assert run.config["timing"] == {
+        "minimum_seconds": 0,
+        "minimum_queries": 5,
+        "minimum_passes": 1,
+        "maximum_seconds": 120.0,
+        "sample": 16,
+        "warmup_queries": 2,
+        "batch_sizes": [1, 4],
+    }
+
+
+def test_another_device_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = key()
+    monkeypatch.setattr(environment, "processor", lambda: "Abacus 10")
+    assert key() != before
+
+
+METHOD_SOURCE = """
+from vprbench.interface import Method
+
+class Given(Method):
+    def fit(self, references, places): return self
+    def encode(self, images): return {value}
+    def match(self, codes): return codes
+"""
+
+
+@pytest.fixture
+def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> type[Method]:
+    """Return a method out of a folder of its own, `<tmp_path>/plugin/`."""
+    path = tmp_path / "plugin" / "given.py"
+    path.parent.mkdir()
+    path.write_text(METHOD_SOURCE.format(value=1))
+    spec = importlib.util.spec_from_file_location("plugin.given", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "plugin.given", module)
+    spec.loader.exec_module(module)
+    return module.Given  # type: ignore[no-any-return]
+
+
+def test_code_that_stays_the_same_has_the_same_hash(given: type[Method]) -> None:
+    assert runner.code_hash(given) == runner.code_hash(given)
+
+
+def test_a_change_in_the_file_of_a_method_changes_its_hash(given: type[Method], tmp_path: Path) -> None:
+    before = runner.code_hash(given)
+    (tmp_path / "plugin" / "given.py").write_text(METHOD_SOURCE.format(value=2))
+    assert runner.code_hash(given) != before
+
+
+def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Method], tmp_path: Path) -> None:
+    before = runner.code_hash(given)
+    (tmp_path / "other.py").write_text("layers = 3\n")
+    assert runner.code_hash(given) == before
+
+
+@pytest.mark.parametrize("name", ["interface", "search", "images", "ranking", "networks", "stopwatch", "runner"])
+def test_a_change_in_what_all_methods_use_changes_their_hash(
+    given: type[Method], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    before, read = runner.code_hash(given), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path.name == f"{name}.py"))
+    assert runner.code_hash(given) != before
+
+
+def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:
+    named = Images.from_arrays([picture(0), picture(1)], ["a.png", "b.png"])
+    renamed = Images.from_arrays([picture(0), picture(1)], ["a.png", "c.png"])
+    assert named.fingerprint() != renamed.fingerprint()

@@ -1,0 +1,154 @@
+"""What a run makes known about its numbers: caching, audits, rates without their minima, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import Lookup, journey, number_in
+from little_runs import QUICK, quiet_surroundings, run_of, table
+from stopped_clock import Clock
+
+from vprbench import images, runner
+from vprbench.images import Images
+from vprbench.interface import Dataset, Method, Scores
+from vprbench.stopwatch import Protocol
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    clock.replaces_those_of([runner, images], monkeypatch)
+    return clock
+
+
+def notes_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK) -> str:
+    return "\n".join(run_of(method, dataset, protocol).notes)
+
+
+@dataclass
+class Caching(Lookup):
+    """Needs 5 ms for an image, and 1 ms for one that is among the last `remembered` different ones."""
+
+    clock: Clock = field(kw_only=True)
+    remembered: int = 1
+    cache: dict[bytes, int] = field(default_factory=dict)
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        return np.array([self._number(image) for image in images])
+
+    def _number(self, image: npt.NDArray[np.uint8]) -> int:
+        self.clock.spend(0.001)
+        pixels = image.tobytes()
+        if pixels not in self.cache:
+            self.clock.spend(0.004)
+            self.cache[pixels] = number_in(image)
+            for oldest in list(self.cache)[: -self.remembered]:
+                del self.cache[oldest]
+        return self.cache[pixels]
+
+
+def test_a_method_that_remembers_the_last_image_is_said_to_cache(clock: Clock) -> None:
+    assert "caching" in notes_of(Caching(table(12, 4), clock=clock), journey(12, 4))
+
+
+def test_a_method_that_remembers_all_images_is_said_to_cache(clock: Clock) -> None:
+    assert "caching" in notes_of(Caching(table(12, 4), clock=clock, remembered=1000), journey(12, 4))
+
+
+@dataclass
+class Working(Lookup):
+    """Needs 4 ms for each image."""
+
+    clock: Clock = field(kw_only=True)
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        self.clock.spend(0.004 * len(images))
+        return super().encode(images)
+
+
+def test_a_method_that_works_for_each_image_is_not_said_to_cache(clock: Clock) -> None:
+    assert "caching" not in notes_of(Working(table(12, 4), clock=clock), journey(12, 4))
+
+
+@dataclass
+class BatchDependent(Lookup):
+    """Answers with the next place when it is asked for a single image."""
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        scores = self.table[codes]
+        return np.roll(scores, 1, axis=1) if len(codes) == 1 else scores
+
+
+def test_a_method_whose_answer_depends_on_the_batch_fails_the_audit() -> None:
+    assert "audit failed" in notes_of(BatchDependent(table(12, 4)), journey(12, 4))
+
+
+def test_a_method_that_answers_differently_when_timed_fails_the_audit() -> None:
+    @dataclass
+    class Lazy(Lookup):
+        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+            scored = sum(map(len, self.asked)) <= len(self.table)
+            return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
+
+    scores = np.eye(12, 4, k=-1, dtype=np.float32)  # query 1 shows place 0
+    assert "audit failed" in notes_of(Lazy(scores), journey(12, 4))
+
+
+def test_a_method_that_fails_on_one_timed_query_in_sixteen_fails_the_audit() -> None:
+    @dataclass
+    class Unreliable(Lookup):
+        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+            scores = self.table[codes].copy()
+            if codes.tolist() == [299]:
+                scores[0] = -scores[0]
+            return scores
+
+    assert "audit failed" in notes_of(Unreliable(table(300, 4, 100_000)), journey(300, 4))
+
+
+def test_a_method_that_answers_the_same_passes_the_audit() -> None:
+    assert "audit" not in notes_of(Lookup(table(300, 40)), journey(300, 40))
+
+
+def test_a_method_whose_best_places_tie_passes_the_audit() -> None:
+    assert "audit" not in notes_of(Lookup(np.ones((12, 200), np.float32)), journey(12, 200))
+
+
+def test_a_difference_in_the_last_digit_passes_the_audit() -> None:
+    @dataclass
+    class Rounding(Lookup):
+        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+            scores = self.table[codes].copy()
+            scores[:, len(codes) % 2] *= 1 + 1e-6
+            return scores
+
+    assert "audit" not in notes_of(Rounding(np.ones((12, 3), np.float32)), journey(12, 3))
+
+
+def test_rates_without_their_minima_are_called_invalid(clock: Clock) -> None:
+    protocol = replace(QUICK, minimum_queries=3000, maximum_seconds=0.005)
+    assert "invalid rates" in notes_of(Working(table(12, 4), clock=clock), journey(12, 4), protocol)
+
+
+def test_rates_that_meet_their_minima_are_not_called_invalid(clock: Clock) -> None:
+    assert "invalid" not in notes_of(Working(table(12, 4), clock=clock), journey(12, 4))
+
+
+@pytest.mark.parametrize(("after", "noisy"), [(1.04, False), (1.06, True), (0.94, True), (0.96, False)])
+def test_a_run_is_noisy_where_a_fixed_computation_drifts_by_more_than_five_percent(
+    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, after: float, noisy: bool
+) -> None:
+    canaries = iter([1.0, after])
+    monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
+    assert ("noisy" in notes_of(Lookup(table(12, 4)), journey(12, 4))) is noisy

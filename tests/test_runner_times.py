@@ -1,0 +1,124 @@
+"""What a run calls the time of fitting, of the method and of the harness, and how far it says it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import Lookup, journey, slow_pictures
+from little_runs import quiet_surroundings, run_of, table
+from stopped_clock import Clock, ReadersThatWait
+
+from vprbench import images, progress, runner
+from vprbench.images import Images
+from vprbench.interface import Dataset, Places, Scores
+from vprbench.records import Run
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    clock.replaces_those_of([runner, images], monkeypatch)
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    return clock
+
+
+@dataclass
+class Learning(Lookup):
+    """Reads all references and then computes for 60 ms; needs 5 ms for each image of a query, and 1 ms to match it."""
+
+    clock: Clock = field(kw_only=True)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        list(references)
+        self.clock.spend(0.06)
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        self.clock.spend(0.005 * len(images))
+        return super().encode(images)
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        self.clock.spend(0.001 * len(codes))
+        return super().match(codes)
+
+
+def slow_journey(clock: Clock) -> Dataset:
+    """Return a dataset whose eight references take 160 ms to read, and its eight queries as long."""
+    references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
+    return replace(journey(8, 8), references=references, queries=queries)
+
+
+@pytest.fixture
+def slow_run(clock: Clock, monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace) -> Run:
+    """Return a run before which the harness looks at the machine for 7 s."""
+
+    def look(device: str, threads: int) -> dict[str, Any]:
+        clock.spend(7)
+        return {}
+
+    monkeypatch.setattr(surroundings, "capture", look)
+    return run_of(Learning(table(8, 8), clock=clock), slow_journey(clock))
+
+
+def test_fit_seconds_hold_reading_and_computing(slow_run: Run) -> None:
+    assert slow_run.fit_seconds == pytest.approx(0.16 + 0.06)
+
+
+def test_fit_compute_seconds_hold_the_computing_and_not_the_waiting_for_images(slow_run: Run) -> None:
+    assert slow_run.fit_compute_seconds == pytest.approx(0.06)
+
+
+def test_the_time_of_the_method_holds_fitting_and_answering_and_not_the_waiting_for_images(slow_run: Run) -> None:
+    assert slow_run.method_seconds == pytest.approx(0.06 + 8 * 0.006)
+
+
+def test_a_second_run_on_the_same_dataset_does_not_count_the_reading_of_the_first(clock: Clock) -> None:
+    dataset = slow_journey(clock)
+    runs = [run_of(Learning(table(8, 8), clock=clock), dataset) for _ in range(2)]
+    assert [run.fit_compute_seconds for run in runs] == pytest.approx([0.06] * 2)
+
+
+def test_a_dataset_that_has_read_its_first_images_already_gives_the_same_compute_seconds(clock: Clock) -> None:
+    dataset = slow_journey(clock)
+    for i in range(8):
+        dataset.references[i]
+    assert run_of(Learning(table(8, 8), clock=clock), dataset).fit_compute_seconds == pytest.approx(0.06)
+
+
+def test_harness_seconds_hold_the_look_at_the_machine_and_no_time_of_the_method(slow_run: Run) -> None:
+    assert slow_run.harness_seconds == pytest.approx(7)
+
+
+def test_timing_takes_its_order_from_the_seed_of_the_run() -> None:
+    orders = []
+    for seed in (0, 0, 1):
+        method = Lookup(table(12, 4))
+        run_of(method, journey(12, 4), seed=seed)
+        orders.append(method.asked)
+    assert orders[0] == orders[1] != orders[2]
+
+
+def test_every_stage_is_reported() -> None:
+    stages: list[str] = []
+    with progress.listening(lambda stage, _: stages.append(stage)):
+        run_of(Lookup(table(300, 4)), journey(300, 4))
+    assert list(dict.fromkeys(stages)) == ["fit", "query", "timing"]
+
+
+def test_a_reported_share_rises_to_one_with_the_queries() -> None:
+    shares: list[float] = []
+    with progress.listening(lambda stage, done: shares.append(done) if stage == "query" else None):
+        run_of(Lookup(table(300, 4)), journey(300, 4))
+    assert shares == pytest.approx([128 / 300, 256 / 300, 1])
