@@ -13,10 +13,10 @@ help: ## Say what can be made.
 install: $(READY) ## Make .venv and install the pinned packages (PIP_ARGS passes options to pip).
 
 # NORDLAND and ROBOTCAR are folders of real frames; DATASETS, METHODS and STORES are lists with commas.
-comma_list = $(if $($(1)),$(2)=[$($(1))])
+comma_list = $(if $($(1)),"$(2)=[$($(1))]")
 ASKED = $(if $(NORDLAND),"nordland=$(NORDLAND)") $(if $(ROBOTCAR),"robotcar=$(ROBOTCAR)") \
 	$(call comma_list,DATASETS,columns) $(call comma_list,METHODS,methods) $(call comma_list,STORES,stores) \
-	$(if $(SEEDS),seeds=$(SEEDS)) $(if $(filter-out 0,$(FULL)),full=true) $(ARGS)
+	$(if $(SEEDS),seeds=$(SEEDS)) $(if $(filter 1 true yes,$(FULL)),full=true) $(ARGS)
 
 table: $(READY) ## Table II, measured beside published: NORDLAND= ROBOTCAR= DATASETS= METHODS= SEEDS= STORES= FULL=1 ARGS=
 	$(RUN) -m vprbench table $(ASKED)

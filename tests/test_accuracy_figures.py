@@ -163,15 +163,16 @@ def test_recall_at_n_goes_from_1_to_25_and_counts_ties_by_their_expected_value()
 
 
 @pytest.mark.parametrize("draw", [recall_at_n, recall_at_tolerance])
-def test_several_seeds_are_their_mean_and_a_band_of_one_standard_deviation(draw: Any) -> None:
-    shares = (0.25, 0.5, 0.6)
+def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the_mean_hits(draw: Any) -> None:
+    shares = (0.25, 0.55, 0.7)
     drawn = draw([series("VPRTempo", *(run(share=share, seed=seed) for seed, share in enumerate(shares)))])
-    x, y = points(named_lines(drawn)[0])[0]
-    assert y == pytest.approx(45)
-    deviation = 100 * (sum((share - 0.45) ** 2 for share in shares) / 2) ** 0.5
-    assert band(drawn)[x] == pytest.approx((45 - deviation, 45 + deviation))
-    assert "VPRTempo (3 seeds): the line is the mean" in drawn.caption
-    assert "Wilson" not in drawn.caption
+    (mean,) = named_lines(drawn)
+    x, y = points(mean)[0]
+    assert y == pytest.approx(50)
+    assert band(drawn)[x] == pytest.approx((35.20, 64.80), abs=0.01)  # Wilson's interval of 20 of 40
+    assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
+    assert "VPRTempo (3 seeds): the line is the mean, thin lines are the seeds" in drawn.caption
+    assert "95 % intervals (Wilson)" in drawn.caption
 
 
 def test_recall_against_tolerance_is_that_worked_by_hand() -> None:

@@ -7,9 +7,21 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from stored_runs import ABACUS, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
+from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
 
-from vprbench.belonging import ColumnAsked, Group, groups, of_row, protocol_words, series
+from vprbench.belonging import (
+    Aside,
+    ColumnAsked,
+    Group,
+    RowRuns,
+    accuracy_series,
+    aside_sentence,
+    groups,
+    of_row,
+    options_apart,
+    protocol_words,
+    series,
+)
 from vprbench.plan import Row
 from vprbench.records import Run
 
@@ -48,6 +60,30 @@ def test_lists_and_tuples_and_whole_numbers_of_either_kind_are_the_same_dataset(
     asked = ColumnAsked(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
     stored = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
     assert only(groups([stored], [], [asked], ROWS)).runs == (stored,)
+
+
+def test_options_that_a_dataset_gained_or_lost_keep_no_run_from_its_column() -> None:
+    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5})
+    older_run, todays = run(), run("vprtempo", dataset={**RAILWAY, "fog": 0.5})
+    other_fog = run(dataset={**RAILWAY, "fog": 0.9})
+    both = only(groups([older_run, todays, other_fog], [], [gained], ROWS))
+    assert both.runs == (older_run, todays)
+    assert only(groups([older_run, todays], [failure()], [RAIL], ROWS)).runs == (older_run, todays)
+    assert options_apart(both) == ()
+
+
+def test_another_dataset_is_none_of_a_column_whatever_options_they_share() -> None:
+    asked = [run(dataset={"name": "riverside"}), run(dataset={**RAILWAY, "name": "riverside"})]
+    failed = replace(failure(), config={**failure().config, "dataset": {}})
+    assert only(groups(asked, [failed], [RAIL], ROWS)) == Group(RAIL, 1, (), ())
+
+
+def test_runs_of_other_options_in_a_group_of_their_own_are_told_by_these() -> None:
+    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
+    before = run(dataset={**RAILWAY, "snow": True}, protocol={"renderer": 1}, day="2025-01-01")
+    todays = run(dataset={**RAILWAY, "fog": 0.5}, protocol={"renderer": 2})
+    assert [options_apart(group) for group in groups([before, todays], [], [gained], ROWS)] == [(), ("fog", "snow")]
+    assert options_apart(Group(RAIL, 1, (), ())) == ()
 
 
 def test_runs_of_methods_that_are_no_rows_open_no_group() -> None:
@@ -119,20 +155,20 @@ def test_seeds_are_ascending_and_missing_ones_named() -> None:
 def test_a_seed_that_the_row_does_not_ask_for_is_set_aside_by_name() -> None:
     found = of_row(Group(RAIL, 1, (run(), run(seed=7)), ()), SAD, "cpu")
     assert len(found.runs) == 1
-    assert found.aside == ("seed 7 of 2025-03-01: not among the seeds of this row",)
+    assert found.aside == (Aside(1, "of seeds that were not asked for"),)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
     "code": {"config": {"code": "beef"}},
-    "timing protocol": {"config": {"timing": {"minimum_seconds": 10.0}}},
+    "timing": {"config": {"timing": {"minimum_seconds": 10.0}}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},
     "defaults of the method": {
         "config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3, "_target_": "made.vprtempo"}}
     },
-    "versions of libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
-    "number of threads": {"machine": {**ABACUS, "threads": 2}},
+    "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
+    "threads": {"machine": {**ABACUS, "threads": 2}},
     "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
-    "origin of the network": {"network": "5a" * 32, "fit_seconds": None},
+    "network": {"network": "5a" * 32, "fit_seconds": None},
 }
 
 
@@ -143,7 +179,7 @@ def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(differe
     found = of_row(Group(RAIL, 1, (*mine, other), ()), VPRTEMPO, "cpu")
     assert found.runs == mine
     assert found.missing_seeds == (2,)
-    assert found.aside == (f"seed 2 of 2025-03-01: other {difference}",)
+    assert found.aside == (Aside(1, "of other", (difference,)),)
 
 
 def test_of_incomplete_sets_the_one_with_the_newest_run_is_shown() -> None:
@@ -151,7 +187,7 @@ def test_of_incomplete_sets_the_one_with_the_newest_run_is_shown() -> None:
     new = tempo(2, day="2025-03-04", config={"code": "beef"})
     found = of_row(Group(RAIL, 1, (*old, new), ()), VPRTEMPO, "cpu")
     assert found.runs == (new,)
-    assert found.aside == ("seeds 0, 1 of 2025-03-01 and 2025-03-03: other code",)
+    assert found.aside == (Aside(2, "of other", ("code",)),)
 
 
 def test_a_complete_set_comes_before_a_newer_incomplete_one() -> None:
@@ -169,14 +205,31 @@ def test_of_one_seed_measured_twice_the_newest_is_shown_and_the_other_named() ->
     old, new = run(day="2025-01-01"), run(day="2025-01-02")
     found = of_row(Group(RAIL, 1, (new, old), ()), SAD, "cpu")
     assert found.runs == (new,)
-    assert found.aside == ("seed 0 of 2025-01-01: measured again since",)
+    assert found.aside == (Aside(1, "measured again since"),)
 
 
 def test_an_older_record_stands_apart_from_one_that_names_its_code() -> None:
     found = of_row(Group(RAIL, 1, (run(day="2025-03-02"), older(run(seed=0, day="2025-02-01"))), ()), SAD, "cpu")
     assert [stored.config.get("code") for stored in found.runs] == ["c0de"]
     (aside,) = found.aside
-    assert aside.startswith("seed 0 of 2025-02-01: an older record")
+    assert aside.why.startswith("in an older record")
+
+
+def test_what_is_set_aside_of_a_row_is_one_sentence() -> None:
+    def found(*aside: Aside) -> RowRuns:
+        return RowRuns((), aside, (), ())
+
+    other = Aside(2, "of other", ("code", "libraries")), Aside(1, "of other", ("code", "timing"))
+    assert aside_sentence("SAD", [found(other[0]), found(other[1])]) == (
+        "SAD: 3 runs of other code, libraries or timing are set aside."
+    )
+    assert aside_sentence("SAD", [found(Aside(1, "measured again since"))]) == (
+        "SAD: 1 run measured again since is set aside."
+    )
+    assert aside_sentence("SAD", [found(Aside(1, "measured again since"), *other)]) == (
+        "SAD: 1 run measured again since and 3 runs of other code, libraries or timing are set aside."
+    )
+    assert aside_sentence("SAD", [found()]) == ""
 
 
 def test_failures_of_missing_seeds_and_later_ones_are_named_and_earlier_ones_are_not() -> None:
@@ -193,6 +246,22 @@ def test_failures_of_missing_seeds_and_later_ones_are_named_and_earlier_ones_are
     group = only(groups(stored, failed, [RAIL], ROWS))
     found = of_row(group, VPRTEMPO, "cpu").failures
     assert [(each.config["seed"], each.error) for each in found] == [(1, "out of thread"), (2, "last")]
+
+
+def test_what_was_missing_later_says_nothing_of_a_seed_that_is_stored() -> None:
+    lost = [failure("vprtempo", seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
+    broke = failure("vprtempo", 0, "broke", day="2025-03-20")
+    stored = tempo(0), tempo(1)
+    assert of_row(Group(RAIL, 1, stored, tuple(lost)), VPRTEMPO, "cpu").failures == (lost[1],)
+    assert of_row(Group(RAIL, 1, stored, (broke, *lost)), VPRTEMPO, "cpu").failures == (broke, lost[1])
+
+
+def test_failures_of_another_machine_count_only_where_no_run_is_stored() -> None:
+    there = tuple(failure("vprtempo", seed, day="2025-04-01", machine=LOOM) for seed in (0, 2))
+    unknown = replace(there[1], environment={})
+    assert of_row(Group(RAIL, 1, (tempo(0), tempo(1)), there), VPRTEMPO, "cpu").failures == ()
+    assert of_row(Group(RAIL, 1, (tempo(0), tempo(1)), (unknown,)), VPRTEMPO, "cpu").failures == (unknown,)
+    assert of_row(Group(RAIL, 1, (), there), VPRTEMPO, "cpu").failures == there
 
 
 def test_a_failure_that_holds_nothing_but_what_was_asked_for_belongs_too() -> None:
@@ -233,6 +302,23 @@ def test_series_are_the_rows_with_runs_under_the_names_of_the_table() -> None:
     assert (cpu.name, cpu.spiking) == ("VPRTempo", True)
     assert [stored.config["seed"] for stored in cpu.runs] == [0, 1]
     assert [one.name for one in series(group, ROWS, "cuda")] == ["SAD"]
+
+
+def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu() -> None:
+    cpu, gpu = [tempo(seed) for seed in (0, 1, 2)], [tempo(seed, device="cuda") for seed in (0, 1, 2)]
+
+    def taken(*runs: Run) -> list[Run]:
+        failed = tuple(failure("vprtempo", 0, day="2025-04-01", device=device) for device in ("cpu", "cuda"))
+        for failures in ((), failed[:1], failed[1:]):
+            (one,) = accuracy_series(Group(RAIL, 1, runs, failures), ROWS)
+            assert one.name == "VPRTempo"
+        return [*one.runs]
+
+    assert taken(*cpu, *gpu) == cpu
+    assert taken(*cpu[:2], *gpu) == gpu
+    assert taken(*cpu[:2], *gpu[:1]) == cpu[:2]
+    assert taken(gpu[1]) == [gpu[1]]
+    assert accuracy_series(Group(RAIL, 1, (), (failure("vprtempo"),)), ROWS) == []
 
 
 def test_a_protocol_in_words_leaves_out_the_numbers_that_stand_beside_it() -> None:

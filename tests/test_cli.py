@@ -292,7 +292,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["table", "methods=[hogg]"], "methods=hogg is unknown: did you mean hog"),
         (["table", "nordland=/nowhere"], "nordland=/nowhere is no folder"),
         (["table", "seeds=0"], "seeds=0: give at least 1"),
-        (["table", "stored=true"], "results=results holds no run: leave stored=true out"),
+        (["table", "stored=true"], "results=results holds no run of these rows and columns: leave stored=true out"),
         (["search", "dataset=nordland_64x32"], "nordland_64x32"),
         (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),

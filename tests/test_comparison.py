@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPRTEMPO, answers, run
+from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPRTEMPO, answers, older, run
 
-from vprbench.comparison import reasons
+from vprbench.comparison import other_timing, reasons
 from vprbench.plan import QUANTITIES, PlannedColumn, Quantity, Row
 from vprbench.records import Run
 
@@ -112,9 +112,44 @@ def test_only_the_rate_of_sad_is_said_to_look_like_a_loop() -> None:
     assert with_loop == {("SAD", "query_cpu"), ("SAD", "query_gpu")}
 
 
-def test_training_times_hold_the_reading_of_images() -> None:
-    assert any("reads the images" in reason for reason in given("train_cpu", as_in_the_paper()))
-    assert not any("reads the images" in reason for reason in given("query_cpu", as_in_the_paper()))
+def test_training_on_the_papers_machine_and_protocol_needs_no_reason() -> None:
+    assert given("train_cpu", as_in_the_paper()) == []
+
+
+def test_a_rate_of_both_steps_is_not_said_to_be_the_papers() -> None:
+    assert given("query_cpu", as_in_the_paper(), Row("hog", "hog")) == []
+
+
+def timed(**changes: Any) -> Run:
+    asked = {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256}
+    return run(config={"timing": {**asked, **changes}})
+
+
+def test_rows_that_are_timed_alike_need_no_word() -> None:
+    assert other_timing({"SAD": timed(), "VPRTempo": timed()}) == {}
+    assert other_timing({}) == {}
+
+
+def test_the_row_that_is_timed_otherwise_says_how() -> None:
+    short = timed(minimum_seconds=0.01, minimum_queries=1)
+    assert other_timing({"SAD": short, "VPRSNN": timed(), "VPRTempo": timed()}) == {
+        "SAD": "timed under another protocol than VPRSNN and VPRTempo: at least 0.01 s and 1 query"
+    }
+    assert other_timing({"SAD": timed(), "VPRSNN": short}) == {
+        "VPRSNN": "timed under another protocol than SAD: at least 0.01 s and 1 query"
+    }
+    assert other_timing({"A": timed(), "B": timed(), "C": timed(), "D": timed(sample=8)}) == {
+        "D": "timed under another protocol than most rows: sample 8"
+    }
+
+
+def test_an_older_record_does_not_say_how_it_was_timed() -> None:
+    assert other_timing({"A": timed(), "B": older(run())}) == {
+        "B": "timed under a protocol that its older record does not hold"
+    }
+    assert other_timing({"A": older(run()), "B": timed()}) == {
+        "B": "timed under another protocol than A: at least 2 s and 64 queries"
+    }
 
 
 def test_a_column_that_the_paper_does_not_have_needs_no_reasons() -> None:

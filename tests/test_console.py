@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import io
-import time
-from types import SimpleNamespace
 
 import pytest
+from stopped_clock import Clock
 
 from vprbench import console, progress
 from vprbench.console import progress_shown
@@ -19,20 +18,15 @@ class Terminal(io.StringIO):
         return True
 
 
-class Clock:
-    """Seconds that pass only when told."""
-
-    def __init__(self) -> None:
-        self.seconds = 1000.0
-
-    def perf_counter(self) -> float:
-        return self.seconds
-
-
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Let no time pass but what a test spends, before a terminal of 80 columns."""
     clock = Clock()
-    monkeypatch.setattr(console, "time", SimpleNamespace(perf_counter=clock.perf_counter))
+    clock.spend(1000)
+    clock.replaces_those_of([console], monkeypatch)
+    monkeypatch.setattr("tqdm.std.time", clock.seconds)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("LINES", "24")
     return clock
 
 
@@ -41,7 +35,7 @@ def lines_of(clock: Clock, reports: list[tuple[float, str, float]]) -> list[str]
     stream = io.StringIO()
     with progress_shown("sad on nordland", stream):
         for seconds, stage, done in reports:
-            clock.seconds += seconds
+            clock.spend(seconds)
             progress.report(stage, done)
     return stream.getvalue().splitlines()
 
@@ -115,11 +109,11 @@ def test_a_terminal_gets_a_bar_on_its_own_stream() -> None:
     assert "sad on nordland: fit" in drawn(("fit", 0.0))
 
 
-def test_a_bar_shows_the_share_done() -> None:
+def test_a_bar_shows_the_share_done(clock: Clock) -> None:
     stream = Terminal()
     with progress_shown("sad on nordland", stream):
         progress.report("fit", 0.0)
-        time.sleep(0.15)  # a bar is drawn ten times a second at most
+        clock.spend(0.15)  # a bar is drawn ten times a second at most
         progress.report("fit", 0.5)
     assert "sad on nordland: fit  50 % |" in stream.getvalue()
 

@@ -43,6 +43,15 @@ def test_more_rows_need_a_smaller_chance() -> None:
     assert best_recall([row("a", perfect), row("b", spread(7)), row("c", spread(7))]) == "a"
 
 
+def test_the_interval_allows_for_as_many_comparisons_as_the_test_does() -> None:
+    # McNemar: p = 2 / 2^9 = 0.0039 < 0.05 / 9. Of the 60 stretches of ten queries 27 hold none of the misses, so of all
+    # draws of six (27 / 60)^6 = 0.8 % show no difference: less than 2.5 % and more than 2.5 % / 9.
+    first, second = misses(), misses(0, 1, 2, 20, 21, 22, 29, 30, 31)
+    beaten = [row(str(i), misses(*range(60))) for i in range(8)]
+    assert best_recall([row("a", first), row("b", second)]) == "a"
+    assert best_recall([row("a", first), row("b", second), *beaten]) is None
+
+
 def test_a_difference_of_one_stretch_of_the_route_separates_nothing() -> None:
     # p = 2 / 2^10, but most draws of blocks miss the ten queries or hold few of them
     assert best_recall([row("a", misses()), row("b", misses(*range(20, 30)))]) is None
@@ -78,7 +87,10 @@ def test_hits_by_luck_among_equal_scores_separate_nothing() -> None:
     two = np.full(60, 2)
     lucky = replace(tied, outcome=replace(tied.outcome, top_tied=two, tied=two))  # expected R@1 1 / 2
     assert best_recall([row("a", lucky), row("b", misses(*range(60)))]) is None
-    assert best_recall([row("a", tied), row("b", lucky)]) == "a"
+    assert best_recall([row("a", tied), row("b", lucky)]) is None  # with luck the other one is right as often
+    half = misses(*range(0, 60, 2))
+    unlucky = replace(half, outcome=replace(half.outcome, top_tied=two, tied=np.where(np.arange(60) % 2, two, 1)))
+    assert best_recall([row("a", tied), row("b", unlucky)]) == "a"  # at best right at every other query
     third = misses(*(query for query in range(60) if query % 3))  # expected R@1 1 / 3, and no luck in it
     assert best_recall([row("a", lucky), row("b", third)]) is None
 
@@ -120,6 +132,12 @@ def test_a_rate_is_best_only_where_encode_and_match_together_are_too() -> None:
     assert best_rate([alone, row("slow", timed(SLOW, encode_ms=200.0))]) == "match alone"
 
 
+def test_a_row_that_the_paper_does_not_have_is_timed_over_both_steps() -> None:
+    whole = row("whole", timed(FAST, encode_ms=15.0), boundary=None)  # 25 ms
+    assert best_rate([whole, row("matcher", timed(SLOW, encode_ms=20.0))]) is None  # 20 ms to match
+    assert best_rate([whole, row("matcher", timed([2 * each for each in SLOW]))]) == "whole"
+
+
 def test_each_rate_is_taken_at_the_boundary_of_its_row() -> None:
     encoder = row("encoder", timed([0.001] * 5, encode_ms=50.0), boundary="encode")
     assert best_rate([row("matcher", timed(FAST)), encoder]) == "matcher"
@@ -135,12 +153,29 @@ def test_no_rate_is_best_across_machines() -> None:
     assert best_rate([row("fast", timed(FAST)), row("slow", other)]) is None
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"config": {"timing": {"minimum_seconds": 0.01, "minimum_queries": 1}}},
+        {"machine": {**ABACUS, "libraries": {"torch": "2.6.0", "numba": "0.61"}}},
+        {"machine": {**ABACUS, "threads": 2}},
+    ],
+)
+def test_no_time_is_best_where_rows_were_timed_in_another_way(changes: dict[str, Any]) -> None:
+    assert best_rate([row("fast", timed(FAST)), row("slow", timed(SLOW, **changes))]) is None
+    assert best_training([row("fast", *trained(60)), row("slow", *trained(90, **changes))]) is None
+
+
 def test_every_pair_of_seeds_has_to_be_faster() -> None:
     assert best_rate([row("fast", timed(FAST), timed(SLOW)), row("slow", timed(SLOW), timed(SLOW))]) is None
 
 
 def trained(*seconds: float, **changes: Any) -> list[Run]:
-    return [run(seed=seed, fit_seconds=each, **changes) for seed, each in enumerate(seconds)]
+    """Return a run for each time of training; reading the images takes so long that the fast ones are the slow ones."""
+    return [
+        run(seed=seed, fit_compute_seconds=each, fit_seconds=9000 - each, **changes)
+        for seed, each in enumerate(seconds)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -161,7 +196,7 @@ def test_training_is_fastest_where_every_seed_is_a_quarter_faster(
 
 
 def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:
-    loaded = run(fit_seconds=None)
+    loaded = run(fit_seconds=None, fit_compute_seconds=None)
     assert best_training([row("a", *trained(60)), row("b", loaded)]) is None
 
 

@@ -128,6 +128,24 @@ def test_drawing_leaves_the_settings_of_matplotlib_as_they_were() -> None:
     assert dict(matplotlib.rcParams) == before
 
 
+def test_a_file_that_cannot_be_replaced_is_named_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "three.pdf").mkdir()
+    with pytest.raises(BadInput, match="figure three could not be written"):
+        write(drawing(), tmp_path, "three")
+    assert [path.name for path in tmp_path.iterdir()] == ["three.pdf"]
+
+
+@pytest.mark.parametrize("highest", [1e3, 1e5, 3e6])
+def test_numbers_at_a_logarithmic_axis_never_touch(highest: float) -> None:
+    figure, (axes,) = new(SINGLE_MM, 60)
+    plain_log(axes, "x", [0.01, highest])
+    figure.draw_without_rendering()
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels() if label.get_text()]
+    shown = [box for box in boxes if axes.bbox.x0 <= (box.x0 + box.x1) / 2 <= axes.bbox.x1]
+    assert len(shown) >= 3
+    assert all(one.x1 < other.x0 for one, other in itertools.pairwise(shown))
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(BadInput, match=r"figure three could not be written to .*file"):
@@ -155,4 +173,6 @@ def test_a_logarithmic_axis_holds_its_values_and_names_at_least_two_numbers(valu
 def test_a_list_of_names_keeps_names_with_a_comma_apart() -> None:
     assert listed(["SAD"]) == "SAD"
     assert listed(["SAD", "GCL", "SAD", "NetVLAD"]) == "SAD, GCL and NetVLAD"
-    assert listed(["VPRTempo", "VPRTempo, public code"]) == "VPRTempo; and VPRTempo, public code"
+    assert listed(["VPRTempo", "VPRTempo, public code"]) == "VPRTempo and VPRTempo, public code"
+    assert listed(["SAD", "VPRTempo, public code", "GCL"]) == "SAD; VPRTempo, public code; and GCL"
+    assert listed(["input 784", "feature 1,568", "output 450"]) == "input 784, feature 1,568 and output 450"

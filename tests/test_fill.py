@@ -115,6 +115,19 @@ def test_a_process_that_ends_without_an_answer_is_a_stored_failure(
     assert (failure.error, failure.missing, failure.config["seed"]) == (words, False, 4)
 
 
+def test_a_run_that_could_not_be_stored_is_a_failure_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, store: Store
+) -> None:
+    printed = json.dumps({"recall_at_1": 0.5}) + "\n" + json.dumps({"error": "the disk is full"}) + "\n"
+    with_children(monkeypatch, (2, printed))
+    assert fill.fill([a_wish()], [], store) == [Ending(2, False, "the disk is full")]
+
+
+def test_words_that_are_no_answer_are_no_answer(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
+    with_children(monkeypatch, (1, "Traceback\n{broken\n"))
+    assert fill.fill([a_wish()], [], store) == [Ending(1, False, "ended without a word")]
+
+
 def test_a_method_that_knows_no_device_does_not_run_on_a_gpu(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
     children = with_children(monkeypatch)
     assert fill.fill([a_wish(Row("HOG", "hog"), device="cuda")], [], store) == [Ending(0, False, "")]

@@ -153,7 +153,9 @@ def test_what_was_found_is_printed_and_written(capsys: pytest.CaptureFixture[str
     assert (
         len(re.findall(r"\| (?:paper|reference) +\| [\d.]+ +\| [\d.]+ +\| 2, (?:met|missed) by the second", text)) == 2
     )
-    assert len(re.findall(r"offline, batch [14] +\| [\d,]+ / [\d,]+ / [\d,]+ +\| 100,000, (?:met|missed)", text)) == 4
+    assert (
+        len(re.findall(r"offline, batch [14] +\| [\d,.]+ / [\d,.]+ / [\d,.]+ +\| 100,000, (?:met|missed)", text)) == 4
+    )
     assert re.search(r"^triton (missing|\d)", text, re.MULTILINE)
     assert [path.name for path in Path("here").iterdir()] == ["gpu.md"]
 

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import figure_runs
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 
 from vprbench.figures.growth import growth
 from vprbench.figures.style import png
@@ -15,7 +17,8 @@ from vprbench.plan import Row
 from vprbench.records import Run
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
-TEMPO, SAD = Row("VPRTempo", "vprtempo"), Row("SAD", "sad", training="none")
+TEMPO = Row("VPRTempo", "vprtempo", boundary="match")
+SAD = Row("SAD", "sad", boundary="match", training="none")
 
 
 def grown(row: Row, runs: Sequence[Run] | None = None) -> GrowthSamples:
@@ -25,7 +28,7 @@ def grown(row: Row, runs: Sequence[Run] | None = None) -> GrowthSamples:
         figure_runs.sized(n, (0.4 + 0.004 * n) * w, 0.001 * np.log(n) * w, encode_seconds=0.002)
         for n, w in zip(SIZES, wobble, strict=True)
     ]
-    return samples(row, made if runs is None else runs)
+    return samples(row, made if runs is None else runs, ())
 
 
 def labels(axes: Axes) -> list[str]:
@@ -79,7 +82,7 @@ def test_the_exponent_stands_in_the_legend_with_its_interval() -> None:
 
 def test_the_caption_says_where_the_paper_s_claim_holds() -> None:
     caption = growth([grown(TEMPO)]).caption
-    assert "The paper claims O(n) for training and O(log n) for a query." in caption
+    assert "The paper claims of VPRTempo O(n) for training and O(log n) for a query." in caption
     assert "The training time of VPRTempo is described best by a linear law, O(n), as claimed." in caption
     assert "The query time of VPRTempo (match alone) is described best by a logarithmic law, O(log n), as c" in caption
 
@@ -107,7 +110,7 @@ def test_the_caption_names_sizes_machine_and_what_was_set_aside() -> None:
     caption = growth([grown(TEMPO, [*grown(TEMPO).runs, old])]).caption
     assert "6 maps of 100 to 27,000 places" in caption
     assert "Measured on Abacus 9" in caption
-    assert "Set aside: runs of VPRTempo at 300 places under another code." in caption
+    assert "Set aside: runs of VPRTempo at 300 places (other code)." in caption
     assert "95 % interval of the median" in caption
 
 
@@ -139,10 +142,37 @@ def test_several_rows_show_their_best_laws_alone_under_their_names() -> None:
     ]
 
 
-def test_several_seeds_are_several_points() -> None:
-    runs = [figure_runs.sized(n, n / 100 * (1 + seed), 0.001, seed=seed) for n in SIZES for seed in (0, 1)]
-    left, _ = growth([grown(TEMPO, runs)]).figure.axes
-    assert list(left.containers[0].lines[0].get_ydata()[:2]) == pytest.approx([1.0, 2.0])
+def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median() -> None:
+    runs = [figure_runs.sized(n, n / 100 * (1, 2, 9)[seed], 0.001, seed=seed) for n in SIZES for seed in range(3)]
+    drawn = growth([grown(TEMPO, runs)])
+    left, _ = drawn.figure.axes
+    assert list(left.containers[0].lines[0].get_ydata()[:3]) == pytest.approx([1, 2, 9])
+    (line,) = (line for line in left.lines if line.get_label() == "linear, lowest AICc")
+    assert (line.get_ydata()[0], line.get_ydata()[-1]) == pytest.approx((2, 540))
+    assert "A point is a seed; laws and exponents are those of the median over the seeds of each size." in drawn.caption
+    assert "A point is a seed" not in growth([grown(TEMPO)]).caption
+
+
+def test_disturbed_sizes_are_hollow_and_named() -> None:
+    runs = [
+        replace(run, notes=("noisy: two carts passed",)) if run.outcome.n_places in (300, 9000) else run
+        for run in grown(TEMPO).runs
+    ]
+    drawn = growth([grown(TEMPO, runs)])
+    for axes in drawn.figure.axes:
+        hollow = [points.lines[0] for points in axes.containers if to_hex(points.lines[0].get_mfc()) == "#ffffff"]
+        assert {tuple(line.get_xdata()) for line in hollow} == {(300, 9000)}
+    assert "for VPRTempo at 300 and 9,000 places." in drawn.caption
+    assert labels(drawn.figure.axes[0]) == labels(growth([grown(TEMPO)]).figure.axes[0])
+    assert "Hollow" not in growth([grown(TEMPO)]).caption
+
+
+def test_a_row_that_the_paper_does_not_have_is_measured_by_no_claim() -> None:
+    drawn = growth([grown(Row("CosPlace", "cosplace"))])
+    assert "claim" not in drawn.caption
+    assert "The training time of CosPlace is described best by a linear law, O(n)." in drawn.caption
+    assert labels(drawn.figure.axes[1])[0].startswith("encode and match, exponent")
+    assert len(drawn.figure.axes[1].containers) == 1
 
 
 def test_the_bar_of_a_query_is_the_interval_of_its_median() -> None:

@@ -2,40 +2,55 @@
 
 import struct
 import threading
-import time
 import zlib
+from concurrent import futures
 
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
+from stopped_clock import Clock, ReadersThatWait
 
+from vprbench import images
 from vprbench.images import Images, read_image
 from vprbench.interface import BadInput
 
+PATIENCE = 120  # seconds for what takes none unless something is broken
+
 
 class Reader:
-    """Counts what is read; image i is a 2 x 3 frame of level i."""
+    """Counts what is read; image i is a 2 x 3 frame of level i, for which `reading(i)` is done first."""
 
-    def __init__(self, seconds=0.0):
-        self.seconds = seconds
+    def __init__(self, reading=lambda i: None):
+        self.reading = reading
         self.read = []
         self.threads = set()
 
     def __call__(self, i):
         self.read.append(i)
         self.threads.add(threading.get_ident())
-        time.sleep(self.seconds)
+        self.reading(i)
         return np.full((2, 3, 3), i % 256, np.uint8)
 
     def images(self, n):
         return Images(self, [f"frame {i}" for i in range(n)])
 
-    def wait_until_idle(self):
-        seen = -1
-        while seen != len(self.read):
-            seen = len(self.read)
-            time.sleep(0.1)
-        return seen
+
+@pytest.fixture
+def chunks(monkeypatch):
+    """The chunks of images that threads were asked to read."""
+    asked = []
+
+    class Watched(futures.ThreadPoolExecutor):
+        def submit(self, *arguments):
+            asked.append(super().submit(*arguments))
+            return asked[-1]
+
+    monkeypatch.setattr(images, "ThreadPoolExecutor", Watched)
+    return asked
+
+
+def wait_until_idle(chunks):
+    assert not futures.wait(chunks, PATIENCE).not_done
 
 
 def levels(images):
@@ -112,14 +127,22 @@ def test_an_index_outside_raises_index_error_with_the_length(index):
         Reader().images(20)[index]
 
 
-def test_images_come_in_order_however_long_each_takes_to_read():
-    seconds = np.random.default_rng(0).uniform(0, 0.004, 150)
+def test_images_come_in_order_however_long_each_takes_to_read(monkeypatch):
+    monkeypatch.setattr(images, "_READERS", 2)
+    size, n = images._CHUNK, 152
+    last_read = [threading.Event() for _ in range(n // size)]
+    ended = []
 
     def read(i):
-        time.sleep(seconds[i])
-        return np.full((1, 1, 3), i, np.uint8)
+        chunk, place = divmod(i, size)
+        if chunk % 2 == 0 and place == 0:
+            assert last_read[chunk + 1].wait(PATIENCE)
+        if place == size - 1:
+            ended.append(chunk)
+            last_read[chunk].set()
 
-    assert levels(Images(read, [str(i) for i in range(150)])) == list(range(150))
+    assert levels(Reader(read).images(n)) == list(range(n))
+    assert all(ended.index(chunk + 1) < ended.index(chunk) for chunk in range(0, n // size, 2))
 
 
 def test_iterating_reads_every_image_once():
@@ -140,34 +163,31 @@ def test_iterating_reads_in_other_threads():
 
 
 @pytest.mark.parametrize("looked_at", [1, 500])
-def test_only_a_bounded_number_of_images_is_read_ahead(looked_at):
+def test_only_a_bounded_number_of_images_is_read_ahead(looked_at, chunks):
     reader = Reader()
     iterator = iter(reader.images(5000))
     for _ in range(looked_at):
         next(iterator)
-    assert reader.wait_until_idle() <= looked_at + 150
+    wait_until_idle(chunks)
+    assert looked_at < len(reader.read) <= looked_at + 150
     iterator.close()
 
 
-def test_reading_goes_on_while_the_caller_works():
+def test_reading_goes_on_while_the_caller_works(chunks):
     reader = Reader()
     iterator = iter(reader.images(5000))
     next(iterator)
-    patience = time.perf_counter() + 10
-    while len(reader.read) <= 8 and time.perf_counter() < patience:
-        time.sleep(0.01)
+    wait_until_idle(chunks)
     assert len(reader.read) > 8  # more than one reader takes at a time, though one image was asked for
     iterator.close()
 
 
-@pytest.mark.timeout(20)
-def test_leaving_an_iteration_early_ends_the_reading():
-    reader = Reader(seconds=0.005)
+def test_leaving_an_iteration_early_ends_the_reading(chunks):
+    reader = Reader()
     for _image in reader.images(100_000):
         break
-    done = reader.wait_until_idle()
-    time.sleep(0.1)
-    assert len(reader.read) == done < 200
+    assert all(chunk.done() for chunk in chunks)
+    assert 0 < len(reader.read) < 200
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 8, 9])
@@ -201,25 +221,40 @@ def test_in_memory_reads_every_image_once_and_never_again():
     assert sorted(reader.read) == list(range(20))
 
 
-def test_views_share_the_reading_time_of_the_whole():
-    images = Reader(seconds=0.01).images(20)
-    images[5:10][2]
-    list(images[::2])
-    assert images.reading.seconds == images[3:4].reading.seconds > 0.01
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    clock.replaces_those_of([images], monkeypatch)
+    return clock
 
 
-def test_reading_while_the_caller_works_is_no_reading_time():
-    images = Reader(seconds=0.01).images(1000)
-    started = time.perf_counter()
-    iterator = iter(images)
+def test_views_share_the_reading_time_of_the_whole(clock, monkeypatch):
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    whole = Reader(lambda i: clock.spend(1)).images(20)
+    whole[5:10][2]
+    list(whole[::2])
+    assert whole.reading.seconds == whole[3:4].reading.seconds == 11
+
+
+def test_reading_while_the_caller_works_is_no_reading_time(clock, chunks):
+    caller_works = threading.Event()
+
+    def reading(i):
+        if i >= images._CHUNK:
+            assert caller_works.wait(PATIENCE)
+            clock.spend(1)
+
+    whole = Reader(reading).images(1000)
+    iterator = iter(whole)
     next(iterator)
-    waited = time.perf_counter() - started
-    time.sleep(0.2)
+    assert clock.seconds() == 0
+    caller_works.set()
+    wait_until_idle(chunks)
+    assert clock.seconds() > 1
     iterator.close()
-    assert 0 < images.reading.seconds <= waited
+    assert whole.reading.seconds == 0
 
 
-@pytest.mark.timeout(20)
 def test_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path):
     paths = [save(tmp_path / f"{i}.png", noise(4, 4)) for i in range(200)]
     paths[117].write_bytes(b"")

@@ -46,6 +46,8 @@ ORDER = [
     "absence",
     "comparison",
     "contests",
+    "entries",
+    "table_caption",
     "assembly",
     "layout",
     "table_latex",

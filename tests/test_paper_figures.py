@@ -86,3 +86,17 @@ def test_without_kept_frames_the_other_figures_are_drawn(copied: Apart, caplog: 
     assert main(["figures", *SMALL, "stored=true"]) == 0
     there = {path.stem for path in Path("results/figures").glob("*.png")}
     assert there == NAMES - {"fig3a-frames-route"}
+
+
+def test_a_report_of_columns_without_runs_is_one_line(copied: Apart, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", *SMALL, "columns=[route_12]", "stored=true"]) == 2
+    assert "holds no run of these rows and columns" in capsys.readouterr().err
+    assert not list(Path("results").glob("report*.html"))
+
+
+def test_a_report_says_which_figures_are_absent(copied: Apart) -> None:
+    for folder in Path("results/synthetic").glob("sad-*"):
+        if '"query_places": 6' in (folder / "run.json").read_text():
+            shutil.rmtree(folder)
+    assert main(["report", *SMALL, "stored=true"]) == 0
+    assert "fig2c-growth is not drawn" in Path("results/report.html").read_text()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,45 @@ def test_rows_on_request_stand_below_the_papers(copied: Apart) -> None:
     assert found["SAD (big patches)", "route", "recall_at_1"]["mark"] == "measured"
 
 
+def test_a_method_that_is_a_row_already_is_that_row(copied: Apart) -> None:
+    assert main(["table", "rows=[SAD]", "methods=[sad]", "stored=true"]) == 0
+    assert {row for row, _, _ in cells(Path("results/table.csv"))} == {"SAD"}
+
+
+def test_a_method_whose_code_and_yaml_are_gone_keeps_its_stored_row(copied: Apart) -> None:
+    store = Store(Path("results"))
+    for run in runs(Path("results"), "sad"):
+        store.save(replace(run, method="gone", config={**run.config, "method": {}}))
+    assert main(["table", "rows=[SAD]", "methods=[gone]", "stored=true"]) == 0
+    found = cells(Path("results/table.csv"))
+    assert found["gone", "route", "recall_at_1"]["value"] == found["SAD", "route", "recall_at_1"]["value"]
+
+
+def test_a_column_named_twice_is_there_once(copied: Apart) -> None:
+    assert main(["table", "columns=[route_12,route_12]", "name=twice", "stored=true"]) == 0
+    text = Path("results/twice.md").read_text()
+    assert len([line for line in text.splitlines() if line.startswith("## ")]) == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("devices=[gpu]", "devices=gpu is unknown: give cpu, cuda or cuda:1"),
+        ("name=../out", "name=../out: give letters"),
+        ("stores=[/nowhere,elsewhere]", "stores=/nowhere is no folder"),
+        ("rows=[SAD", "rows=[SAD"),
+    ],
+)
+def test_an_option_that_cannot_be_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], option: str, words: str
+) -> None:
+    install(monkeypatch, tmp_path)
+    assert main(["table", option]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
 def test_full_runs_slow_rows_at_full_size(copied: Apart) -> None:
     assert main(["table", "rows=[PCA]", "full=true", *RUN]) == 0
     found = cells(Path("results/table.csv"))
@@ -161,8 +201,8 @@ def test_runs_of_two_protocols_stand_in_two_columns(copied: Apart, monkeypatch: 
 
 def test_stores_of_several_machines_merge(copied: Apart) -> None:
     text = Path("results/table.md").read_text()
-    shutil.move("results", "elsewhere")
-    assert main(["table", "stored=true", "stores=[elsewhere]"]) == 0
+    shutil.move("results", "else where")
+    assert main(["table", "stored=true", f"stores=[{Path('else where').absolute()}]"]) == 0
     assert Path("results/table.md").read_text() == text
 
 
@@ -184,5 +224,5 @@ def test_a_table_that_no_row_can_run_for_leaves_the_old_one(
     Path("results").mkdir()
     Path("results/table.md").write_text("the old table")
     assert main(["table", "rows=[Nobody]"]) == 2
-    assert "results=results holds no run" in capsys.readouterr().err
+    assert "results=results holds no run of these rows" in capsys.readouterr().err
     assert Path("results/table.md").read_text() == "the old table"

@@ -85,12 +85,6 @@ def test_a_row_on_request_has_a_name_of_its_own(plan: Plan) -> None:
     assert len(set(names)) == len(names)
 
 
-def test_a_method_that_is_no_row_makes_one_of_its_own(plan: Plan) -> None:
-    assert plan.row("hog") == Row("hog", "hog")
-    assert plan.row("VPRTempo") is plan.rows["VPRTempo"]
-    assert plan.row("vprtempo_public") == plan.more_rows["vprtempo_public"]
-
-
 @pytest.mark.parametrize("group", ["rows", "columns", "growth"])
 def test_a_plan_without_a_part_is_refused_by_its_file(group: str, content: Any, tmp_path: Path) -> None:
     del content[group]

@@ -333,8 +333,12 @@ def test_what_a_dead_process_left_is_removed(store: Store) -> None:
 
 
 def test_what_a_living_process_writes_is_left_alone(store: Store) -> None:
-    folder = leftover(store, socket.gethostname(), os.getppid())
-    store.prepare()
+    with subprocess.Popen(["sleep", "1000"]) as living:
+        try:
+            folder = leftover(store, socket.gethostname(), living.pid)
+            store.prepare()
+        finally:
+            living.kill()
     assert folder.exists()
 
 
@@ -361,9 +365,10 @@ def kill_a_writer(store: Store, processes: Any, tmp_path: Path) -> Callable[[Seq
         started = tmp_path / f"started-{time.monotonic_ns()}"
         writer = processes.Process(target=save_forever, args=(store.root, started, keys), daemon=True)
         writer.start()
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while not started.exists() and time.monotonic() < deadline:
             time.sleep(0.001)
+        assert started.exists()
         time.sleep(seconds)
         writer.kill()
         writer.join()

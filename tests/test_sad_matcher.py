@@ -200,6 +200,7 @@ def test_of_several_traverses_the_most_similar_image_of_a_place_counts() -> None
 
 def test_matching_takes_little_more_memory_than_its_scores() -> None:
     method, queries = fitted(codes(3000, 784, seed=1)), codes(128, 784, seed=2)
+    method.match(queries)  # the first call makes threads
     tracemalloc.start()
     scores = method.match(queries)
     peak = tracemalloc.get_traced_memory()[1]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, pictures
+from little_runs import quiet_surroundings
+from stopped_clock import Clock
 
-from vprbench import runner
+from vprbench import images, runner
 from vprbench.conformance import Journey
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Method, NotFittedError
@@ -24,10 +25,17 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.records import Run, Store
 from vprbench.spikes import LayerSpikes, summary
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.stopwatch import Protocol
 
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
 
 # What is kept
 
@@ -155,22 +163,22 @@ def test_impossible_spikes_are_a_note_of_the_run() -> None:
 
 
 def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    passed = [0.0]  # seconds, of the method's counting alone
+    clock = Clock()
+    clock.replaces_those_of([runner, images], monkeypatch)
 
     class Slow(Ticking):
+        def encode(self, images: Images) -> npt.NDArray[np.int64]:
+            clock.spend(0.001 * len(images))
+            return super().encode(images)
+
         def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
-            passed[0] += 1000.0
+            clock.spend(1000)
             return super().spikes(codes)
 
-    def stopwatch(protocol: Protocol, **options: Any) -> Stopwatch:
-        ticks = itertools.count()
-        return Stopwatch(protocol, lambda: int(passed[0] * 1e9) + next(ticks), **options)
-
-    monkeypatch.setattr(runner, "time", SimpleNamespace(perf_counter=lambda: passed[0]))
-    monkeypatch.setattr(runner, "Stopwatch", stopwatch)
     run = run_of(Slow(np.eye(6, dtype=np.float32)), journey(6, 6))
-    assert passed == [1000.0]
-    assert max(run.harness_seconds, run.method_seconds, run.timing.streaming.total_seconds.max()) < 1
+    assert clock.seconds() > 1000
+    assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.006))
+    assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
 
 
 def test_spikes_come_back_from_the_store(tmp_path: Path) -> None:

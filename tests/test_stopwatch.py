@@ -176,19 +176,31 @@ def test_answers_are_the_best_places_of_the_sampled_queries() -> None:
 # The real clock
 
 
-def test_a_method_that_sleeps_5_and_2_milliseconds_is_measured_so() -> None:
-    method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
+def test_a_call_lasts_at_least_as_long_as_a_method_slept_and_no_longer_than_from_the_call_before_to_the_next() -> None:
+    slept: list[tuple[int, int]] = []  # from when to when, in the calls of encode and match in turn
+
+    def sleep(nanoseconds: int) -> None:
+        start = time.perf_counter_ns()
+        time.sleep(nanoseconds / 1e9)
+        slept.append((start, time.perf_counter_ns()))
+
+    method = Timed(sleep, lambda _: 5 * MS, lambda _: 2 * MS)
     streaming = Stopwatch(short(minimum_queries=10)).measure(method, pictures(range(5))).streaming
+    calls = np.stack([streaming.encode_seconds, streaming.match_seconds], axis=1).ravel()
+    assert len(calls) == 20
     assert streaming.encode_seconds.min() >= 0.005
     assert streaming.match_seconds.min() >= 0.002
-    assert np.median(streaming.encode_seconds) < 0.025
-    assert np.median(streaming.match_seconds) < 0.022
+    for number, seconds in enumerate(calls):
+        (start, end), after = slept[number], slept[number + 1][0]
+        assert (end - start) / 1e9 <= seconds
+        assert number == 0 or seconds <= (after - slept[number - 1][1]) / 1e9
 
 
-def test_a_lap_of_a_sleep_lasts_at_least_as_long() -> None:
+def test_a_lap_of_a_sleep_lasts_at_least_as_long_and_no_longer_than_what_is_around_it() -> None:
+    before = time.perf_counter_ns()
     with Stopwatch(short()).lap() as lap:
         time.sleep(0.01)
-    assert 0.01 <= lap[0] < 0.1
+    assert 0.01 <= lap[0] <= (time.perf_counter_ns() - before) / 1e9
 
 
 # A device with a queue

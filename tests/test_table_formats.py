@@ -128,7 +128,7 @@ def test_a_line_of_csv_holds_all_that_is_known_of_a_cell() -> None:
         "high": "",
         "spread": "100.0",
         "seeds": "0 1 2",
-        "total_hz": "20999.5",
+        "total": "20999.5",
         "best": "False",
         "disturbed": "False",
         "machine": GPU,
@@ -156,7 +156,7 @@ def test_pandas_reads_the_numbers_back() -> None:
     assert read["best"].sum() == 3
     for line in read.to_dict("records"):
         known = next(r for r in made.rows if r.name == line["row"]).cells[line["column"], line["quantity"]]
-        for name in ("value", "low", "high", "spread"):
+        for name in ("value", "low", "high", "spread", "total"):
             number = getattr(known.measured, name) if known.measured else known.quoted if name == "value" else None
             assert line[name] == pytest.approx(math.nan if number is None else number, rel=1e-15, nan_ok=True)
 
@@ -274,10 +274,40 @@ def test_a_spread_has_the_decimals_of_its_number(spread: float, shown: str) -> N
     assert in_markdown(alone(found(1615.0, spread=spread), "query_cpu"), "query_cpu") == [shown]
 
 
-def test_a_rate_shows_the_common_boundary_in_brackets() -> None:
+def test_recall_of_several_seeds_shows_its_spread_and_the_interval_of_its_mean() -> None:
+    made = alone(found(46.8, seeds=(0, 1, 2), spread=1.26, low=44.93, high=48.68))
+    assert in_markdown(made) == ["46.8 ± 1.3 [44.9, 48.7]"]
+    assert in_html(made) == ("measured", ["46.8 ± 1.3 [44.9, 48.7]"])
+    assert r" & 46.8 ± 1.3 [44.9, 48.7] &" in table_formats.latex(made)
+    said = "95 % Wilson interval of R@1 over the queries"
+    assert f"{said}; of several seeds, of their mean." in table_formats.markdown(made)
+    assert f"{said}." in table_formats.markdown(alone(found(RECALL, low=44.7531, high=48.5153)))
+
+
+def test_a_rate_of_one_step_shows_that_of_both_in_brackets() -> None:
     made = alone(found(1614.96, 353.0, total=1368.4, spread=20.3), "query_cpu")
     assert in_markdown(made, "query_cpu") == ["1,615 ± 20 (1,368)", "353 (+1,262)"]
-    assert "in brackets encoding and matching together" in table_formats.markdown(made)
+    text = table_formats.markdown(made)
+    assert "matching for the others); in brackets encoding and matching together" in text
+    assert "without brackets" not in text
+
+
+def test_a_rate_of_both_steps_has_no_brackets_and_is_told_from_that_of_one() -> None:
+    own = row("HOG", query_cpu=found(50.0))
+    assert in_markdown(small(own), "query_cpu", "HOG") == ["50"]
+    assert "from memory, encoding and matching together." in table_formats.markdown(small(own))
+    both = table_formats.markdown(small(own, row("SAD", query_cpu=found(12.5, total=11.25))))
+    assert "Query rates without brackets, of rows that are not the paper's: both together." in both
+
+
+def test_training_shows_the_time_with_the_images_in_brackets() -> None:
+    made = alone(found(0.0691, total=0.2512), "train_cpu")
+    assert in_markdown(made, "train_cpu") == ["0.069 (0.25)"]
+    assert in_html(made, "train_cpu") == ("measured", ["0.069 (0.25)"])
+    text = table_formats.markdown(made)
+    assert "in brackets with reading or rendering the images too." in text
+    assert "Query rates" not in text
+    assert "Training:" not in table_formats.markdown(alone(found(0.0691), "train_cpu"))
 
 
 def test_a_disturbed_measurement_has_a_tilde() -> None:
@@ -336,7 +366,10 @@ def test_only_what_a_table_shows_is_explained() -> None:
     assert not any(word in plain for word in ("Italics", "±", "interval", "Line paper", "brackets"))
     whole = table_formats.markdown(table())
     assert "none:" not in whole
-    assert all(whole.count(word) == 1 for word in ("Italics:", "±: ", "[low, high]:", "Line paper:", "Query rates:"))
+    assert all(
+        whole.count(word) == 1
+        for word in ("Italics:", "±: ", "[low, high]:", "Line paper:", "Training:", "Query rates:")
+    )
 
 
 def test_spiking_rows_stand_below_the_others_in_a_part_of_their_own() -> None:

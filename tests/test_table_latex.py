@@ -60,7 +60,10 @@ def lines_of(source: str) -> list[list[str]]:
             found(RECALL, 48.0, (1,), low=44.7531, high=48.5153),
             [r"46.6 [44.8, 48.5]\textsuperscript{1}", r"48 ($-$1.4)"],
         ),
-        (found(46.8, 48.0, spread=1.26, best=True), [r"\textbf{46.8} ± 1.3", r"48 ($-$1.2)"]),
+        (
+            found(46.8, 48.0, spread=1.26, low=44.93, high=48.68, best=True),
+            [r"\textbf{46.8} ± 1.3 [44.9, 48.7]", r"48 ($-$1.2)"],
+        ),
         (cell("quoted", quoted=48.0, **paper(48.0, "quoted")), [r"\textit{48}", r"\textit{48}"]),
         (cell("not applicable", **paper(None)), ["--", "--"]),
         (cell("not there", **paper(32.0), notes=(1, 2)), [r"not there\textsuperscript{1, 2}", "32"]),
@@ -121,8 +124,10 @@ def test_five_rows_and_two_datasets_fit_on_one_landscape_page(whole: tuple[str, 
 
 def test_known_numbers_stand_on_the_page(whole: tuple[str, str, str]) -> None:
     _, text, _ = whole
-    for number in ("46.6 [44.8, 48.5]", "48 (\u22121.4)", "0.31 ± 0.01", "0.0052 ± 0.0001", "22,346 ± 100 (21,000)"):
+    assert "54.3 ± 1.3 [52.4, 56.2]" in text
+    for number in ("46.6 [44.8, 48.5]", "48 (\u22121.4)", "0.31 ± 0.01 (1.1)", "0.0052 ± 0.0001 (0.77)"):
         assert number in text
+    assert "22,346 ± 100 (21,000)" in text
     assert "1,634 (+20,712)" in text
     assert f"M1: {OTHER}" in text
 

@@ -103,7 +103,7 @@ def test_several_seeds_are_one_point_at_their_means() -> None:
     ]
     drawn = against_memory([figure_runs.series("VPRTempo", *runs)])
     assert points(drawn.figure.axes[0]) == [pytest.approx((150, 60))]
-    assert "VPRTempo (2 seeds): means over the seeds." in drawn.caption
+    assert "VPRTempo (2 seeds): means over the seeds, the bar is that of the mean hits." in drawn.caption
 
 
 def test_the_front_is_that_of_a_slow_search_over_all_pairs() -> None:
@@ -162,6 +162,12 @@ def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_insi
         assert not any(one.overlaps(other) for i, one in enumerate(names) for other in names[:i])
         assert not any(name.overlaps(marker) for name in names for marker in markers)
         assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in names)
+
+
+def test_a_caption_says_that_memory_of_a_gpu_is_not_counted() -> None:
+    on_gpu = figure_runs.series("GCL", figure_runs.run("gcl", n_queries=400, n_places=450, device="cuda"))
+    assert "GCL ran on a GPU, whose own memory is not in it." in against_memory([method("SAD", 0.5), on_gpu]).caption
+    assert "GPU" not in against_memory([method("SAD", 0.5)]).caption
 
 
 def test_a_caption_says_dataset_interval_and_machine() -> None:

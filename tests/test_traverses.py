@@ -1,22 +1,9 @@
-"""What is asked of traverses: the right places of a query, and refusals in the words of each kind of dataset."""
-
-from dataclasses import replace
+"""What is asked of traverses: the right places of a query, and what recordings refuse."""
 
 import pytest
 
-from vprbench.datasets.traverses import Rendered, check_recorded, check_recorded_range, places_of, right_places
+from vprbench.datasets.traverses import check_recorded, check_recorded_range, places_of, right_places
 from vprbench.interface import BadInput
-
-JOURNEY = Rendered("the little journey", "hour", ("dawn", "noon"), 3, 20, skipped=(1, 4))
-ASKED = {
-    "places": 8,
-    "references": ["dawn"],
-    "query": "noon",
-    "first_query_place": None,
-    "query_places": None,
-    "tolerance": 0,
-    "seed": 0,
-}
 
 
 def refusal(check, *arguments, **named):
@@ -36,48 +23,6 @@ def test_without_a_tolerance_each_query_has_its_own_place_alone():
 
 def test_every_traverse_shows_all_places_in_order():
     assert places_of(3, 2).tolist() == [0, 1, 2, 0, 1, 2]
-
-
-@pytest.mark.parametrize(
-    ("skipped", "places", "expected"), [((1, 4), 8, (2, 6)), ((2, 11), 11, (2, 9)), ((1, 5), 14, (3, 11))]
-)
-def test_a_share_of_the_places_is_not_queried_unless_told_otherwise(skipped, places, expected):
-    assert replace(JOURNEY, skipped=skipped).check(**(ASKED | {"places": places})) == expected
-
-
-@pytest.mark.parametrize(
-    ("first", "count", "expected"), [(0, None, (0, 8)), (7, None, (7, 1)), (2, 6, (2, 6)), (None, 3, (2, 3))]
-)
-def test_first_query_place_and_number_of_queries_are_kept_when_given(first, count, expected):
-    assert JOURNEY.check(**(ASKED | {"first_query_place": first, "query_places": count})) == expected
-
-
-@pytest.mark.parametrize("places", [3, 20])
-def test_a_rendered_journey_may_be_as_short_and_as_long_as_it_says(places):
-    assert sum(JOURNEY.check(**(ASKED | {"places": places}))) == places
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"places": 2}, "dataset.places=2 came; the little journey has 3 to 20 places"),
-        ({"places": 21}, "dataset.places=21 came; the little journey has 3 to 20 places"),
-        ({"first_query_place": 8}, "dataset.first_query_place=8 came, but the places run from 0 to 7: choose one"),
-        (
-            {"query_places": 7},
-            "dataset.query_places=7 came, but from place 2 to the last of 8 there are 1 to 6 to query",
-        ),
-        ({"tolerance": -1}, "dataset.tolerance=-1 came; a number of places, 0 or more, was wanted"),
-        ({"seed": -1}, "dataset.seed=-1 came; a whole number, 0 or more, was wanted"),
-        ({"references": "dawn"}, "dataset.references='dawn' came; wanted at least one of dawn, noon, as a list"),
-        ({"references": []}, "dataset.references=[] came; wanted at least one of dawn, noon, as a list"),
-        ({"references": ["noon", "noon"]}, "dataset.references=['noon', 'noon'] came; name each hour once"),
-        ({"references": ["noon", "tea"]}, "dataset.references=tea came; the hours are dawn, noon"),
-        ({"query": "tea"}, "dataset.query=tea came; the hours are dawn, noon"),
-    ],
-)  # fmt: skip
-def test_a_rendered_journey_refuses_what_it_cannot_show(arguments, message):
-    assert refusal(JOURNEY.check, **(ASKED | arguments)) == message
 
 
 @pytest.mark.parametrize(

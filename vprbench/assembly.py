@@ -7,51 +7,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import mean, median, stdev
 
-import numpy as np
-
-from vprbench import contests
+from vprbench import contests, table_caption
 from vprbench.absence import Absence, absent, one_sentence, stored_seeds
-from vprbench.belonging import Device, Group, RowRuns, of_row, protocol_words, title
+from vprbench.belonging import DEVICES, Group, of_row, protocol_words, title
 from vprbench.cells import Cell, Column, Measured, Table, TableRow
-from vprbench.comparison import PAPER, PAPER_CPU, PAPER_GPU, reasons
+from vprbench.comparison import other_timing, reasons
 from vprbench.contests import Contestant
-from vprbench.intervals import block_bootstrap, wilson
+from vprbench.entries import RATES, TRAINING, Entry
+from vprbench.intervals import wilson
 from vprbench.metrics import hits_at, recall_at
 from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
 from vprbench.records import Run
 
-_DEVICES: tuple[Device, ...] = ("cpu", "cuda")
-_TRAINING: dict[Quantity, Device] = {"train_cpu": "cpu", "train_gpu": "cuda"}
-_RATES: dict[Quantity, Device] = {"query_cpu": "cpu", "query_gpu": "cuda"}
-_DEVICE_OF: dict[Quantity, Device] = {**_TRAINING, **_RATES}
-_NAMES: dict[Device, str] = {"cpu": "CPU", "cuda": "GPU"}
-
 _BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
 _OF_RATES = ("caching", "audit failed")
 _OF_TRAINING = ("descriptors of",)
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """What is stored of one row in one column."""
-
-    row: Row
-    group: Group
-    column: Column
-    found: Mapping[Device, RowRuns]
-
-    def device(self, quantity: Quantity) -> Device:
-        """Return the device whose runs a cell shows: R@1 is that of the CPU, unless a GPU has more seeds of it."""
-        if quantity in _DEVICE_OF:
-            return _DEVICE_OF[quantity]
-        return max(_DEVICES, key=lambda device: (len(self.found[device].runs), bool(self.found[device].failures)))
-
-    def runs(self, quantity: Quantity) -> tuple[Run, ...]:
-        """Return the runs that a cell shows; of training times, those that trained."""
-        there = self.found[self.device(quantity)].runs
-        if quantity in _TRAINING:
-            return tuple(run for run in there if run.fit_seconds is not None) if self.row.training == "own" else ()
-        return there
 
 
 def assemble(
@@ -60,14 +30,15 @@ def assemble(
     """Return the table of some rows, a group of columns for each group of runs.
 
     R@1 is the expected value under ties, the mean over the seeds; query rates are 1 / median of the streaming laps, the
-    mean over the seeds; minutes are wall time of the fit, the median over the seeds (timing rules, 2.2). `left_out`
-    says by the names of column and row where rows stand that take too long. Looks at runs, failures and plan alone.
+    mean over the seeds; minutes are those of the fit without waiting for images, the median over the seeds (timing
+    rules, 2.2). `left_out` says by the names of column and row where rows stand that take too long. Looks at runs,
+    failures and plan alone.
     """
     columns = tuple(_column(group, groups, plan) for group in groups)
     ordered = sorted(rows, key=lambda row: row.spiking)
     entries = {
         row.name: [
-            _Entry(row, group, column, {device: of_row(group, row, device) for device in _DEVICES})
+            Entry(row, group, column, {device: of_row(group, row, device) for device in DEVICES})
             for group, column in zip(groups, columns, strict=True)
         ]
         for row in ordered
@@ -76,7 +47,13 @@ def assemble(
         (column.name, quantity): _best([entries[row.name][i] for row in ordered], quantity, plan)
         for (i, column), quantity in itertools.product(enumerate(columns), QUANTITIES)
     }
-    sheet = _Sheet(plan, left_out, best)
+    timed = {
+        (column.name, quantity): other_timing(
+            {row.name: runs[0] for row in ordered if (runs := entries[row.name][i].runs(quantity))}
+        )
+        for (i, column), quantity in itertools.product(enumerate(columns), RATES)
+    }
+    sheet = _Sheet(plan, left_out, best, timed)
     made = tuple(
         TableRow(
             row.name,
@@ -85,7 +62,7 @@ def assemble(
         )
         for row in ordered
     )
-    caption = tuple(_caption(columns, [entry for row in ordered for entry in entries[row.name]], made))
+    caption = tuple(table_caption.sentences(groups, columns, entries, made))
     machines = tuple(f"{machine}, {day}" for machine, day in sheet.machines.items())
     return Table(columns, made, caption, tuple(sheet.notes), machines)
 
@@ -103,16 +80,16 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     )
 
 
-def _best(entries: Sequence[_Entry], quantity: Quantity, plan: Plan) -> str | None:
+def _best(entries: Sequence[Entry], quantity: Quantity, plan: Plan) -> str | None:
     """Return the row of a column that is best by a test; what only builds a map is in no contest of training."""
     rows = [
         Contestant(entry.row.name, runs, entry.row.boundary, not entry.found[entry.device(quantity)].missing_seeds)
         for entry in entries
-        if (runs := entry.runs(quantity)) and not (quantity in _TRAINING and _only_maps(entry.row, plan))
+        if (runs := entry.runs(quantity)) and not (quantity in TRAINING and _only_maps(entry.row, plan))
     ]
     if quantity == "recall_at_1":
         return contests.best_recall(rows)
-    return contests.best_training(rows) if quantity in _TRAINING else contests.best_rate(rows)
+    return contests.best_training(rows) if quantity in TRAINING else contests.best_rate(rows)
 
 
 def _only_maps(row: Row, plan: Plan) -> bool:
@@ -127,11 +104,12 @@ class _Sheet:
     plan: Plan
     left_out: Mapping[tuple[str, str], str]
     best: Mapping[tuple[str, Quantity], str | None]
+    timed: Mapping[tuple[str, Quantity], Mapping[str, str]]  # by row what to say of its rate
     printed: Mapping[tuple[str, str], Mapping[Quantity, float | None]] = field(default_factory=published)
     notes: dict[str, int] = field(default_factory=dict)
     machines: dict[str, str] = field(default_factory=dict)  # the newest day of each
 
-    def cell(self, entry: _Entry, quantity: Quantity) -> Cell:
+    def cell(self, entry: Entry, quantity: Quantity) -> Cell:
         """Return one cell."""
         row = entry.row
         printed = self.printed.get((row.name, entry.group.asked.planned.published or ""), {})
@@ -145,7 +123,7 @@ class _Sheet:
             difference=None,
             notes=(),
         )
-        if quantity in _TRAINING and row.training != "own":
+        if quantity in TRAINING and row.training != "own":
             return empty if row.training == "none" else self._quoted(empty, row, quantity)
         runs = entry.runs(quantity)
         if quantity == "recall_at_1" and runs and contests.mean_recall(runs) is None:
@@ -157,6 +135,7 @@ class _Sheet:
         found = entry.found[entry.device(quantity)]
         texts = [stored_seeds(row, found)] if found.missing_seeds else []
         texts += _remarks(entry, quantity, runs, self.plan)
+        texts += filter(None, [self.timed.get((entry.column.name, quantity), {}).get(row.name)])
         if value is not None:
             texts += reasons(row, entry.group.asked.planned, entry.column.stand_in_for, quantity, runs[0])
         return replace(
@@ -183,7 +162,7 @@ class _Sheet:
             notes=notes,
         )
 
-    def _absence(self, entry: _Entry, quantity: Quantity) -> Absence:
+    def _absence(self, entry: Entry, quantity: Quantity) -> Absence:
         device = entry.device(quantity)
         found = entry.found[device]
         if found.runs:  # and none of them trained
@@ -192,24 +171,26 @@ class _Sheet:
             return Absence("not run", f"no training time: {what}")
         if entry.group.number > 1:
             return Absence("not run", "no run of this row under this protocol is stored")
-        elsewhere = any(entry.found[other].runs for other in _DEVICES if other != device)
+        elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
         place = (entry.group.asked.planned.name, entry.row.name)
         return absent(entry.row, device, found, elsewhere, self.left_out.get(place))
 
-    def _measured(self, entry: _Entry, quantity: Quantity, runs: Sequence[Run]) -> Measured:
+    def _measured(self, entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Measured:
         low = high = total = None
         if quantity == "recall_at_1":
             hits = [hits_at(run.outcome, 1) for run in runs]
             values = [100 * float(per_query.mean()) for per_query in hits]
-            interval = wilson(float(hits[0].sum()), len(hits[0])) if len(runs) == 1 else None
+            interval = wilson(mean(float(per_query.sum()) for per_query in hits), len(hits[0]))
             low, high = (100 * interval.low, 100 * interval.high) if interval else (None, None)
-        elif quantity in _TRAINING:
-            values = [run.fit_seconds / 60 for run in runs if run.fit_seconds is not None]
+        elif quantity in TRAINING:
+            values = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
+            total = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
         else:
             values = [contests.rate(run, entry.row.boundary) for run in runs]
-            total = mean(contests.rate(run, None) for run in runs)
+            if entry.row.boundary is not None:
+                total = mean(contests.rate(run, None) for run in runs)
         return Measured(
-            value=median(values) if quantity in _TRAINING else mean(values),
+            value=median(values) if quantity in TRAINING else mean(values),
             low=low,
             high=high,
             spread=stdev(values) if len(values) > 1 else None,
@@ -231,64 +212,19 @@ class _Sheet:
         return tuple(sorted(self.notes.setdefault(text, len(self.notes) + 1) for text in dict.fromkeys(texts)))
 
 
-def _remarks(entry: _Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) -> Iterator[str]:
+def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) -> Iterator[str]:
     """Yield what a reader of a number has to know, from the notes of its runs among others."""
-    if quantity in _TRAINING:
+    if quantity in TRAINING:
         if _only_maps(entry.row, plan):
             yield "the time to build the map from the references"
         return
+    if quantity in RATES and entry.row.boundary is None:
+        yield "encode and match together: the paper has no such row"
     if quantity == "recall_at_1":
         recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
             yield f"scores tie: R@1 is {low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
     for note in (note for run in runs for note in run.notes if not note.startswith((*_BUSY, *_OF_TRAINING))):
-        if note.startswith(_OF_RATES) == (quantity in _RATES):
+        if note.startswith(_OF_RATES) == (quantity in RATES):
             yield one_sentence(note, sentences=False)
-
-
-def _caption(columns: Sequence[Column], entries: Sequence[_Entry], rows: Sequence[TableRow]) -> Iterator[str]:
-    measured = [cell.measured for row in rows for cell in row.cells.values() if cell.measured is not None]
-    yield (
-        "R@1 in %, training in minutes, query rates in Hz, beside those that the paper printed: "
-        f"{PAPER}, measured on an {PAPER_CPU} and an {PAPER_GPU}."
-    )
-    for column in columns:
-        if column.stand_in_for is not None:
-            yield f"{column.title} stands in for {column.stand_in_for} and replaces none."
-        if column.remark is not None:
-            yield column.remark
-    several = {entry.row.name: entry.row for entry in entries if len(entry.row.seeds) > 1 and entry.runs("recall_at_1")}
-    for row in several.values():
-        seeds = f"{', '.join(map(str, row.seeds[:-1]))} and {row.seeds[-1]}"
-        yield f"{row.name}: seeds {seeds}; of R@1 and rates the mean, of minutes the median."
-    for column in columns:
-        yield from _blocks(column, [entry for entry in entries if entry.column is column])
-    for entry, device in itertools.product(entries, _DEVICES):
-        found = entry.found[device]
-        where = f"{entry.row.name}, {entry.column.title}, {_NAMES[device]}"
-        for failure in found.failures:
-            if failure.config["seed"] not in found.missing_seeds:  # its cell says nothing of it
-                yield f"{where}: seed {failure.config['seed']} failed since: {one_sentence(failure.error)}."
-        for aside in found.aside:
-            yield f"Set aside: {where}: {aside}."
-    yield from contests.RULES if any(each.best for each in measured) else contests.NO_WINNER
-    if any(each.disturbed for each in measured):
-        yield "A tilde, for a busy machine or too few laps, keeps all times beside it from being bold."
-
-
-def _blocks(column: Column, entries: Sequence[_Entry]) -> Iterator[str]:
-    """Yield how far R@1 can be trusted where neighbouring frames are alike; of several seeds, their mean."""
-    parts = []
-    for entry in entries:
-        runs = entry.runs("recall_at_1")
-        if contests.mean_recall(runs) is None:
-            continue
-        interval = block_bootstrap(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0), contests.BLOCK)
-        if interval is not None:
-            parts.append(f"{entry.row.name} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]")
-    if parts:
-        yield (
-            f"{column.title}, 95 % intervals of R@1 that allow for neighbouring frames being alike, in blocks of "
-            f"{contests.BLOCK} frames: {', '.join(parts)}."
-        )

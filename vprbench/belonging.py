@@ -13,8 +13,10 @@ from vprbench.records import Failure, Run
 from vprbench.series import Series
 
 Device = Literal["cpu", "cuda"]
+DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 
 _WHERE = frozenset({"_target_", "root", "default_root", "source"})  # where code and frames lie, not which they are
+_OTHER = "of other"
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
 
 
@@ -37,13 +39,22 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Aside:
+    """Runs of a row that are stored and not shown."""
+
+    n_runs: int
+    why: str  # words that follow "runs"
+    other: tuple[str, ...] = ()  # in what they differ from those that are shown
+
+
+@dataclass(frozen=True)
 class RowRuns:
     """The runs of one row in one column on one kind of device, alike in all but their seed."""
 
     runs: tuple[Run, ...]  # one a seed, ascending
-    aside: tuple[str, ...]  # what was set aside and why: parts of a sentence
+    aside: tuple[Aside, ...]
     missing_seeds: tuple[int, ...]
-    failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and what is newer than the seed's run
+    failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and errors since the seed's run
 
 
 def groups(
@@ -52,7 +63,8 @@ def groups(
     """Put runs and failures of the rows into the columns, in the columns' order.
 
     A column gives one group for each protocol and version of its images, the one with the newest run first, and an
-    empty group where it has no run. The order of `runs` changes nothing.
+    empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
+    both have, and what else they differ in shows in their protocol. The order of `runs` changes nothing.
     """
     ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _when(run), run.key))
     failed = sorted(failures, key=lambda failure: (failure.method, _when(failure), failure.error))
@@ -76,7 +88,8 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
 
     Runs that differ in code, defaults, weights, timing protocol, libraries, threads or machine are never put together.
     Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
-    run; the others are named in `aside`, and so are seeds that the row does not ask for.
+    run; the others are counted in `aside`, and so are seeds that the row does not ask for. Where there are runs, what
+    failed on another machine says nothing of them, and that something was missing nothing of a seed that is stored.
     """
     there = [run for run in group.runs if _in_row(run, group.asked.planned, row) and _on(run) == device]
     asked = [run for run in there if run.config["seed"] in row.seeds]
@@ -87,15 +100,18 @@ def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=_age)} if ranked else {}
     aside = [_difference(members, ranked[0]) for members in ranked[1:]]
     if ranked and (repeated := [run for run in ranked[0] if run is not chosen[run.config["seed"]]]):
-        aside.append(f"{_named(repeated)}: measured again since")
+        aside.append(Aside(len(repeated), "measured again since"))
     if unasked := [run for run in there if run.config["seed"] not in row.seeds]:
-        aside.append(f"{_named(unasked)}: not among the seeds of this row")
+        aside.append(Aside(len(unasked), "of seeds that were not asked for"))
     newest: dict[int, Failure] = {}
     for failure in group.failures:
-        if _in_row(failure, group.asked.planned, row) and _on(failure) == device:
-            seed = failure.config.get("seed")
-            if seed in row.seeds and (seed not in chosen or _when(failure) > _when(chosen[seed])):
-                newest[seed] = failure
+        if not _in_row(failure, group.asked.planned, row) or _on(failure) != device:
+            continue
+        seed = failure.config.get("seed")
+        elsewhere = bool(chosen) and not _same_machine(failure, ranked[0][0])
+        told = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
+        if seed in row.seeds and not elsewhere and not told:
+            newest[seed] = failure
     return RowRuns(
         runs=tuple(run for _, run in sorted(chosen.items())),
         aside=tuple(aside),
@@ -108,6 +124,48 @@ def series(group: Group, rows: Sequence[Row], device: Device = "cpu") -> list[Se
     """Return the rows of a group that have runs on a kind of device, as figures draw them."""
     found = ((row, of_row(group, row, device).runs) for row in rows)
     return [Series(row.name, row.spiking, runs) for row, runs in found if runs]
+
+
+def accuracy_device(found: Mapping[Device, RowRuns]) -> Device:
+    """Return the device that a row's accuracy is taken from: that with the most seeds, of equals the CPU.
+
+    Where none has a run, it is the one whose failure says why.
+    """
+
+    def known(device: Device) -> tuple[int, bool]:
+        there = found[device]
+        return len(there.runs), not there.runs and bool(there.failures)
+
+    return max(DEVICES, key=known)
+
+
+def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
+    """Return the rows of a group that have runs, each from the device that the table takes its R@1 from."""
+    found = [(row, {device: of_row(group, row, device) for device in DEVICES}) for row in rows]
+    taken = ((row, devices[accuracy_device(devices)].runs) for row, devices in found)
+    return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
+
+
+def aside_sentence(name: str, found: Iterable[RowRuns]) -> str:
+    """Return how many runs of a row are not shown and why, in one sentence; empty where all are shown."""
+    counts: dict[str, int] = defaultdict(int)
+    other: dict[str, None] = {}
+    for aside in (aside for each in found for aside in each.aside):
+        counts[aside.why] += aside.n_runs
+        other |= dict.fromkeys(aside.other)
+    parts = [
+        f"{count} run{'s' if count > 1 else ''} {why}" + (f" {_listed([*other], 'or')}" if why == _OTHER else "")
+        for why, count in counts.items()
+    ]
+    are = "are" if sum(counts.values()) > 1 else "is"
+    return f"{name}: {_listed(parts, 'and')} {are} set aside." if parts else ""
+
+
+def options_apart(group: Group) -> tuple[str, ...]:
+    """Return the options of the dataset that none of a group's runs share with it: it gained or lost them since."""
+    today = group.asked.dataset.keys() - _WHERE
+    apart = [today ^ (run.config["dataset"].keys() - _WHERE) for run in group.runs]
+    return tuple(sorted(set.union(*apart))) if apart and all(apart) else ()
 
 
 def title(group: Group, among: Sequence[Group]) -> str:
@@ -141,12 +199,10 @@ def _word(value: Any) -> str:
 
 
 def _in_column(result: Run | Failure, column: ColumnAsked) -> bool:
-    """Tell whether a run was asked for the same dataset, wherever its frames lay."""
-    wanted, given = (
-        {name: value for name, value in arguments.items() if name not in _WHERE}
-        for arguments in (column.dataset, result.config.get("dataset", {}))
-    )
-    return _text(wanted) == _text(given)
+    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay."""
+    wanted, given = column.dataset, result.config.get("dataset", {})
+    both = wanted.keys() & given.keys() - _WHERE
+    return "name" in both and all(_text(wanted[name]) == _text(given[name]) for name in both)
 
 
 def _in_row(result: Run | Failure, planned: PlannedColumn, row: Row) -> bool:
@@ -187,11 +243,11 @@ def _setup(run: Run) -> dict[str, Any]:
         "code": run.config.get("code"),
         "defaults of the method": {k: v for k, v in run.config["method"].items() if k not in _PER_RUN},
         "weights": run.config.get("files", []),
-        "timing protocol": run.config.get("timing"),
-        "versions of libraries": surroundings.get("libraries"),
-        "number of threads": surroundings.get("threads"),
-        "machine": [surroundings.get(name) for name in ("processor", "cores", "accelerator")],
-        "origin of the network": "trained" if run.network is None else "loaded",
+        "timing": run.config.get("timing"),
+        "libraries": surroundings.get("libraries"),
+        "threads": surroundings.get("threads"),
+        "machine": _machine(run),
+        "network": "trained" if run.network is None else "loaded",
     }
 
 
@@ -200,20 +256,26 @@ def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]
     return complete, members[0].network is None, max(map(_age, members))
 
 
-def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> str:
-    """Say which runs were set aside and in what they differ from those that were chosen."""
+def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> Aside:
+    """Say in what runs differ from those that were chosen."""
     ours, theirs = _setup(members[0]), _setup(chosen[0])
-    other = [name for name, value in ours.items() if _text(value) != _text(theirs[name])]
+    other = tuple(name for name, value in ours.items() if _text(value) != _text(theirs[name]))
     if ours["code"] is None and "code" in other:
-        return f"{_named(members)}: an older record, which does not say by what code and how it was timed"
-    return f"{_named(members)}: other {', '.join(other)}"
+        return Aside(len(members), "in an older record that does not name its code and timing")
+    return Aside(len(members), _OTHER, other)
 
 
-def _named(runs: Iterable[Run]) -> str:
-    """Return the seeds and days of runs in words."""
-    seeds = sorted({run.config["seed"] for run in runs})
-    days = sorted({_when(run)[:10] or "an unknown day" for run in runs})
-    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))} of {' and '.join(days)}"
+def _listed(words: Sequence[str], last: str) -> str:
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _machine(result: Run | Failure) -> list[Any]:
+    return [result.environment.get(name) for name in ("processor", "cores", "accelerator")]
+
+
+def _same_machine(failure: Failure, run: Run) -> bool:
+    """Tell whether a failure is of a run's machine, or may be: older ones do not say."""
+    return "processor" not in failure.environment or _machine(failure) == _machine(run)
 
 
 def _text(value: Any) -> str:

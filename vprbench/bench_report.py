@@ -226,6 +226,11 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
         try:
             value = json.loads(text)
         except ValueError:
-            value = text[1:-1].split(",") if re.fullmatch(r"\[[\w.,-]+\]", text) else text  # [hog,pca]
+            value = _listed(text) if re.fullmatch(r"\[.+\]", text) else text
         given[name] = registry.checked(name, value, hints[name])
     return kind(**{**(quick if given.get("quick") else {}), **given})
+
+
+def _listed(text: str) -> list[str]:
+    """Return the texts of a list without quotes, as in [hog,pca] or [/data/one,/data/two]."""
+    return [part.strip() for part in text[1:-1].split(",")]

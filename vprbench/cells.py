@@ -24,12 +24,12 @@ Mark = Literal[
 class Measured:
     """What the runs of one row on one dataset and device gave, in the unit of its column: %, minutes or Hz."""
 
-    value: float  # the mean over the seeds, of minutes the median
-    low: float | None  # 95 % interval of the queries, R@1 of a single seed alone
+    value: float  # the mean over the seeds; of minutes, without waiting for images, the median
+    low: float | None  # of R@1, 95 % interval over the queries; of several seeds, of the hits' mean over them
     high: float | None
     spread: float | None  # standard deviation over the seeds; None for one
     seeds: tuple[int, ...]
-    total: float | None  # rates: encode and match, the boundary that all rows share
+    total: float | None  # rates: Hz at encode + match; training: minutes with the images read too
     best: bool  # a paired test separates it from every other row
     disturbed: bool  # the machine did other things meanwhile, or the laps were too few; never of R@1
     machine: int  # which of the table's machines, from 0

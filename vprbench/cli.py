@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import json
 import logging
 import os
@@ -59,6 +60,9 @@ Options of search: places, trials, jobs, seed, dataset, root, results
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
     logging.basicConfig(format="%(message)s", level=logging.INFO)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that knows no arrows shows something else
+            stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     commands: dict[str, Callable[[list[str]], int]] = {
         "list": _list,
@@ -216,7 +220,7 @@ def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
                 "conf/table.yaml has what they are"
             )
     asked = chosen(Asked, own, {})
-    checked_settings(_composed([*rest, f"results='{asked.results}'"]))
+    checked_settings(_composed(_readable([*rest, f"results={asked.results}"])))
     return asked, rest, lambda more: _composed(_readable(list(more)))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from vprbench.absence import one_sentence
 from vprbench.plan import PlannedColumn, Quantity, Row
@@ -20,7 +21,6 @@ _BOUNDARIES = {
 }
 _DISTRACTORS = "our map keeps the {:,} places that are not queried; the paper does not say whether its map does"
 _LOOP = "the paper's rate looks like a loop over the references; ours compares all at once"
-_READING = "ours reads the images from disk within this time; the public code reads them before"
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,39 @@ def reasons(row: Row, planned: PlannedColumn, real_title: str | None, quantity: 
         if run.outcome.n_places != paper.places:
             found.append(f"other size: {run.outcome.n_places:,} places; the paper's: {paper.places:,}")
         found += _hardware(quantity, run)
-        found += [_READING] if quantity in ("train_cpu", "train_gpu") else _rate(row)
+        if quantity in ("query_cpu", "query_gpu"):
+            found += _rate(row)
     return [one_sentence(reason, sentences=False) for reason in found]
+
+
+def other_timing(runs: Mapping[str, Run]) -> dict[str, str]:
+    """Return what to say of the rates of rows that were timed under another protocol than most rows of their column.
+
+    `runs` holds one run of each row, for all of a row share their protocol. Of equally many, the first row's counts.
+    """
+    ways: list[tuple[Any, list[str]]] = []
+    for name, run in runs.items():
+        asked = run.config.get("timing")
+        alike = next((names for known, names in ways if known == asked), None)
+        if alike is None:
+            ways.append((asked, [name]))
+        else:
+            alike.append(name)
+    ways.sort(key=lambda way: -len(way[1]))
+    return {name: _timed(asked, *ways[0]) for asked, names in ways[1:] for name in names}
+
+
+def _timed(asked: Mapping[str, Any] | None, usual: Mapping[str, Any] | None, others: Sequence[str]) -> str:
+    if asked is None:
+        return "timed under a protocol that its older record does not hold"
+    differing = [name for name in asked if usual is None or asked[name] != usual.get(name)]
+    if {"minimum_seconds", "minimum_queries"}.isdisjoint(differing):
+        what = ", ".join(f"{name.replace('_', ' ')} {asked[name]}" for name in differing)
+    else:
+        queries = asked["minimum_queries"]
+        what = f"at least {asked['minimum_seconds']:g} s and {queries} {'query' if queries == 1 else 'queries'}"
+    whose = " and ".join(others) if len(others) < 3 else "most rows"
+    return one_sentence(f"timed under another protocol than {whose}: {what}", sentences=False)
 
 
 def _data(real_title: str | None, run: Run, paper: _Protocol) -> Iterator[str]:
@@ -93,6 +124,7 @@ def _hardware(quantity: Quantity, run: Run) -> Iterator[str]:
 
 
 def _rate(row: Row) -> Iterator[str]:
-    yield _BOUNDARIES[row.boundary]
+    if row.boundary is not None:
+        yield _BOUNDARIES[row.boundary]
     if row.name == "SAD":
         yield _LOOP

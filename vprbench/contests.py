@@ -23,10 +23,11 @@ BLOCK = 10  # consecutive frames that see nearly the same
 
 NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
 RULES = (
-    f"Bold R@1: in every pair of seeds the exact McNemar test gives p < {CHANCE} / number of other rows, and "
-    f"the interval of the difference, in blocks of {BLOCK} frames, lies above 0.",
-    f"Bold times: on one undisturbed machine and {FASTER} times apart in every pair of seeds; rates also by "
-    f"the Mann-Whitney U test of their laps, p < {RATE_CHANCE}, at their own and at the common boundary.",
+    f"Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p < {CHANCE} / "
+    f"number of other rows, and the interval of the difference at that level, in blocks of {BLOCK} frames, lies "
+    "above 0.",
+    f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
+    f"by the Mann-Whitney U test of their laps, p < {RATE_CHANCE}, at their own and at the common boundary.",
 )
 
 Stage = Boundary | None  # None: encode and match together
@@ -38,7 +39,7 @@ class Contestant:
 
     name: str
     runs: tuple[Run, ...]  # one a seed, at least one
-    boundary: Boundary
+    boundary: Stage
     finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
 
 
@@ -46,7 +47,8 @@ def best_recall(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest R@1 where a paired test separates it from every other row; None where not.
 
     For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the block bootstrap
-    interval of the mean difference, in blocks of 10 queries, lies above 0. All runs answer the same queries.
+    interval of the mean difference at that level, in blocks of 10 queries, lies above 0. Ties are broken against the
+    best row and in favour of the other one. All runs answer the same queries.
     """
     rows = [row for row in rows if mean_recall(row.runs) is not None]
     chance = CHANCE / max(1, len(rows) - 1)
@@ -56,9 +58,9 @@ def best_recall(rows: Sequence[Contestant]) -> str | None:
 def best_rate(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest query rate where the laps separate it from every other row; None where not.
 
-    All rows ran undisturbed on one machine. For every pair of seeds it is at least 1.25 times as fast, and the
-    Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode and match
-    together, for rows of different boundaries do not do the same work.
+    All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
+    fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
+    and match together, for rows of different boundaries do not do the same work.
     """
     if not _comparable(rows):
         return None
@@ -68,9 +70,10 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
 def best_training(rows: Sequence[Contestant]) -> str | None:
     """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None where there is none.
 
-    All rows trained undisturbed on one machine. One fit a seed is no sample that a test could weigh.
+    Waiting for images does not count. All rows trained undisturbed on one machine. One fit a seed is no sample that a
+    test could weigh.
     """
-    rows = [row for row in rows if all(run.fit_seconds is not None for run in row.runs)]
+    rows = [row for row in rows if all(run.fit_compute_seconds is not None for run in row.runs)]
     if not _comparable(rows):
         return None
     return _winner(rows, lambda row: -_slowest(row), lambda one, other: FASTER * _slowest(one) <= _fastest(other))
@@ -116,10 +119,11 @@ def _more_accurate(one: Contestant, other: Contestant, chance: float) -> bool:
 
 
 def _separated(first: Run, second: Run, chance: float) -> bool:
-    test = mcnemar_exact(hits_at(first.outcome, 1, "pessimistic"), hits_at(second.outcome, 1, "pessimistic"))
+    ours, theirs = hits_at(first.outcome, 1, "pessimistic"), hits_at(second.outcome, 1, "optimistic")
+    test = mcnemar_exact(ours, theirs)
     if test.b <= test.c or test.p_value >= chance:
         return False
-    interval = block_bootstrap(hits_at(first.outcome, 1) - hits_at(second.outcome, 1), BLOCK)
+    interval = block_bootstrap(ours - theirs, BLOCK, confidence=1 - chance)
     return interval is not None and interval.low > 0
 
 
@@ -136,8 +140,14 @@ def _faster(one: Contestant, other: Contestant) -> bool:
 
 
 def _comparable(rows: Sequence[Contestant]) -> bool:
+    """Tell whether all times were taken in one way on one machine that did nothing else."""
     runs = [run for row in rows for run in row.runs]
-    return len({machine(run) for run in runs}) == 1 and not any(map(disturbed, runs))
+    alike = all(_timed_by(run) == _timed_by(runs[0]) for run in runs)
+    return alike and len(set(map(machine, runs))) == 1 and not any(map(disturbed, runs))
+
+
+def _timed_by(run: Run) -> tuple[object, ...]:
+    return run.config.get("timing"), run.environment.get("libraries"), run.environment.get("threads")
 
 
 def _laps(run: Run, stage: Stage) -> Seconds:
@@ -148,8 +158,8 @@ def _laps(run: Run, stage: Stage) -> Seconds:
 
 
 def _slowest(row: Contestant) -> float:
-    return max(run.fit_seconds or 0.0 for run in row.runs)
+    return max(run.fit_compute_seconds or 0.0 for run in row.runs)
 
 
 def _fastest(row: Contestant) -> float:
-    return min(run.fit_seconds or 0.0 for run in row.runs)
+    return min(run.fit_compute_seconds or 0.0 for run in row.runs)

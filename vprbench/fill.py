@@ -98,9 +98,9 @@ def _made(run: Wanted, options: Sequence[str], store: Store) -> Ending:
     if run.device != "cpu" and "device" not in known[run.row.method].options:
         return Ending(0, False, "")
     child = run_apart([*run.options(), *options, f"results={store.root}", "output=json"], stdout=subprocess.PIPE)
-    answer = json.loads(child.stdout) if child.stdout.strip().startswith("{") else {}
     if child.returncode == 0:
         return Ending(0, False, "")
+    answer = _last_answer(child.stdout)
     if "error" in answer:  # and the process has stored it
         return Ending(child.returncode, bool(answer.get("missing")), str(answer["error"]))
     ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "ended without a word"
@@ -111,6 +111,15 @@ def _stored(run: Wanted, error: str, missing: bool, store: Store, code: int = 2)
     store.prepare()
     store.save_failure(run.failed(error, missing))
     return Ending(code, missing, error)
+
+
+def _last_answer(printed: str) -> dict[str, Any]:
+    """Return the last JSON object that a process printed: where its run could not be stored, the failure follows it."""
+    try:
+        answer = json.loads(printed.strip().splitlines()[-1])
+    except (ValueError, IndexError):
+        return {}
+    return answer if isinstance(answer, dict) else {}
 
 
 def results_folder(results: str) -> Path:

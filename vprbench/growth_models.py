@@ -15,8 +15,7 @@ from vprbench.interface import BadInput
 Law = Literal["constant", "logarithmic", "linear"]
 LAWS: tuple[Law, ...] = ("constant", "logarithmic", "linear")
 
-_FEWEST_SIZES = 4
-_FEWEST_SAMPLES = 5  # with fewer the correction of AICc for two coefficients is infinite
+_FEWEST_SIZES = 5  # with fewer the correction of AICc for two coefficients is infinite
 _CLOSEST = 1e-6  # relative error below which no time is known: keeps exact data from an infinite likelihood
 _SEPARATED = 2.0  # a difference of AICc below which a law keeps substantial support (Burnham and Anderson 2002)
 
@@ -46,7 +45,7 @@ class Exponent:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How well each law describes the samples."""
+    """How well each law describes the times."""
 
     fits: Mapping[Law, Fit]
     best: Law  # with the lowest AICc
@@ -55,29 +54,30 @@ class Comparison:
 
     @property
     def supported(self) -> tuple[Law, ...]:
-        """The laws that the samples do not separate from the best: their AICc lies within 2 of it."""
+        """The laws that the times do not separate from the best: their AICc lies within 2 of it."""
         return tuple(law for law in LAWS if self.differences[law] < _SEPARATED)
 
 
 def compare(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Comparison:
     """Fit the laws to times (n_samples,) at numbers of places (n_samples,) and compare them.
 
-    Each law is fitted by least squares on the error relative to the measured time, so that small maps count as much
-    as large ones. None falls, nor lies below 0 at the smallest map. AICc = m ln(S / m) + 2 k + 2 k (k + 1) /
-    (m - k - 1), S the sum of squared relative errors of m samples and k the coefficients and the variance (Hurvich and
-    Tsai 1989). The exponent is the slope of ln seconds over ln places with Student's interval. Raises BadInput for
-    fewer than 4 different sizes or 5 samples, and for times that are not above 0.
+    Of several times at one number of places, such as those of seeds, the median counts as one: what a size has of its
+    own is in all of them. Each law is fitted by least squares on the error relative to the measured time, so that small
+    maps count as much as large ones. None falls, nor lies below 0 at the smallest map. AICc = m ln(S / m) + 2 k +
+    2 k (k + 1) / (m - k - 1), S the sum of squared relative errors at m sizes and k the coefficients and the variance
+    (Hurvich and Tsai 1989). The exponent is the slope of ln seconds over ln places with Student's interval. Raises
+    BadInput for fewer than 5 different sizes and for times that are not above 0.
     """
-    sizes, times = np.asarray(n_places, np.float64), np.asarray(seconds, np.float64)
-    different = len(np.unique(sizes))
-    if different < _FEWEST_SIZES or len(sizes) < _FEWEST_SAMPLES:
+    given, all_times = np.asarray(n_places, np.float64), np.asarray(seconds, np.float64)
+    sizes = np.unique(given)
+    times = np.array([np.median(all_times[given == size]) for size in sizes])
+    if len(sizes) < _FEWEST_SIZES:
         raise BadInput(
-            f"{len(sizes)} times at {different} numbers of places cannot tell laws of growth apart: "
-            f"run at least {_FEWEST_SAMPLES} of them at {_FEWEST_SIZES} numbers of places or more"
+            f"times at {len(sizes)} numbers of places cannot tell laws of growth apart: run at least {_FEWEST_SIZES}"
         )
-    if not (np.isfinite(times).all() and times.min() > 0 and sizes.min() >= 1):
+    if not (np.isfinite(all_times).all() and all_times.min() > 0 and sizes.min() >= 1):
         raise BadInput(
-            f"times from {times.min():g} s at maps from {sizes.min():g} places cannot be fitted: "
+            f"times from {all_times.min():g} s at maps from {sizes.min():g} places cannot be fitted: "
             "times have to be finite and above 0, and maps of one place or more"
         )
     fits = {law: _fit(law, sizes, times) for law in LAWS}

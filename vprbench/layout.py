@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,6 +23,9 @@ HEADS: dict[Quantity, tuple[str, str]] = {  # what it is, and its unit
     "query_gpu": ("query GPU", "Hz"),
 }
 
+_TRAINING: tuple[Quantity, ...] = ("train_cpu", "train_gpu")
+_RATES: tuple[Quantity, ...] = ("query_cpu", "query_gpu")
+
 
 @dataclass(frozen=True)
 class Words:
@@ -31,7 +34,7 @@ class Words:
     kind: Literal["measured", "quoted", "absent"]
     absence: str  # "failed", "-" ...; nothing where all is there
     value: str  # nothing where there is none
-    extent: str  # interval or spread; of rates also the common boundary, in brackets
+    extent: str  # spread, interval, and in brackets what takes in more steps
     best: bool
     machine: int | None  # number from 1, where the table has several
     notes: tuple[int, ...]
@@ -118,15 +121,18 @@ def _legend(table: Table) -> Iterator[str]:
     cells = [cell for row in table.rows for cell in row.cells.values()]
     measured = [cell.measured for cell in cells if cell.measured is not None]
     yield "R@1: share of the queries whose best match is a right place."
-    if any(m.low is not None for m in measured):
-        yield "[low, high]: 95 % interval of R@1 over the queries, one seed."
     if any(m.spread is not None for m in measured):
         yield "±: standard deviation over the seeds."
-    if any(m.total is not None for m in measured):
+    intervals = [m for m in measured if m.low is not None]
+    if intervals:
+        of_mean = "; of several seeds, of their mean" if any(len(m.seeds) > 1 for m in intervals) else ""
+        yield f"[low, high]: 95 % Wilson interval of R@1 over the queries{of_mean}."
+    if any(m.total is not None for m in _measured(table, _TRAINING)):
         yield (
-            "Query rates: one image at a time from memory, the step that the paper timed of this row; "
-            "in brackets encoding and matching together, which compares all rows."
+            "Training: once the images are there, as in the paper's public code; "
+            "in brackets with reading or rendering the images too."
         )
+    yield from _legend_of_rates(_measured(table, _RATES))
     if any(cell.published_mark != "none" for cell in cells):
         lacking = "; none: it has no such number" if any(cell.published_mark == "none" for cell in cells) else ""
         yield f"Line {PAPER}: what the paper printed; in brackets measured less printed{lacking}."
@@ -136,12 +142,33 @@ def _legend(table: Table) -> Iterator[str]:
         yield f"{INAPPLICABLE}: there is no such step or number."
 
 
+def _legend_of_rates(rates: Sequence[Measured]) -> Iterator[str]:
+    one_step = any(rate.total is not None for rate in rates)
+    if one_step:
+        yield (
+            "Query rates: one image at a time from memory, the step that the paper timed of its rows (encoding for "
+            "NetVLAD and GCL, matching for the others); in brackets encoding and matching together, which compares "
+            "all rows."
+        )
+    if any(rate.total is None for rate in rates):
+        yield (
+            "Query rates without brackets, of rows that are not the paper's: both together."
+            if one_step
+            else "Query rates: one image at a time from memory, encoding and matching together."
+        )
+
+
+def _measured(table: Table, quantities: Sequence[Quantity]) -> list[Measured]:
+    cells = [cell for row in table.rows for (_, quantity), cell in row.cells.items() if quantity in quantities]
+    return [cell.measured for cell in cells if cell.measured is not None]
+
+
 def _extent(measured: Measured, quantity: Quantity) -> str:
     parts = []
-    if measured.low is not None and measured.high is not None:
-        parts.append(f"[{number(measured.low, quantity)}, {number(measured.high, quantity)}]")
     if measured.spread is not None:
         parts.append(f"± {_spread(measured.spread, number(measured.value, quantity))}")
+    if measured.low is not None and measured.high is not None:
+        parts.append(f"[{number(measured.low, quantity)}, {number(measured.high, quantity)}]")
     if measured.total is not None:
         parts.append(f"({number(measured.total, quantity)})")
     return " ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -44,6 +45,11 @@ class Asked:
         """Check what can be checked before a plan is read."""
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
+        if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
+            raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
+        for device in self.devices or ():
+            if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
+                raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
         for option, folders in (("stores", self.stores), ("nordland", [self.nordland]), ("robotcar", [self.robotcar])):
             for folder in folders:
                 if folder is not None and not Path(folder).expanduser().is_dir():
@@ -65,7 +71,7 @@ class Chosen:
         """Tell whether a row takes too long in a column for the time that a table has."""
         places = column.dataset.get("places")
         too_many = row.most_places is not None and isinstance(places, int) and places > row.most_places
-        return too_many and not self.full and column.planned.name in self.smaller
+        return too_many and not self.full
 
 
 @dataclass(frozen=True)
@@ -82,13 +88,11 @@ class Material:
 def choose(asked: Asked, compose: Compose) -> Chosen:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     plan = read_plan(registry.conf_folders()["vprbench"] / "table.yaml")
-    methods = registry.entries("method")
     rows = {name: _known("rows", name, plan.rows) for name in asked.rows or plan.rows}
     for name in asked.methods:
-        if name not in plan.rows and name not in plan.more_rows and name not in methods:
-            raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *methods])}")
-        rows.setdefault(name, plan.row(name))
-    columns = [_known("columns", name, plan.columns) for name in asked.columns or _default_columns(plan, asked)]
+        row = _on_request(plan, name, asked)
+        rows.setdefault(row.name, row)
+    columns = {name: _known("columns", name, plan.columns) for name in asked.columns or _default_columns(plan, asked)}
 
     def resolved(column: PlannedColumn) -> ColumnAsked:
         options = (*column.options, *_root(column, asked))
@@ -97,8 +101,8 @@ def choose(asked: Asked, compose: Compose) -> Chosen:
     return Chosen(
         plan,
         tuple(replace(row, seeds=row.seeds[: asked.seeds]) for row in rows.values()),
-        tuple(map(resolved, columns)),
-        {column.name: resolved(plan.columns[column.smaller]) for column in columns if column.smaller},
+        tuple(map(resolved, columns.values())),
+        {column.name: resolved(plan.columns[column.smaller]) for column in columns.values() if column.smaller},
         tuple(asked.devices or _devices()),
         asked.full,
     )
@@ -120,12 +124,13 @@ def gather(asked: Asked, options: Sequence[str], compose: Compose) -> Material:
         if more:
             endings += fill(more, options, store)
             runs, failures = stored(asked)
-    if not runs:
+    found = material(chosen, runs, failures, tuple(endings))
+    if not any(group.runs for group in found.groups):
         raise BadInput(
-            f"results={asked.results} holds no run: "
+            f"results={asked.results} holds no run of these rows and columns: "
             + ("leave stored=true out, so that some are made" if asked.stored else "see above why none could be made")
         )
-    return material(chosen, runs, failures, tuple(endings))
+    return found
 
 
 def material(
@@ -137,7 +142,7 @@ def material(
     failures = [*failures, *_of_slow_rows(chosen, failures)]
     found = groups(runs, failures, columns, chosen.rows)
     left_out = {
-        (column.planned.name, row.name): _left_out(chosen.smaller[column.planned.name], shown)
+        (column.planned.name, row.name): _left_out(chosen.smaller.get(column.planned.name), shown)
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }
@@ -167,7 +172,7 @@ def _first(chosen: Chosen) -> list[Wanted]:
         fast = [row for row in chosen.rows if not chosen.slow(column, row)]
         slow = [row for row in chosen.rows if chosen.slow(column, row)]
         found += wanted(chosen, column, fast)
-        if slow:
+        if column.planned.name in chosen.smaller:
             found += wanted(chosen, chosen.smaller[column.planned.name], slow)
     return found
 
@@ -186,9 +191,9 @@ def _shown_smaller(chosen: Chosen, runs: Sequence[Run]) -> list[ColumnAsked]:
     shown = []
     for column in chosen.columns:
         slow = [row for row in chosen.rows if chosen.slow(column, row)]
-        if not slow:
+        smaller = chosen.smaller.get(column.planned.name)
+        if not slow or smaller is None:
             continue
-        smaller = chosen.smaller[column.planned.name]
         there = groups(runs, (), [smaller], slow)
         if any(group.runs for group in there) and smaller.planned.name not in {c.planned.name for c in chosen.columns}:
             shown.append(smaller)
@@ -199,21 +204,39 @@ def _of_slow_rows(chosen: Chosen, failures: Sequence[Failure]) -> Iterator[Failu
     """Yield the failures of slow rows in the smaller columns, as failures in the columns they were left out of."""
     for column in chosen.columns:
         methods = {row.method for row in chosen.rows if chosen.slow(column, row)}
-        if not methods:
+        smaller = chosen.smaller.get(column.planned.name)
+        if not methods or smaller is None:
             continue
-        (there, *_) = groups((), failures, [chosen.smaller[column.planned.name]], chosen.rows)
+        (there, *_) = groups((), failures, [smaller], chosen.rows)
         for failure in there.failures:
             if failure.method in methods:
                 fits = {**failure.config.get("changed", {})}
-                for name in chosen.smaller[column.planned.name].planned.fits.get(failure.method, {}):
+                for name in smaller.planned.fits.get(failure.method, {}):
                     fits.pop(name, None)
                 changed = {**column.planned.fits.get(failure.method, {}), **fits}
                 yield replace(failure, config={**failure.config, "dataset": column.dataset, "changed": changed})
 
 
-def _left_out(smaller: ColumnAsked, shown: set[str]) -> str:
-    where = f"it stands under {smaller.planned.title}" if smaller.planned.name in shown else "none is stored at less"
-    return f"too many places for the time that a table takes: {where}; FULL=1 runs it here"
+def _left_out(smaller: ColumnAsked | None, shown: set[str]) -> str:
+    there = f": it stands under {smaller.planned.title}" if smaller and smaller.planned.name in shown else ""
+    return f"too many places for the time that a table takes{there}; FULL=1 runs it here"
+
+
+def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
+    """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
+
+    A method that the plan has under its own name, and no arguments, is that row.
+    """
+    planned = {**plan.rows, **plan.more_rows}
+    if name in planned:
+        return planned[name]
+    for row in planned.values():
+        if row.method == name and not row.arguments:
+            return row
+    known = {*registry.entries("method"), *(run.method for run in stored(asked)[0])}
+    if name not in known:
+        raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
+    return Row(name, name)
 
 
 def _default_columns(plan: Plan, asked: Asked) -> list[str]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vprbench.belonging import ColumnAsked, Group, groups, of_row, series, title
+from vprbench.belonging import ColumnAsked, Group, accuracy_series, groups, of_row, series, title
 from vprbench.fill import fill, results_folder
 from vprbench.frames import Thumbnails, find
 from vprbench.growth_series import GrowthSamples, samples
 from vprbench.interface import BadInput
 from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
+from vprbench.plan import Quantity, Row
 from vprbench.records import Run, Store
 from vprbench.replacing import replace_text
 
@@ -31,11 +33,12 @@ def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
     found = gather(asked, options, compose)
     growth = growth_columns(found, compose)
     runs = found.runs
+    endings = list(found.endings)
     if not asked.stored:
         store = Store(results_folder(asked.results))
-        rows = [found.chosen.plan.row(name) for name in found.chosen.plan.growth.rows]
-        sizes = [run for column in growth for run in wanted(found.chosen, column, rows)]
-        fill(sizes, [*options, "frames=false"], store)  # nobody looks at theirs
+        once = replace(found.chosen, devices=("cpu",))
+        sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
+        endings += fill(sizes, [*options, "frames=false"], store)  # nobody looks at theirs
         runs = tuple(stored(asked)[0])
     folder = Path(asked.results).expanduser() / "figures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -46,18 +49,22 @@ def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
         print(f"{paths[0]} and .png")
     replace_text(folder / "captions.md", "\n".join(captions))
     print(f"what each shows: {folder / 'captions.md'}")
-    return exit_code(found)
+    return exit_code(endings)
 
 
 def draw_all(
-    found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked], asked: Asked
+    found: Material,
+    runs: Sequence[Run],
+    growth: Sequence[ColumnAsked],
+    asked: Asked,
+    report: Callable[[str], None] = logger.info,
 ) -> Iterator[tuple[str, Drawn]]:
-    """Yield each figure with the name of its files; one that has nothing to show is named in a log line."""
+    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why."""
     for name, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
         try:
             yield name, draw()
         except BadInput as error:
-            logger.info("%s is not drawn: %s", name, error)
+            report(f"{name} is not drawn: {error}")
 
 
 def thumbnails_of(group: Group, asked: Asked) -> Thumbnails | None:
@@ -91,23 +98,39 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) 
     group = next((group for group in found.groups if group.runs), None)
     if group is not None:
         rows = found.chosen.rows
-        measured = series(group, rows), series(group, rows, "cuda")
-        yield "fig2a-training-time", partial(speed.training_time, *measured, rows, group.asked.planned)
-        yield "fig2b-query-rate", partial(speed.query_rate, *measured, rows, group.asked.planned)
+        parts = series(group, rows), series(group, rows, "cuda"), rows, group.asked.planned, _marks(found, group)
+        yield "fig2a-training-time", partial(speed.training_time, *parts)
+        yield "fig2b-query-rate", partial(speed.query_rate, *parts)
     yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> list[GrowthSamples]:
     """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
     chosen = []
-    for name in found.chosen.plan.growth.rows:
-        row = found.chosen.plan.row(name)
+    for row in _growing(found):
         there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
         if there:
-            chosen.append(samples(row, there))
+            chosen.append(samples(row, there, found.chosen.plan.growth.at_most.get(row.method, ())))
     if not chosen:
         raise BadInput("no run at other numbers of places is stored: make figures makes them")
     return chosen
+
+
+def _marks(found: Material, group: Group) -> dict[tuple[str, Quantity], str]:
+    """Return the table's word for each cell of a group, by row and quantity."""
+    name = group_name(group)
+    return {
+        (row.name, quantity): cell.mark
+        for row in found.table.rows
+        for (column, quantity), cell in row.cells.items()
+        if column == name
+    }
+
+
+def _growing(found: Material) -> list[Row]:
+    """Return the rows whose growth is drawn, with their first seed."""
+    plan = found.chosen.plan
+    return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
 def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
@@ -115,18 +138,20 @@ def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
     from vprbench.figures import accuracy, pictures, spikes, tradeoff
 
     for group in found.groups:
-        shown = series(group, found.chosen.rows)
+        shown = accuracy_series(group, found.chosen.rows)
         if not shown:
             continue
+        timed = series(group, found.chosen.rows)
         name = group_name(group)
         thumbnails = thumbnails_of(group, asked)
         if thumbnails is not None:
             yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
-        one = next((one for one in reversed(shown) if one.spiking), shown[-1])  # the paper shows VPRTempo's
+        papers = [one for one in shown if one.name in found.chosen.plan.rows] or shown
+        one = papers[-1]  # VPRTempo, as in the paper, where it has runs
         yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
         yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
         yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
-        yield f"rate-{name}", partial(tradeoff.against_rate, shown)
-        yield f"memory-{name}", partial(tradeoff.against_memory, shown)
+        yield f"rate-{name}", partial(tradeoff.against_rate, timed)
+        yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)

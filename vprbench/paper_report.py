@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vprbench import table_formats
-from vprbench.belonging import series, title
+from vprbench.belonging import accuracy_series, series, title
 from vprbench.paper import Asked, Compose, gather
 from vprbench.paper_figures import draw_all, growth_columns, thumbnails_of
 from vprbench.paper_table import exit_code, file_name
@@ -23,21 +23,27 @@ def make_report(asked: Asked, options: Sequence[str], compose: Compose) -> int:
     from vprbench.report.page import Picture, Section, page
 
     found = gather(asked, options, compose)
-    columns = growth_columns(found, compose)
-    pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in draw_all(found, found.runs, columns, asked)]
+    absent: list[str] = []
+    drawings = draw_all(found, found.runs, growth_columns(found, compose), asked, absent.append)
+    pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
+    rows = found.chosen.rows
+    groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
-        Section(title(group, found.groups), tuple(series(group, found.chosen.rows)), thumbnails_of(group, asked))
-        for group in found.groups
-        if group.runs
+        Section(heading, tuple(accuracy_series(group, rows)), thumbnails_of(group, asked)) for heading, group in groups
     ]
-    shown = [run for group in found.groups for run in group.runs]
-    newest = max((str(run.environment.get("time_utc", ""))[:10] for run in shown), default="")
-    made_from = f"Made from {len(shown)} stored runs, the newest of {newest}."
-    text = page(table_formats.html(found.table), pictures, sections, made_from=made_from)
+    measured = [
+        (heading, one) for heading, group in groups for one in (*series(group, rows), *series(group, rows, "cuda"))
+    ]
+    runs = [run for _, one in measured for run in one.runs]
+    newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
+    made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
+    text = page(
+        table_formats.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent
+    )
     folder = Path(asked.results).expanduser()
     Store(folder).prepare()
-    name = file_name(asked).replace("table", "report") if not asked.columns else f"report-{file_name(asked)}"
-    path = folder / f"{name}.html"
+    default = asked.name is None and not asked.columns
+    path = folder / ("report.html" if default else f"report-{file_name(asked)}.html")
     replace_text(path, text)
     print(f"{path}: {len(text.encode()) / 1e6:.1f} MB, opens from disk")
-    return exit_code(found)
+    return exit_code(found.endings)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vprbench import table_formats, tables
+from vprbench.fill import Ending
 from vprbench.paper import Asked, Compose, Material, gather
 from vprbench.records import Store
 from vprbench.replacing import replace_text
@@ -18,7 +19,7 @@ def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
     written = write(found, folder, file_name(asked))
     print(table_formats.markdown(found.table), end="")
     print(f"\nwritten to {', '.join(str(path) for path in written)}")
-    return exit_code(found)
+    return exit_code(found.endings)
 
 
 def write(found: Material, folder: Path, name: str) -> list[Path]:
@@ -41,6 +42,6 @@ def file_name(asked: Asked) -> str:
     return asked.name or ("-".join(asked.columns) if asked.columns else "table")
 
 
-def exit_code(found: Material) -> int:
+def exit_code(endings: Sequence[Ending]) -> int:
     """Return 1 where a run failed that could have been made."""
-    return int(any(ending.code and not ending.missing for ending in found.endings))
+    return int(any(ending.code and not ending.missing for ending in endings))

@@ -25,7 +25,7 @@ class Row:
 
     name: str
     method: str
-    boundary: Boundary = "match"
+    boundary: Boundary | None = None  # None: not one of the paper's rows, its rate is that of both together
     training: Training = "own"
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
@@ -81,11 +81,6 @@ class Plan:
     columns: Mapping[str, PlannedColumn]
     growth: Growth
 
-    def row(self, name: str) -> Row:
-        """Return a row by its name, or one that shows a method under its default arguments."""
-        known = {**self.rows, **self.more_rows}
-        return known[name] if name in known else Row(name, name)
-
 
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
@@ -121,7 +116,7 @@ def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:
 
 def _row(name: str, given: Mapping[str, Any]) -> Row:
     row = Row(**{"name": name, **given, "seeds": tuple(given.get("seeds", (0,)))})
-    if row.boundary not in get_args(Boundary) or row.training not in get_args(Training) or not row.seeds:
+    if row.boundary not in (None, *get_args(Boundary)) or row.training not in get_args(Training) or not row.seeds:
         raise TypeError(f"row {name}: boundary {row.boundary}, training {row.training}, seeds {list(row.seeds)}")
     return row
 

@@ -14,9 +14,14 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 def replace_text(path: Path, content: str) -> None:
     """Write a text file so that a reader sees the old or the new one, never a part."""
+    replace_bytes(path, content.encode())
+
+
+def replace_bytes(path: Path, content: bytes) -> None:
+    """Write a file so that a reader sees the old or the new one, never a part."""
     partial = path.with_name(f".partial-{path.name}-{uuid.uuid4().hex[:8]}")
     try:
-        partial.write_text(content, encoding="utf-8")
+        partial.write_bytes(content)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)

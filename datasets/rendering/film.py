@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.images import Images
 from vprbench.interface import Image
 
-from .chance import Chance
+from .chance import FULL, Chance
 
 Canvas = npt.NDArray[np.uint8]  # (HEIGHT, WIDTH, 4), RGB and roughness
 Outlines = npt.NDArray[np.int32]  # (..., corners, 2), in 1/16 pixel
@@ -25,7 +24,26 @@ FAR = 40_000  # beyond every edge of the picture, in 1/16 pixel
 ATLAS = 512  # width of a texture, which then repeats
 
 
-def texture(chance: Chance, channel: int, octaves: tuple[tuple[int, int], ...]) -> npt.NDArray[np.uint8]:
+class Film:
+    """What the frames of one seed share: the grain of surfaces and the clouds."""
+
+    def __init__(self, chance: Chance) -> None:
+        """Make both textures, (2 * HEIGHT, ATLAS + WIDTH)."""
+        self._grain = _texture(chance, 500, ((2, 90), (4, 90), (9, 76))).astype(np.int16) - 128
+        self._clouds = _texture(chance, 510, ((4, 30), (8, 46), (16, 70), (32, 110)))
+
+    def grain(self, luck: Sequence[int]) -> npt.NDArray[np.int16]:
+        """Return what makes rough surfaces rough, (HEIGHT, WIDTH), -128 to 127, from where three dice say."""
+        top, left = luck[0] * HEIGHT >> 8, (luck[1] * 256 + luck[2]) % ATLAS
+        return self._grain[top : top + HEIGHT, left : left + WIDTH]
+
+    def clouds(self, rows: int, mood: int, drift: int) -> npt.NDArray[np.uint8]:
+        """Return the density of clouds, (rows, WIDTH): `mood`, 0 to FULL - 1, chooses them, `drift` is in pixels."""
+        top, left = mood * HEIGHT // FULL, drift % ATLAS
+        return self._clouds[top : top + rows, left : left + WIDTH]
+
+
+def _texture(chance: Chance, channel: int, octaves: tuple[tuple[int, int], ...]) -> npt.NDArray[np.uint8]:
     """Return smooth noise (2 * HEIGHT, ATLAS + WIDTH) that repeats; octaves are (pixels, amplitude)."""
     total = np.zeros((2 * HEIGHT, ATLAS), np.uint16)
     for number, (spacing, amplitude) in enumerate(octaves):
@@ -34,16 +52,6 @@ def texture(chance: Chance, channel: int, octaves: tuple[tuple[int, int], ...]) 
         layer = knots.reshape(shape).astype(np.uint8)
         total += cv2.resize(layer, (ATLAS, 2 * HEIGHT), interpolation=cv2.INTER_LINEAR_EXACT)
     return np.concatenate([total, total[:, :WIDTH]], axis=1).clip(0, 255).astype(np.uint8)
-
-
-def grain_texture(chance: Chance) -> npt.NDArray[np.int16]:
-    """Return what makes rough surfaces rough, (2 * HEIGHT, ATLAS + WIDTH), -128 to 127."""
-    return texture(chance, 500, ((2, 90), (4, 90), (9, 76))).astype(np.int16) - 128
-
-
-def cloud_texture(chance: Chance) -> npt.NDArray[np.uint8]:
-    """Return the density of clouds, (2 * HEIGHT, ATLAS + WIDTH)."""
-    return texture(chance, 510, ((4, 30), (8, 46), (16, 70), (32, 110)))
 
 
 def sky(
@@ -82,8 +90,3 @@ def develop(picture: Image, blur: int, gain: int) -> Image:
     soft = cv2.GaussianBlur(picture, (blur, blur), 0)
     exposed = np.minimum(np.arange(256) * gain >> 8, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(soft, exposed), np.uint8)
-
-
-def frames(render: Callable[[str, int], Image], shown: Sequence[tuple[str, int]]) -> Images:
-    """Return the frames of (traverse, place), each rendered when it is looked at."""
-    return Images(lambda i: render(*shown[i]), [f"{traverse}/place-{place:05d}" for traverse, place in shown])

@@ -6,12 +6,20 @@ from collections.abc import Sequence
 
 from vprbench.interface import Dataset
 
-from ..rendering.film import HEIGHT, WIDTH, frames
-from ..traverses import Rendered, places_of, right_places
+from ..rendering.journey import Rendered
 from .renderer import VERSION, Renderer
 from .weather import WEATHERS
 
-_DRIVE = Rendered("the city street", "traverse", tuple(WEATHERS), 10, 27_000, skipped=(1, 5))
+_DRIVE = Rendered(
+    journey="the city street",
+    kind="traverse",
+    known=tuple(WEATHERS),
+    fewest_places=10,
+    most_places=27_000,
+    skipped=(1, 5),
+    painter=Renderer,
+    version=VERSION,
+)
 
 
 def street(
@@ -36,24 +44,4 @@ def street(
     >>> street(places=100).queries.names[0]
     'dusk/place-00020'
     """
-    first, count = _DRIVE.check(places, references, query, first_query_place, query_places, tolerance, seed)
-    renderer = Renderer(seed)
-    return Dataset(
-        name=name,
-        references=frames(renderer.render, [(traverse, place) for traverse in references for place in range(places)]),
-        places=places_of(places, len(references)),
-        queries=frames(renderer.render, [(query, place) for place in range(first, first + count)]),
-        positives=right_places(first, count, places, tolerance),
-        protocol={
-            "places": places,
-            "references": list(references),
-            "query": query,
-            "first_query_place": first,
-            "query_places": count,
-            "tolerance_places": tolerance,
-            "seed": seed,
-            "width": WIDTH,
-            "height": HEIGHT,
-            "renderer": VERSION,
-        },
-    )
+    return _DRIVE.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed)

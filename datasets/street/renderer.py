@@ -8,20 +8,7 @@ import numpy as np
 from vprbench.interface import Image
 
 from ..rendering.chance import FULL, Chance
-from ..rendering.film import (
-    ATLAS,
-    BOTTOM,
-    FAR,
-    HEIGHT,
-    PIXEL,
-    WIDTH,
-    Canvas,
-    cloud_texture,
-    develop,
-    grain_texture,
-    roughen,
-    sky,
-)
+from ..rendering.film import BOTTOM, FAR, HEIGHT, PIXEL, WIDTH, Canvas, Film, develop, roughen, sky
 from .faces import METRE, Camera, project
 from .furniture import Furniture
 from .ground import ground
@@ -49,8 +36,7 @@ class Renderer:
         self._chance = Chance(seed)
         self._town = Town(self._chance)
         self._furniture = Furniture(self._chance)
-        self._grain = grain_texture(self._chance)
-        self._clouds = cloud_texture(self._chance)
+        self._film = Film(self._chance)
 
     def render(self, traverse: str, place: int) -> Image:
         """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
@@ -90,15 +76,13 @@ class Renderer:
 
     def _sky(self, weather: Weather, place: int, mood: list[int], camera: Camera) -> Canvas:
         """Return a canvas with the sky on it."""
-        top, left = mood[1] * HEIGHT // FULL, (place * 11 + weather.number * 171) % ATLAS
-        cloud = self._clouds[top : top + _SKY_ROWS, left : left + WIDTH]
+        cloud = self._film.clouds(_SKY_ROWS, mood[1], place * 11 + weather.number * 171)
         overcast = min(max(weather.overcast + (mood[0] - FULL // 2) // 6, 0), 256)
         return sky(cloud, overcast, camera.horizon // PIXEL, weather.sky_top, weather.sky_low, weather.cloud)
 
     def _expose(self, canvas: Canvas, weather: Weather, place: int, luck: list[int], mood: list[int]) -> Image:
         """Return the picture the camera takes of the canvas: texture, glow, drops, exposure and sharpness."""
-        top, left = luck[3] * HEIGHT >> 8, (luck[4] * 256 + luck[5]) % ATLAS
-        picture = roughen(canvas, self._grain[top : top + HEIGHT, left : left + WIDTH], weather.sensor)
+        picture = roughen(canvas, self._film.grain(luck[3:6]), weather.sensor)
         if weather.lamps > 200:
             bright = cv2.GaussianBlur(np.maximum(picture, _BRIGHT) - _BRIGHT, (15, 15), 0)
             picture = np.asarray(cv2.add(picture, bright), np.uint8)

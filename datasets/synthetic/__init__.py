@@ -6,12 +6,20 @@ from collections.abc import Sequence
 
 from vprbench.interface import Dataset
 
-from ..rendering.film import HEIGHT, WIDTH, frames
-from ..traverses import Rendered, places_of, right_places
+from ..rendering.journey import Rendered
 from .renderer import VERSION, Renderer
 from .seasons import SEASONS
 
-_JOURNEY = Rendered("the synthetic journey", "season", tuple(SEASONS), 10, 27_000, skipped=(2, 11))
+_JOURNEY = Rendered(
+    journey="the synthetic journey",
+    kind="season",
+    known=tuple(SEASONS),
+    fewest_places=10,
+    most_places=27_000,
+    skipped=(2, 11),
+    painter=Renderer,
+    version=VERSION,
+)
 
 
 def synthetic(
@@ -36,24 +44,4 @@ def synthetic(
     >>> synthetic(places=100, query="winter").queries.names[0]
     'winter/place-00018'
     """
-    first, count = _JOURNEY.check(places, references, query, first_query_place, query_places, tolerance, seed)
-    renderer = Renderer(seed)
-    return Dataset(
-        name=name,
-        references=frames(renderer.render, [(season, place) for season in references for place in range(places)]),
-        places=places_of(places, len(references)),
-        queries=frames(renderer.render, [(query, place) for place in range(first, first + count)]),
-        positives=right_places(first, count, places, tolerance),
-        protocol={
-            "places": places,
-            "references": list(references),
-            "query": query,
-            "first_query_place": first,
-            "query_places": count,
-            "tolerance_places": tolerance,
-            "seed": seed,
-            "width": WIDTH,
-            "height": HEIGHT,
-            "renderer": VERSION,
-        },
-    )
+    return _JOURNEY.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed)

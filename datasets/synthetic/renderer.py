@@ -10,20 +10,7 @@ import numpy as np
 from vprbench.interface import Image
 
 from ..rendering.chance import FULL, Chance, Ints
-from ..rendering.film import (
-    ATLAS,
-    HEIGHT,
-    PIXEL,
-    WIDTH,
-    Canvas,
-    Outlines,
-    Paint,
-    cloud_texture,
-    develop,
-    grain_texture,
-    roughen,
-    sky,
-)
+from ..rendering.film import PIXEL, WIDTH, Canvas, Film, Outlines, Paint, develop, roughen, sky
 from .camera import Camera
 from .land import belts, ground_colours, land_outlines, paint_ridges, water_colours
 from .route import BELTS, DEPTHS, METRE, PLACE_SPACING, Route, View
@@ -32,7 +19,7 @@ from .seasons import SEASONS, Season
 from .shapes import OUTLINES, UNIT
 from .track import ribbons
 
-#: Raise it whenever a change in this folder changes a pixel: it is part of every dataset's protocol.
+#: Raise it whenever a change in this folder, or in what it shares, changes a pixel: it is part of the protocol.
 VERSION = 1
 
 # How many places it takes until the mood of a traverse is another: overcast, haze, camera to the right,
@@ -50,8 +37,7 @@ class Renderer:
         self._chance = Chance(seed)
         self._route = Route(self._chance)
         self._scenery = Scenery(self._chance)
-        self._grain = grain_texture(self._chance)
-        self._clouds = cloud_texture(self._chance)
+        self._film = Film(self._chance)
 
     def render(self, season_name: str, place: int) -> Image:
         """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
@@ -86,17 +72,14 @@ class Renderer:
 
     def _sky(self, season: Season, place: int, mood: list[int], overcast: int, camera: Camera) -> Canvas:
         """Return a canvas with the sky on it."""
-        top = mood[1] * HEIGHT // FULL
-        left = (place * 5 + season.number * 171) % ATLAS
-        cloud = self._clouds[top : top + _SKY_ROWS, left : left + WIDTH]
+        cloud = self._film.clouds(_SKY_ROWS, mood[1], place * 5 + season.number * 171)
         return sky(cloud, overcast, camera.horizon // PIXEL, season.sky_top, season.sky_low, season.cloud)
 
     def _expose(self, canvas: Canvas, season: Season, luck: list[int], mood: list[int]) -> Image:
         """Return the picture the camera takes of the canvas: texture, exposure and sharpness."""
-        top, left = luck[3] * HEIGHT >> 8, (luck[4] * 256 + luck[5]) % ATLAS
-        grain = self._grain[top : top + HEIGHT, left : left + WIDTH]
+        picture = roughen(canvas, self._film.grain(luck[3:6]), sensor=1)
         gain = season.exposure + (mood[5] - FULL // 2) // 16 + (luck[7] - 128) // 16
-        return develop(roughen(canvas, grain, sensor=1), 5 if luck[6] < season.softness else 3, gain)
+        return develop(picture, 5 if luck[6] < season.softness else 3, gain)
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ _RESAMPLES = 500
 _GRID_POINTS = 200  # recalls at which resampled curves are compared
 _ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
 _BAND = 0.15  # opacity
-_WILSON = "The band of a single run is Wilson's 95 % interval, which takes the queries as independent."
-_SPREAD = "the line is the mean and the band one standard deviation to either side"
+_WILSON = "Bands are 95 % intervals (Wilson), which take the queries as independent."
+_SEEDS = "the line is the mean, thin lines are the seeds, and the band is that of the mean hits"
 
 
 @styled
@@ -88,8 +88,8 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
 def recall_at_n(series: Sequence[Series]) -> Drawn:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
-    A single seed has Wilson's 95 % interval, several have their standard deviation around the mean. Raises
-    BadInput for no rows, for rows on different data and where no query has a right place.
+    The band is Wilson's 95 % interval, of several seeds that of their mean hits. Raises BadInput for no rows, for rows
+    on different data and where no query has a right place.
     """
     run = _answerable(series, "recall at N")
     numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
@@ -105,8 +105,8 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
             "where scores tie.",
             dataset_sentence([run]),
             _unanswerable(run),
-            _single(series, _WILSON),
-            seed_sentence(series, _SPREAD),
+            _WILSON,
+            seed_sentence(series, _SEEDS),
         ),
     )
 
@@ -135,8 +135,8 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
             _unseen_ties(series),
             dataset_sentence([run]),
             _unanswerable(run),
-            _single(series, _WILSON),
-            seed_sentence(series, _SPREAD),
+            _WILSON,
+            seed_sentence(series, _SEEDS),
         ),
     )
 
@@ -216,15 +216,16 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
         look = styles[row.name]
         sums = np.stack([hits(run).sum(axis=1) for run in row.runs])  # (n_seeds, len(xs))
         n_queries = len(row.runs[0].outcome)
-        mean = 100 * sums.mean(axis=0) / n_queries
-        if len(row.runs) > 1:
-            spread = 100 * sums.std(axis=0, ddof=1) / n_queries
-            low, high = np.clip([mean - spread, mean + spread], 0, 100)
-        else:
-            ends = [interval for hit in sums[0] if (interval := wilson(float(hit), n_queries))]
-            low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
+        mean = sums.mean(axis=0)
+        ends = [interval for hits_of_all in mean if (interval := wilson(float(hits_of_all), n_queries))]
+        low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
+        for seed in sums if len(row.runs) > 1 else ():
+            axes.plot(xs, 100 * seed / n_queries, color=look.colour, linewidth=0.4, alpha=0.6)
+            lowest = min(lowest, 100 * float(seed.min()) / n_queries)
         axes.fill_between(xs, low, high, color=look.colour, alpha=_BAND, linewidth=0)
-        (line,) = axes.plot(xs, mean, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name)
+        (line,) = axes.plot(
+            xs, 100 * mean / n_queries, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name
+        )
         line.set_markevery(_marked(xs))
         lowest = min(lowest, float(low.min()))
     axes.set_ylim(10 * (lowest // 10), 102)

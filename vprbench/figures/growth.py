@@ -15,9 +15,11 @@ from vprbench.growth_models import LAWS, Comparison, Law, compare
 from vprbench.growth_series import GrowthSamples, Sample
 from vprbench.interface import BadInput
 
+_CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
 _ORDER: dict[Law, str] = {"constant": "O(1)", "logarithmic": "O(log n)", "linear": "O(n)"}
 _MS = 1e3  # milliseconds of a second
+_LARGE, _SMALL = 4.0, 2.4  # markers, in points: of what the laws are fitted to, and of encode and match beside it
 
 
 @styled
@@ -34,15 +36,17 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     fitted = False
     for row in rows:
         look, name = looked[row.name], "" if len(rows) == 1 else f"{row.name}: "
+        stage = "encode and match" if row.boundary is None else f"{row.boundary} alone"
+        claimed = _CLAIMS.get(row.name, (None, None))
         training, query, total = (_compared(samples) for samples in (row.training, row.query, row.total))
-        _draw_points(left, row.training, 1, look, f"{name}training{_power(training)}", filled=True)
+        _draw_points(left, row.training, 1, look, f"{name}training{_power(training)}", _LARGE)
         _draw_laws(left, row.training, training, 1, look, name)
-        _draw_points(right, row.query, _MS, look, f"{name}{row.boundary} alone{_power(query)}", filled=True)
-        _draw_points(right, row.total, _MS, look, f"{name}encode and match{_power(total)}", filled=False)
+        _draw_points(right, row.query, _MS, look, f"{name}{stage}{_power(query)}", _LARGE)
+        _draw_points(right, row.total, _MS, look, f"{name}encode and match{_power(total)}", _SMALL)
         _draw_laws(right, row.query, query, _MS, look, name)
         fitted = fitted or not (training is None and query is None)
-        said.append(_seen(f"the training time of {row.name}", row.training, training, "linear"))
-        said.append(_seen(f"the query time of {row.name} ({row.boundary} alone)", row.query, query, "logarithmic"))
+        said.append(_seen(f"the training time of {row.name}", row.training, training, claimed[0]))
+        said.append(_seen(f"the query time of {row.name} ({stage})", row.query, query, claimed[1]))
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
     _finish(left, [sample for row in rows for sample in row.training], 1)
@@ -65,25 +69,26 @@ def _power(comparison: Comparison | None) -> str:
     return f", exponent {exponent.value:.2f} [{exponent.low:.2f}, {exponent.high:.2f}]"
 
 
-def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str, filled: bool) -> None:
-    if not samples:
-        return
-    seconds = np.array([sample.seconds for sample in samples])
-    ends = [
-        [sample.seconds - (sample.low or sample.seconds), (sample.high or sample.seconds) - sample.seconds]
-        for sample in samples
-    ]
-    axes.errorbar(
-        [sample.n_places for sample in samples],
-        unit * seconds,
-        unit * np.array(ends).T,
-        color=look.colour,
-        marker=look.marker,
-        markerfacecolor=look.colour if filled else "white",
-        linestyle="none",
-        label=label,
-        zorder=3,
-    )
+def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str, size: float) -> None:
+    """Draw times with their intervals; the disturbed ones are hollow."""
+    for disturbed in (False, True):
+        drawn = [sample for sample in samples if sample.disturbed is disturbed]
+        if not drawn:
+            continue
+        ends = [[s.seconds - (s.low or s.seconds), (s.high or s.seconds) - s.seconds] for s in drawn]
+        axes.errorbar(
+            [sample.n_places for sample in drawn],
+            [unit * sample.seconds for sample in drawn],
+            unit * np.array(ends).T,
+            color=look.colour,
+            marker=look.marker,
+            markersize=size,
+            markerfacecolor="white" if disturbed else look.colour,
+            linestyle="none",
+            label=label,
+            zorder=3,
+        )
+        label = ""  # once in the legend
 
 
 def _draw_laws(
@@ -128,22 +133,42 @@ def _finish(axes: Axes, samples: Sequence[Sample], unit: float) -> None:
     )
 
 
-def _seen(subject: str, samples: Sequence[Sample], comparison: Comparison | None, claimed: Law) -> str:
-    """Say which law describes the samples, beside the paper's claim."""
+def _seen(subject: str, samples: Sequence[Sample], comparison: Comparison | None, claimed: Law | None) -> str:
+    """Say which law describes the times, beside what the paper claims of them."""
     if not samples:
         return f"There is no {subject.removeprefix('the ')}."
     subject = subject[0].upper() + subject[1:]
     if comparison is None:
         return f"{subject} was measured at too few numbers of places to tell laws apart."
     laws = comparison.supported
-    if laws == (claimed,):
+    if claimed and laws == (claimed,):
         return f"{subject} is described best by a {claimed} law, {_ORDER[claimed]}, as claimed."
-    if claimed in laws:
-        return f"{subject} does not separate these laws: {listed(laws)}; {_ORDER[claimed]} is possible, not shown."
-    return (
-        f"{subject} is described best by a {listed(laws)} law, {listed(_ORDER[law] for law in laws)}, and not by the "
-        f"claimed {_ORDER[claimed]}, whose AICc is higher by {comparison.differences[claimed]:.1f}."
+    if len(laws) > 1 and claimed in (None, *laws):
+        possible = f"; {_ORDER[claimed]} is possible, not shown" if claimed else ""
+        return f"{subject} does not separate these laws: {listed(laws)}{possible}."
+    best = f"{subject} is described best by a {' or '.join(laws)} law, {' or '.join(_ORDER[law] for law in laws)}"
+    if claimed is None:
+        return f"{best}."
+    higher = f"{comparison.differences[claimed]:.1f}"
+    return f"{best}, and not by the claimed {_ORDER[claimed]}, whose AICc is higher by {higher}."
+
+
+def _claims(rows: Sequence[GrowthSamples]) -> str:
+    """Say what the paper claims of the rows that it claims something of."""
+    claims = [(row.name, *_CLAIMS[row.name]) for row in rows if row.name in _CLAIMS]
+    return " ".join(
+        f"The paper claims of {name} {_ORDER[training]} for training and {_ORDER[query]} for a query."
+        for name, training, query in claims
     )
+
+
+def _disturbed(rows: Sequence[GrowthSamples]) -> str:
+    """Name the sizes whose times were disturbed; nothing where there are none."""
+    found = {row.name: sorted({s.n_places for s in (*row.training, *row.query) if s.disturbed}) for row in rows}
+    places = [f"{name} at {listed(f'{n:,}' for n in sizes)} places" for name, sizes in found.items() if sizes]
+    if not places:
+        return ""
+    return f"Hollow points: other work disturbed the machine, or laps were too few, for {'; '.join(places)}."
 
 
 def _caption(rows: Sequence[GrowthSamples], said: Sequence[str], fitted: bool) -> str:
@@ -158,10 +183,15 @@ def _caption(rows: Sequence[GrowthSamples], said: Sequence[str], fitted: bool) -
     return caption(
         f"Time against the number of places on {listed(run.dataset for run in runs)}: {len(sizes)} maps of "
         f"{sizes[0]:,} to {sizes[-1]:,} places; both axes are logarithmic.",
-        "Left: training, reading the images included, one point a run.",
-        "Right: one query at a time from memory; a point is the median, its bar the 95 % interval of the median.",
+        "Left: training without waiting for the images to be read, one point a run.",
+        "Right: one query at a time from memory; a point is the median, its bar the 95 % interval of the median"
+        f"{'; small points are encode and match' if any(row.total for row in rows) else ''}.",
+        _disturbed(rows),
+        "A point is a seed; laws and exponents are those of the median over the seeds of each size."
+        if any(len({run.config["seed"] for run in row.runs}) > 1 for row in rows)
+        else "",
         laws if fitted else "",
-        "The paper claims O(n) for training and O(log n) for a query.",
+        _claims(rows),
         *said,
         machine_sentence(runs),
         *(sentence for row in rows for sentence in row.aside),

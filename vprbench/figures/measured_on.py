@@ -15,10 +15,10 @@ def runs_of(series: Sequence[Series]) -> list[Run]:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return distinct names as a list in a sentence: "A, B and C", or "A; B, public code; and C"."""
+    """Return distinct names as a list in a sentence: "A and B", "A, B and C", or "A; B, its code; and C"."""
     *first, last = dict.fromkeys(names)
-    if any("," in name for name in (*first, last)):
-        return "; ".join([*first, f"and {last}" if first else last])
+    if len(first) > 1 and any(", " in name for name in (*first, last)):
+        return "; ".join([*first, f"and {last}"])
     return f"{', '.join(first)} and {last}" if first else last
 
 

@@ -43,7 +43,7 @@ class _Bar:
     value: float | None = None
     low: float | None = None
     high: float | None = None
-    total: float | None = None  # of rates: encode and match
+    more: float | None = None  # where the tick stands: of rates encode and match, of training with reading the images
     word: str = ""
 
 
@@ -57,19 +57,27 @@ class _Panel:
 
 
 @styled
-def training_time(cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[Row], column: PlannedColumn) -> Drawn:
+def training_time(
+    cpu: Sequence[Series],
+    gpu: Sequence[Series],
+    rows: Sequence[Row],
+    column: PlannedColumn,
+    marks: Mapping[tuple[str, Quantity], str],
+) -> Drawn:
     """Draw the minutes of training of each row, measured above published, a panel for each kind of device with runs.
 
-    Raises BadInput where nothing is stored.
+    A bar is the time without waiting for images, a tick the wall time. `marks` are the words of the table's cells, by
+    row and quantity, which stand where there is no bar. Raises BadInput where nothing is stored.
     """
     quantities: tuple[Quantity, Quantity] = ("train_cpu", "train_gpu")
-    panels = _panels(cpu, gpu, rows, column, quantities, _minutes)
+    panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
     quoted = [row.name for row in rows if row.training == "pretrained"]
-    figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted, total=False), quoted)
+    figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted, "with reading the images"), quoted)
     return Drawn(
         figure,
         caption(
-            f"Training time on {column.title}, reading the images included, on a logarithmic axis.",
+            f"Training time on {column.title} on a logarithmic axis: bars are without waiting for the images to be read"
+            f"{', upright ticks and numbers in brackets with it' if _has_ticks(panels) else ''}.",
             _published_sentence(panels, column),
             f"{listed(quoted)} come trained: the paper quotes these times and does not measure them."
             if quoted and any(panel.published for panel in panels)
@@ -80,22 +88,27 @@ def training_time(cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[R
 
 
 @styled
-def query_rate(cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[Row], column: PlannedColumn) -> Drawn:
+def query_rate(
+    cpu: Sequence[Series],
+    gpu: Sequence[Series],
+    rows: Sequence[Row],
+    column: PlannedColumn,
+    marks: Mapping[tuple[str, Quantity], str],
+) -> Drawn:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
-    A bar covers what the paper timed of the row, encode or match; a tick is both together. Raises BadInput where
-    nothing is stored.
+    A bar covers the row's boundary, a tick is encode and match together. `marks` and what is raised are those of
+    `training_time`.
     """
     quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
-    panels = _panels(cpu, gpu, rows, column, quantities, _hertz)
-    figure = _draw(panels, rows, "Queries per second", _keys(panels, (), total=True), ())
-    groups = {stage: [row.name for row in rows if row.boundary == stage] for stage in ("encode", "match")}
-    covered = listed(f"{stage} alone for {listed(names)}" for stage, names in groups.items() if names)
+    panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
+    figure = _draw(panels, rows, "Queries per second", _keys(panels, (), "encode and match"), ())
     return Drawn(
         figure,
         caption(
             f"Queries per second on {column.title}, one at a time from memory: 1 / median, on a logarithmic axis.",
-            f"Bars cover what the paper timed: {covered}. The upright tick is encode and match together.",
+            _covered(rows),
+            "The upright tick is encode and match together." if _has_ticks(panels) else "",
             _published_sentence(panels, column),
             "The line over a bar of one seed covers the middle 80 % of its single queries.",
             *_closing([*cpu, *gpu], f"the bar is the mean, {_SPREAD}"),
@@ -103,25 +116,28 @@ def query_rate(cpu: Sequence[Series], gpu: Sequence[Series], rows: Sequence[Row]
     )
 
 
-def _minutes(row: Row, runs: Sequence[Run]) -> _Bar:
+def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     if row.training != "own":
         return _Bar(word="no training" if row.training == "none" else "comes trained")
-    minutes = [run.fit_seconds / 60 for run in runs if run.fit_seconds is not None]
+    minutes = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
     if not minutes:
-        return _Bar(word="network loaded" if runs else "not run")
-    return _Bar(median(minutes), min(minutes), max(minutes))
+        return _Bar(word="network loaded" if any(run.network is not None for run in runs) else word)
+    wall = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
+    return _Bar(median(minutes), min(minutes), max(minutes), wall)
 
 
-def _hertz(row: Row, runs: Sequence[Run]) -> _Bar:
+def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     if not runs:
-        return _Bar(word="not run")
+        return _Bar(word=word)
     rates = [contests.rate(run, row.boundary) for run in runs]
     low, high = min(rates), max(rates)
     if len(runs) == 1:
         streaming = runs[0].timing.streaming
-        laps = streaming.match_seconds if row.boundary == "match" else streaming.encode_seconds
+        stages = {"encode": streaming.encode_seconds, "match": streaming.match_seconds}
+        laps = streaming.total_seconds if row.boundary is None else stages[row.boundary]
         low, high = (1 / float(np.quantile(laps, share)) for share in (0.9, 0.1))
-    return _Bar(mean(rates), low, high, mean(contests.rate(run, None) for run in runs))
+    total = None if row.boundary is None else mean(contests.rate(run, None) for run in runs)
+    return _Bar(mean(rates), low, high, total)
 
 
 def _panels(
@@ -130,7 +146,8 @@ def _panels(
     rows: Sequence[Row],
     column: PlannedColumn,
     quantities: tuple[Quantity, Quantity],
-    measure: Callable[[Row, Sequence[Run]], _Bar],
+    marks: Mapping[tuple[str, Quantity], str],
+    measure: Callable[[Row, Sequence[Run], str], _Bar],
 ) -> list[_Panel]:
     if not cpu and not gpu:
         raise BadInput(f"no run on {column.title} is stored: there is no speed to draw")
@@ -140,7 +157,8 @@ def _panels(
         runs = {one.name: one.runs for one in series}
         theirs = {row.name: printed.get((row.name, column.published or ""), {}).get(quantity) for row in rows}
         if runs:
-            measured = {row.name: measure(row, runs.get(row.name, ())) for row in rows}
+            words = {row.name: marks.get((row.name, quantity), "not run") for row in rows}
+            measured = {row.name: measure(row, runs.get(row.name, ()), words[row.name]) for row in rows}
             panels.append(_Panel(title, measured, {name: value for name, value in theirs.items() if value}))
     return panels
 
@@ -152,7 +170,7 @@ def _draw(
     figure, all_axes = new(width_mm, 19 + 9 * len(rows) + 4.2 * key_rows, 1, len(panels))
     drawn = looks([row.name for row in rows])
     measured = [bar for panel in panels for bar in panel.measured.values()]
-    ends = [end for bar in measured for end in (bar.value, bar.low, bar.high, bar.total) if end]
+    ends = [end for bar in measured for end in (bar.value, bar.low, bar.high, bar.more) if end]
     ends += [printed for panel in panels for printed in panel.published.values()]
     span = max(ends, default=1) / min(ends, default=1)
     for axes, panel in zip(all_axes, panels, strict=True):
@@ -177,12 +195,13 @@ def _draw_measured(axes: Axes, at: float, bar: _Bar, look: Look) -> None:
     axes.barh(at, bar.value - start, _BAR, start, color=look.colour, edgecolor="black", linewidth=0.5)
     low, high = bar.low or bar.value, bar.high or bar.value
     lines = [([low, high], [at, at], 1.0)] if low < high else []
-    if bar.total is not None:
-        lines.append(([bar.total] * 2, [at - _BAR / 2, at + _BAR / 2], 1.8))
+    if bar.more is not None:
+        lines.append(([bar.more] * 2, [at - _BAR / 2, at + _BAR / 2], 1.8))
     for x, y, width in lines:
         axes.plot(x, y, color="white", linewidth=width + 1.4, solid_capstyle="butt")  # to be seen on a dark bar
         axes.plot(x, y, color="black", linewidth=width, solid_capstyle="butt")
-    _write(axes, high, at, plain(bar.value))
+    beyond = bar.more if bar.more is not None and bar.more > high else None
+    _write(axes, beyond or high, at, plain(bar.value) + (f" ({plain(beyond)})" if beyond else ""))
 
 
 def _draw_published(axes: Axes, at: float, printed: float, look: Look, hatch: str) -> None:
@@ -195,7 +214,7 @@ def _write(axes: Axes, x: float, y: float, text: str, **looking: Any) -> None:
     axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, **looking)
 
 
-def _keys(panels: Sequence[_Panel], quoted: Sequence[str], total: bool) -> list[Patch | Line2D]:
+def _keys(panels: Sequence[_Panel], quoted: Sequence[str], tick: str) -> list[Patch | Line2D]:
     """Return what the legend shows: only what is drawn."""
     printed = {name for panel in panels for name in panel.published}
     keys: list[Patch | Line2D] = [Patch(facecolor=GREY, edgecolor="black", linewidth=0.5, label="measured here")]
@@ -203,7 +222,7 @@ def _keys(panels: Sequence[_Panel], quoted: Sequence[str], total: bool) -> list[
         keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_PUBLISHED, label="published"))
     if printed & set(quoted):
         keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_QUOTED, label="published, quoted there"))
-    if total:
+    if _has_ticks(panels):
         keys.append(
             Line2D(
                 [],
@@ -213,10 +232,24 @@ def _keys(panels: Sequence[_Panel], quoted: Sequence[str], total: bool) -> list[
                 linestyle="none",
                 markersize=8,
                 markeredgewidth=1.6,
-                label="encode and match",
+                label=tick,
             )
         )
     return keys
+
+
+def _has_ticks(panels: Sequence[_Panel]) -> bool:
+    return any(bar.more is not None for panel in panels for bar in panel.measured.values())
+
+
+def _covered(rows: Sequence[Row]) -> str:
+    """Say what the bars of query rates cover, and of which rows the paper timed the same."""
+    stages = {"encode": "encode alone", "match": "match alone", None: "encode and match"}
+    groups = {words: [row.name for row in rows if row.boundary == stage] for stage, words in stages.items()}
+    covered = "; ".join(f"{words} of {listed(names)}" for words, names in groups.items() if names)
+    there = {name for name, _ in published()}
+    theirs = [row.name for row in rows if row.name in there]
+    return f"Bars cover {covered}." + (f" The paper timed the same step of {listed(theirs)}." if theirs else "")
 
 
 def _published_sentence(panels: Sequence[_Panel], column: PlannedColumn) -> str:

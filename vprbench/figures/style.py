@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vprbench.interface import BadInput
+from vprbench.replacing import replace_bytes
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it tells every glyph that it embeds
 
@@ -148,9 +149,7 @@ def write(drawn: Drawn, folder: Path, name: str) -> tuple[Path, Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in zip(paths, (pdf(drawn), png(drawn)), strict=True):
-            partial = path.with_name(f".{path.name}.partial")
-            partial.write_bytes(content)
-            partial.replace(path)
+            replace_bytes(path, content)
     except OSError as error:
         raise BadInput(
             f"figure {name} could not be written to {folder} ({error.strerror or error}): choose another folder"

@@ -80,6 +80,7 @@ def against_memory(series: Sequence[Series]) -> Drawn:
         caption(
             "R@1 against memory, which is on a logarithmic axis; left and up is better.",
             "Peak memory is the most main memory that the whole process held, libraries and harness included.",
+            _on_gpu(series),
             _front_sentence(peak, lower_is_better=True),
             f"On the right, what the map keeps of a place, of {listed(point.name for point in maps)}: the other rows "
             "keep no descriptors."
@@ -156,12 +157,18 @@ def _front_sentence(points: Sequence[_Point], lower_is_better: bool) -> str:
     return f"The grey steps are the Pareto front: no other row beats {listed(names)} in both."
 
 
+def _on_gpu(series: Sequence[Series]) -> str:
+    """Say that the memory of a GPU is not counted, where rows ran on one."""
+    names = [one.name for one in series if any(run.config["device"] != "cpu" for run in one.runs)]
+    return f"{listed(names)} ran on a GPU, whose own memory is not in it." if names else ""
+
+
 def _closing(series: Sequence[Series]) -> tuple[str, ...]:
     runs = runs_of(series)
     return (
         "Bars are 95 % intervals of R@1 (Wilson), which take the queries as independent.",
         dataset_sentence(runs),
-        seed_sentence(series, "means over the seeds"),
+        seed_sentence(series, "means over the seeds, the bar is that of the mean hits"),
         machine_sentence(runs),
         noise_sentence(series),
     )

@@ -18,6 +18,7 @@ from vprbench.frames import Thumbnails
 from vprbench.records import Run
 from vprbench.report import words
 from vprbench.report.answers import Answers, columns, judged, place_ranges, places_shown
+from vprbench.report.small_png import small_png
 from vprbench.report.thumbnails import fitting
 from vprbench.series import Series
 
@@ -60,13 +61,18 @@ def page(
     sections: Sequence[Section],
     title: str = "Visual place recognition, measured",
     made_from: str = "",
+    measured: Sequence[tuple[str, Series]] = (),
+    absent: Sequence[str] = (),
 ) -> str:
     """Return the page: table, figures, queries one by one, protocol, machines and notes.
 
-    `table_html` is a fragment that is escaped already; `made_from` is a sentence that stands below the title. Frames
-    are made coarser where the page would exceed `MOST_BYTES` of UTF-8, and left out where that is not enough. Raises
-    ValueError where the runs of a section are not of the same images.
+    `table_html` is a fragment that is escaped already; `made_from` is a sentence that stands below the title.
+    `measured` are the series behind the table on every device, with the titles of their sections: machines and notes
+    are of them, or where there are none of the sections' own. `absent` says of each figure that is not drawn why.
+    Frames are made coarser where the page would exceed `MOST_BYTES` of UTF-8, and left out where that is not enough.
+    Raises ValueError where the runs of a section are not of the same images.
     """
+    measured = measured or [(section.title, series) for section in sections for series in section.series]
     sections = [section for section in sections if section.series]
     answers = [_judged(section) for section in sections]
     told = [_told(section, judged_runs) for section, judged_runs in zip(sections, answers, strict=True)]
@@ -74,11 +80,14 @@ def page(
         "title": title,
         "made_from": made_from,
         "table": Markup(table_html),
-        "pictures": [{"name": one.name, "caption": one.caption, "png": _base64(one.png)} for one in pictures],
+        "pictures": [
+            {"name": one.name, "caption": one.caption, "png": _base64(small_png(one.png))} for one in pictures
+        ],
+        "absent": absent,
         "protocols": [(one.title, words.protocol([run for _, run in _named(one)])) for one in sections],
         "terms": words.TERMS,
-        "machines": words.machines([series for section in sections for series in section.series]),
-        "notes": [note for section in sections for note in words.notes(section.title, section.series)],
+        "machines": words.machines(series for _, series in measured),
+        "notes": words.notes(measured),
     }
     nothing = [_Frames()] * len(sections)
     without_frames = _rendered(facts, told, nothing)
@@ -105,13 +114,16 @@ def _judged(section: Section) -> dict[str, Answers]:
 
 def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
     """Return what the page's script reads of a section."""
-    run, kept = section.series[0].runs[0], section.thumbnails
+    runs, kept = [run for _, run in _named(section)], section.thumbnails
+    run = runs[0]
+    place_names = kept and {place: kept.reference_names[place] for place in places_shown(answers.values())}
     return {
         "title": section.title,
         "nPlaces": run.outcome.n_places,
         "nQueries": len(run.outcome),
         "queryNames": kept and kept.query_names,
-        "placeNames": kept and {place: kept.reference_names[place] for place in places_shown(answers.values())},
+        "placeNames": place_names,
+        "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
         "rightPlaces": [place_ranges(right) for right in run.positives],
         "framesMissing": "" if kept else _FRAMES_MISSING,
         "runs": [{"name": name, **columns(one)} for name, one in answers.items()],
@@ -151,7 +163,10 @@ def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frame
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    style, script = ((_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "report.js"))
+    style, *scripts = (
+        (_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "queries.js", "report.js")
+    )
+    script = "".join(scripts)
     text = templates.get_template("template.html").render(
         **facts,
         style=Markup(style),

@@ -1,9 +1,7 @@
-"use strict";
-// The browser of single queries: reads the answers of the stored runs from this page and draws twenty at a time.
+// The browser of single queries: reads the answers of the stored runs from this page and shows twenty at a time.
 (() => {
   const PAGE = 20;
-  const KINDS = { r: "right", w: "wrong", t: "tied", u: "unanswerable" };
-  const VERDICTS = { r: "right", w: "wrong", t: "tied", u: "no right place" };
+  const { KINDS, VERDICTS, counted, make, row, unfold } = Queries;
   const HEIGHTS = { r: 45, w: 100, t: 75, u: 15 }; // of the bars, so that they differ in grey too
   const FILTERS = [
     { id: "all", name: "all queries", keeps: () => true },
@@ -35,140 +33,13 @@
   let at = 0; // which of them is the current one
   const open = new Set(); // queries whose best places are unfolded
 
-  // Words
-
-  const number = (value) => String(value).replace("-", "−");
-  const counted = (value) => value.toLocaleString("en");
-  const queryName = (query) => (section.queryNames ? section.queryNames[query] : `query ${query}`);
-  const placeName = (place) => (section.placeNames ? section.placeNames[place] : `place ${place}`);
-
-  function marginWords(run, query) {
-    const margin = run.margins[query];
-    const bound = run.bounds[query];
-    if (bound === "?") return "no margin";
-    if (margin === "-") return "the right place is no candidate";
-    if (margin === "+") return "no wrong place is a candidate";
-    return `margin ${{ "=": "", "<": "at most ", ">": "at least " }[bound]}${number(margin)}`;
-  }
-
-  function rankWords(run, query) {
-    const rank = run.ranks[query];
-    const equals = run.equals[query] ?? 0;
-    if (run.verdicts[query] === "u") return "this query has no right place";
-    if (!rank) return "the right place is not ranked";
-    const ranks = equals ? `shares ranks ${counted(rank)} to ${counted(rank + equals)}` : `ranks ${counted(rank)}`;
-    return `the right place ${ranks} of ${counted(section.nPlaces)}`;
-  }
-
-  function distance(query, place) {
-    const gaps = section.rightPlaces[query].split(", ").map((range) => {
-      const [first, last = first] = range.split("-").map(Number);
-      return Math.max(first - place, place - last, 0);
-    });
-    return Math.min(...gaps);
-  }
-
-  function distanceWords(run, query) {
-    const place = run.places[3 * query];
-    if (place < 0) return "no place was retrieved";
-    if (run.verdicts[query] === "u") return "";
-    const apart = distance(query, place);
-    return apart ? `${counted(apart)} ${apart === 1 ? "place" : "places"} off` : "";
-  }
-
-  // Elements; text is never read as markup
-
-  function make(tag, className, ...children) {
-    const made = document.createElement(tag);
-    if (className) made.className = className;
-    made.append(...children);
-    return made;
-  }
-
-  function drawn(tag, attributes) {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    return made;
-  }
-
-  function picture(kind, index, alternative) {
+  function picture(kind, index) {
     const number = sections.indexOf(section);
     frames[number] ??= JSON.parse(element(`frames-${number}`).textContent);
-    const webp = frames[number][kind][index];
-    if (!webp) return null;
-    const image = make("img");
-    image.alt = alternative;
-    image.src = `data:image/webp;base64,${webp}`;
-    return image;
+    return frames[number][kind][index];
   }
 
-  function frame(role, kind, index, lines) {
-    const name = index < 0 ? "" : kind === "queries" ? queryName(index) : placeName(index);
-    const image = index < 0 ? null : picture(kind, index, `${role}: ${name}`);
-    const made = make("figure", "frame", image ?? make("div", "no-frame", name || lines.shift()));
-    const caption = make("figcaption", "", make("span", "role", role));
-    if (image) lines.unshift(name);
-    lines.filter(Boolean).forEach((line) => caption.append(make("div", "", line)));
-    made.append(caption);
-    return made;
-  }
-
-  function retrieved(role, run, query) {
-    const place = run.places[3 * query];
-    if (place < 0) return frame(role, "places", -1, ["nothing retrieved"]);
-    return frame(role, "places", place, [`place ${place}`, `score ${number(run.scores[3 * query])}`]);
-  }
-
-  function truth(run, query) {
-    const place = run.right[query];
-    if (place < 0) return frame("True", "places", -1, ["no right place"]);
-    const score = run.rightScores[query];
-    const most = run.bounds[query] === "<" ? "at most " : "";
-    const several = /[-,]/.test(section.rightPlaces[query]) ? `right: ${section.rightPlaces[query]}` : "";
-    const scored = score === null ? "" : `score ${most}${number(score)}`;
-    return frame("True", "places", place, [`place ${place}`, scored, several]);
-  }
-
-  function bestPlaces(letter, run, query) {
-    const best = make("div", "frames");
-    for (let i = 3 * query; i < 3 * query + 3 && run.places[i] >= 0; i += 1) {
-      const right = section.rightPlaces[query] && distance(query, run.places[i]) === 0;
-      const role = `${i - 3 * query + 1}. ${right ? "right" : "wrong"}`;
-      best.append(frame(role, "places", run.places[i], [`place ${run.places[i]}`, `score ${number(run.scores[i])}`]));
-    }
-    return [make("h4", "", `Best places of ${letter}, ${run.name}`), best];
-  }
-
-  function row(query) {
-    const kind = KINDS[a.verdicts[query]];
-    const verdict = make("span", `verdict ${kind}`, VERDICTS[a.verdicts[query]]);
-    const button = make("button", "", verdict, ` Query ${query} `, make("span", "toggle"));
-    button.type = "button";
-    button.id = `query-${query}`;
-    const facts = [marginWords(a, query), rankWords(a, query), distanceWords(a, query)];
-    if (b) facts.push(`B ${VERDICTS[b.verdicts[query]]}: ${marginWords(b, query)}`);
-    const listed = make("ul", "facts", ...facts.filter(Boolean).map((fact) => make("li", "", fact)));
-    const shownFrames = [
-      frame("Query", "queries", query, []),
-      retrieved(b ? "Retrieved by A" : "Retrieved", a, query),
-      ...(b ? [retrieved("Retrieved by B", b, query)] : []),
-      truth(a, query),
-    ];
-    const side = make("div", `frames${b ? " four" : ""}`, ...shownFrames);
-    const made = make("li", "query", make("div", "", button, listed), side);
-    made.dataset.query = query;
-    unfold(made, query);
-    return made;
-  }
-
-  function unfold(made, query) {
-    made.querySelector(".more")?.remove();
-    const button = made.querySelector("button");
-    button.setAttribute("aria-expanded", String(open.has(query)));
-    button.querySelector(".toggle").textContent = open.has(query) ? "hide best places" : "show best places";
-    if (!open.has(query)) return;
-    made.append(make("div", "more", ...bestPlaces("A", a, query), ...(b ? bestPlaces("B", b, query) : [])));
-  }
+  const view = () => ({ section, a, b, open, picture });
 
   // What is shown
 
@@ -219,6 +90,8 @@
     fill(choices["method-b"], [{ value: "", text: "nothing" }, ...runs], "");
     element("frames-missing").hidden = !section.framesMissing;
     element("frames-missing").textContent = section.framesMissing;
+    element("first-references").hidden = !section.firstReferences;
+    element("first-references").textContent = section.firstReferences;
     chooseRuns();
   }
 
@@ -246,7 +119,7 @@
 
   function drawPage() {
     const first = at - (at % PAGE);
-    const rows = shown.slice(first, first + PAGE).map(row);
+    const rows = shown.slice(first, first + PAGE).map((query) => row(view(), query));
     list.replaceChildren(...rows);
     list.start = first + 1;
     const last = Math.min(first + PAGE, shown.length);
@@ -257,8 +130,9 @@
     element("page-number").textContent = shown.length
       ? `Page ${counted(first / PAGE + 1)} of ${counted(Math.ceil(shown.length / PAGE))}`
       : "";
-    element("previous-page").disabled = first === 0;
-    element("next-page").disabled = last >= shown.length;
+    // A button that is disabled in earnest would lose the focus of the keyboard.
+    element("previous-page").setAttribute("aria-disabled", String(first === 0));
+    element("next-page").setAttribute("aria-disabled", String(last >= shown.length));
     mark();
   }
 
@@ -290,7 +164,18 @@
     made.closest("li").scrollIntoView({ block: "nearest" });
   }
 
+  function turn(queries) {
+    const first = at - (at % PAGE) + queries;
+    if (first >= 0 && first < shown.length) go(first, false);
+  }
+
   // The strip
+
+  function drawn(tag, attributes) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  }
 
   function bars(className, wanted, height) {
     let path = "";
@@ -333,20 +218,15 @@
     along.max = section.nQueries - 1;
   }
 
-  function nearest(query) {
-    let best = 0;
-    shown.forEach((other, i) => {
-      if (Math.abs(other - query) < Math.abs(shown[best] - query)) best = i;
-    });
-    return best;
+  function nearest(query, among = shown) {
+    const apart = (other) => Math.abs(other - query);
+    return shown.indexOf(among.reduce((best, other) => (apart(other) < apart(best) ? other : best), among[0]));
   }
 
   function slide() {
     const wanted = Number(along.value);
-    const current = shown[at];
-    const beyond = shown.filter((query) => (wanted > current ? query >= wanted : query <= wanted));
-    const next = wanted > current ? Math.min(...beyond) : Math.max(...beyond);
-    go(beyond.length ? shown.indexOf(next) : at, false);
+    const ahead = shown.filter((query) => (query - shown[at]) * (wanted - shown[at]) > 0);
+    go(ahead.length ? nearest(wanted, ahead) : at, false);
   }
 
   // What a reader does
@@ -370,13 +250,13 @@
     const query = Number(made.dataset.query);
     if (event.target.closest("button")) {
       if (!open.delete(query)) open.add(query);
-      unfold(made, query);
+      unfold(view(), made, query);
     }
     at = shown.indexOf(query);
     mark();
   });
-  element("previous-page").addEventListener("click", () => go(at - (at % PAGE) - PAGE, false));
-  element("next-page").addEventListener("click", () => go(at - (at % PAGE) + PAGE, false));
+  element("previous-page").addEventListener("click", () => turn(-PAGE));
+  element("next-page").addEventListener("click", () => turn(PAGE));
   element("controls").addEventListener("submit", (event) => event.preventDefault());
   along.addEventListener("input", slide);
   choices.dataset.addEventListener("change", chooseSection);

@@ -94,14 +94,41 @@ def machines(series: Iterable[Series]) -> tuple[Machine, ...]:
     return tuple(_machine(number, runs) for number, runs in enumerate(found.values(), 1))
 
 
-def notes(title: str, series: Iterable[Series]) -> tuple[tuple[str, str], ...]:
-    """Return the notes of runs, each with the run that it is about."""
-    return tuple((f"{title}: {run_name(one, run)}", note) for one in series for run in one.runs for note in run.notes)
+def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]:
+    """Return the notes of runs, each with the run that it is about; `measured` is series with their datasets' titles.
+
+    The device is named of runs that were not made on the CPU.
+    """
+    return tuple(
+        (f"{title}: {run_name(one, run)}{_elsewhere(run)}", note)
+        for title, one in measured
+        for run in one.runs
+        for note in run.notes
+    )
+
+
+def first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
+    """Say which of several reference images of a place is shown; empty where no place has several.
+
+    `names` are those of the reference images that are shown; where all lie in one folder it names the traverse.
+    """
+    if all(run.n_references <= run.outcome.n_places for run in runs):
+        return ""
+    folders = {name.rpartition("/")[0] for name in names}
+    traverse = next(iter(folders)) if len(folders) == 1 else ""
+    return (
+        f"The frame of a place is always its first reference image{traverse and f', of the traverse {traverse}'}; "
+        "the methods learnt its other reference images too."
+    )
 
 
 def run_name(series: Series, run: Run) -> str:
     """Return the name of a run within its dataset: that of its row, and its seed where there are several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
+
+
+def _elsewhere(run: Run) -> str:
+    return "" if run.config.get("device") in (None, "cpu") else f", on {run.config['device']}"
 
 
 def _right_places(run: Run) -> str:

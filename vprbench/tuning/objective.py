@@ -28,6 +28,7 @@ class Task:
 
     stretch: StretchName
     values: Mapping[str, float]
+    seed: int | None = None  # of the training; None: the method's own, which is the searched one
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ class Training:
         stretch = _Stretch.read(self.folder / task.stretch)
         n_places = int(stretch.places.max()) + 1
         fitting = {"max_module": min(self.method["max_module"], n_places)}
-        method = registry.make_method({**self.method, **fitting, **task.values})
+        seed = {} if task.seed is None else {"seed": task.seed}
+        method = registry.make_method({**self.method, **fitting, **task.values, **seed})
         # How an image becomes spikes is not searched: they were made once, for all trials, and stand in for images.
         vars(method)["encode"] = lambda images: stretch.references
         try:

@@ -11,6 +11,7 @@ import yaml
 
 from vprbench.interface import BadInput, Dataset
 from vprbench.plan import PlannedColumn
+from vprbench.records import Run
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
 
@@ -59,6 +60,20 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
     return Searchable({**config, **whole}, searched, checked)
 
 
+def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
+    """Return which stored runs query places that are searched or checked, as `<dataset>/<method>-<key>`.
+
+    A run does where dataset and seed are the same and a right place of a query lies in either stretch.
+    """
+    mine = {*allowed.searched, *allowed.checked}
+    return [
+        f"{run.dataset}/{run.method}-{run.key}"
+        for run in runs
+        if _journey(run.config["dataset"]) == _journey(allowed.dataset)
+        and not mine.isdisjoint(place for right in run.positives for place in right.tolist())
+    ]
+
+
 def cut(dataset: Dataset, stretch: range) -> Dataset:
     """Return the references of some places, and the queries all of whose right places are among them."""
     shown = np.flatnonzero(np.isin(dataset.places, stretch))
@@ -71,6 +86,10 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
         positives=tuple(dataset.positives[n] - stretch.start for n in asked),
         protocol={**dataset.protocol, "stretch": [stretch.start, stretch.stop - 1]},
     )
+
+
+def _journey(dataset: Mapping[str, Any]) -> tuple[Any, Any]:
+    return dataset.get("name"), dataset.get("seed")
 
 
 def _arguments(column: PlannedColumn) -> dict[str, Any]:

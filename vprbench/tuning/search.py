@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -15,15 +16,17 @@ import optuna
 
 from vprbench import environment, progress, registry
 from vprbench.interface import BadInput
-from vprbench.intervals import Interval, McNemar, mcnemar_exact, wilson
 from vprbench.plan import read_plan
-from vprbench.records import content_key
+from vprbench.records import Store, content_key
 from vprbench.runner import code_hash, fingerprint
 from vprbench.tuning import objective, places, space
+from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import Values
 from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
 from vprbench.tuning.workers import Workers
+
+logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3  # at settings whose trial failed, before they are left out
 _ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong with all of them
@@ -35,11 +38,11 @@ class Settings:
 
     places: int = 500  # of the stretch that is searched
     trials: int = 200  # two thirds of them random, the rest on the grid
-    jobs: int | None = None  # processes of one thread each; None: one for each core this process may use
+    jobs: int | None = None  # processes of one thread each, at most; None: one for each core this process may use
     dataset: str = "synthetic"
     root: str | None = None  # the folder of a recorded dataset
     quick: bool = False  # tiny sizes: everything runs, nothing is found
-    seed: int = 0  # of what is drawn, and of each training
+    seed: int = 0  # of what is drawn, and of each trial's training
     results: str = "results"
 
     def __post_init__(self) -> None:
@@ -54,31 +57,12 @@ QUICK: Mapping[str, Any] = {"places": 20, "trials": 6}
 
 
 @dataclass(frozen=True)
-class Accuracy:
-    """R@1 under some settings on a stretch, and its 95 % interval (Wilson)."""
-
-    recall_at_1: float
-    interval: Interval
-    diverged: str | None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The best settings and the paper's on the same queries."""
-
-    n_places: int
-    n_queries: int
-    best: Accuracy
-    paper: Accuracy
-    test: McNemar
-
-
-@dataclass(frozen=True)
 class Found:
     """What a search found."""
 
     settings: Settings
     method: Mapping[str, Any]  # its configuration, before settings replace arguments
+    dataset: Mapping[str, Any]  # its configuration, before the places to search were chosen
     protocols: Mapping[StretchName, Mapping[str, Any]]  # the dataset's, of each stretch
     folder: Path  # of the study
     trials: tuple[Trial, ...]  # all that are stored
@@ -86,7 +70,8 @@ class Found:
     best: Trial
     importance: Mapping[str, float]  # by parameter, the largest first
     compared: Mapping[StretchName, Comparison]
-    jobs: int
+    queried_by: tuple[str, ...]  # stored runs that query these places
+    jobs: int  # processes that there were
     minutes: float  # of this call
     environment: Mapping[str, Any]
 
@@ -98,8 +83,8 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     where its places are not free to be searched.
     """
     started = time.perf_counter()
-    jobs = settings.jobs or len(environment.cores())
-    surroundings = environment.capture("cpu", jobs)
+    jobs = _jobs(settings.jobs)
+    surroundings = environment.capture("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
@@ -114,7 +99,8 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         "seed": settings.seed,
         "libraries": {**environment.library_versions(), "optuna": optuna.__version__},
     }
-    folder = Path(settings.results).expanduser() / "search" / content_key(origin)
+    results = Path(settings.results).expanduser()
+    folder = results / "search" / content_key(origin)
     with opened(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
@@ -124,19 +110,23 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
             best = best_of(trials)
             if best is None:
                 raise RuntimeError("no trial came to an end")
-            compared = _compared(workers, best.values, {name: part.n_places for name, part in stretches.items()})
+            n_places = {name: part.n_places for name, part in stretches.items()}
+            comparisons = compared(workers, best.values, n_places, settings.seed)
+            started_jobs = workers.started
         importance = study.importance()
     return Found(
         settings=settings,
         method=method,
+        dataset=dataset,
         protocols={name: part.protocol for name, part in stretches.items()},
         folder=folder,
         trials=tuple(trials),
         tried_now=tried_now,
         best=best,
         importance=importance,
-        compared=compared,
-        jobs=jobs,
+        compared=comparisons,
+        queried_by=tuple(places.querying(Store(results, read_only=True).runs(), allowed)),
+        jobs=started_jobs,
         minutes=(time.perf_counter() - started) / 60,
         environment=surroundings,
     )
@@ -193,32 +183,12 @@ def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mappin
     return left[: max(0, most - len(done))]
 
 
-def _compared(
-    workers: Workers[Task, Tried], best: Values, n_places: Mapping[StretchName, int]
-) -> dict[StretchName, Comparison]:
-    """Train under the best settings and the paper's, on both stretches."""
-    tasks = [Task(stretch, values) for stretch in n_places for values in (best, space.PAPER)]
-    given: dict[int, Tried] = {}
-    for answer in workers.answers(tasks, lambda task: progress.report("best against paper", task / len(tasks))):
-        if answer.given is None:
-            raise RuntimeError(f"the comparison with the paper's settings failed: {answer.error}")
-        given[answer.task] = answer.given
-    return {
-        stretch: _comparison(n_places[stretch], given[2 * number], given[2 * number + 1])
-        for number, stretch in enumerate(n_places)
-    }
-
-
-def _comparison(n_places: int, best: Tried, paper: Tried) -> Comparison:
-    return Comparison(
-        n_places, len(best.hits), _accuracy(best), _accuracy(paper), mcnemar_exact(best.sure_hits, paper.sure_hits)
-    )
-
-
-def _accuracy(tried: Tried) -> Accuracy:
-    interval = wilson(float(tried.hits.sum()), len(tried.hits))
-    assert interval is not None  # a stretch has queries
-    return Accuracy(tried.recall_at_1, interval, tried.diverged)
+def _jobs(asked: int | None) -> int:
+    """Return how many processes there may be: more than there are cores would only be in each other's way."""
+    cores = len(environment.cores())
+    if asked is not None and asked > cores:
+        logger.info("jobs=%d: %d processes are used, one for each core this process may use", asked, cores)
+    return min(asked or cores, cores)
 
 
 def _named(allowed: places.Searchable) -> dict[StretchName, range]:

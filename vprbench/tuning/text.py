@@ -4,29 +4,41 @@ from __future__ import annotations
 
 import csv
 import io
+import shlex
 from pathlib import Path
 
 from vprbench.bench_text import machine_lines
-from vprbench.intervals import Interval
 from vprbench.replacing import replace_text
 from vprbench.tables import markdown
+from vprbench.tuning.comparison import AGREE, BLOCK, SEEDS, Comparison, Repeated, Verdict
 from vprbench.tuning.objective import StretchName
-from vprbench.tuning.search import Accuracy, Comparison, Found
+from vprbench.tuning.search import Found, Settings
 from vprbench.tuning.space import PARAMETERS
 
-_SEPARATED = 0.05  # p below which best and paper are told apart
 _FEW = 50  # random trials below which importance is hardly more than chance
+_NAMED = 3  # stored runs, at most
 
 _SHORT: dict[StretchName, str] = {"searched": "searched", "checked": "held out"}
 _LONG: dict[StretchName, str] = {"searched": "searched (they chose)", "checked": "held out (they chose nothing)"}
+_VERDICTS: dict[Verdict, str] = {
+    "better": "On the places held out the best settings are better.",
+    "worse": "On the places held out the paper's settings are better.",
+    "not told apart": "On the places held out, best and paper cannot be told apart.",
+}
 
 
 def write(found: Found, folder: Path) -> str:
-    """Leave what was found in search.md and every trial in search.csv of a folder; returns the text to print."""
-    text = text_of(found)
-    replace_text(folder / "search.csv", trials_csv(found))
-    replace_text(folder / "search.md", text)
-    return f"{text}\nwritten to {folder / 'search.md'} and {folder / 'search.csv'}\n"
+    """Leave what was found and every trial in a folder and in that of the study; returns the text to print.
+
+    In the folder the names tell the dataset, where it is not the usual one, and a quick search: search.md and
+    search.csv, search-street.md, search-quick.md.
+    """
+    text, trials = text_of(found), trials_csv(found)
+    stem = _stem(found.settings)
+    for place, name in ((found.folder, "search"), (folder, stem)):
+        replace_text(place / f"{name}.csv", trials)
+        replace_text(place / f"{name}.md", text)
+    return f"{text}\nwritten to {folder / stem}.md and {folder / stem}.csv, and into {found.folder}\n"
 
 
 def text_of(found: Found) -> str:
@@ -36,25 +48,33 @@ def text_of(found: Found) -> str:
         _how(found),
         "## Best settings",
         markdown(_parameter_rows(found)),
+        _highest_line(found),
         _importance_line(found),
         "## Best against paper",
         markdown([_comparison_row(name, compared) for name, compared in found.compared.items()]),
         *_verdicts(found),
+        "Seed by seed:",
+        markdown([row for name, compared in found.compared.items() for row in _seed_rows(name, compared)]),
         "## Run the best settings",
+        *_warning(found.compared["checked"].verdict),
         f"```\n{command(found)}\n```",
         "## Where this comes from",
         _trials_line(found),
-        *machine_lines(dict(found.environment)),
+        *_machine(found),
     ]
     return "\n\n".join(parts) + "\n"
 
 
 def command(found: Found) -> str:
     """Return the command that runs the best settings on the whole dataset."""
-    rules = found.method.get("rules", "paper")
-    options = [f"method.rules={rules}"] * (rules != "paper")
+    options = ["method=vprtempo", f"dataset={found.settings.dataset}"]
+    if found.settings.root is not None:
+        options.append(f"dataset.root={found.settings.root}")
+    rules, largest, places = found.method.get("rules", "paper"), found.method["max_module"], found.dataset["places"]
+    options += [f"method.rules={rules}"] * (rules != "paper")
+    options += [f"method.max_module={places}"] * (places < largest)
     options += [f"method.{name}={value:g}" for name, value in found.best.values.items()]
-    return " ".join(["python -m vprbench method=vprtempo", f"dataset={found.settings.dataset}", *options])
+    return " ".join(["python -m vprbench", *map(shlex.quote, options)])
 
 
 def trials_csv(found: Found) -> str:
@@ -82,9 +102,23 @@ def _how(found: Found) -> str:
         f"{len(done)} trials of VPRTempo on {found.settings.dataset}: {n_random} with random settings, then "
         f"{len(done) - n_random} on a grid of rates and probabilities around the best of those. In {diverged} of them "
         f"the training diverged, which counts as R@1 0.{again} Each trial trains one network from the same seed on the "
-        "searched places and asks all queries there; R@1 is the expected value under ties. No reported result queries "
-        "any of these places."
+        f"searched places and asks all queries there; R@1 is the expected value under ties. {_apart(found)}"
     )
+
+
+def _apart(found: Found) -> str:
+    """Say what else queries these places, or has them in its map."""
+    runs = found.queried_by
+    if runs:
+        more = f" and {len(runs) - _NAMED} more" * (len(runs) > _NAMED)
+        told = (
+            "No column of the table queries any of these places, but of the stored runs "
+            f"{', '.join(runs[:_NAMED])}{more} {'does' if len(runs) == 1 else 'do'}: compare none of them with this."
+        )
+    else:
+        told = "No column of the table and no stored run queries any of these places."
+    recorded = "seed" not in found.protocols["searched"]
+    return told + " As references they stay in the map of reported results." * recorded
 
 
 def _parameter_rows(found: Found) -> list[dict[str, str]]:
@@ -101,6 +135,15 @@ def _parameter_rows(found: Found) -> list[dict[str, str]]:
     ]
 
 
+def _highest_line(found: Found) -> str:
+    recalls = [trial.recall_at_1 for trial in found.trials if trial.recall_at_1 is not None]
+    return (
+        f"The best trial has R@1 {_percent(found.best.recall_at_1)} %. That is the highest of {len(recalls)} trials, all "
+        f"trained with seed {found.settings.seed}, on the queries that chose it: a maximum, which luck raises. Only the "
+        "comparison below says what these settings are worth."
+    )
+
+
 def _importance_line(found: Found) -> str:
     n_random = sum(trial.stage == "random" and trial.recall_at_1 is not None for trial in found.trials)
     if not found.importance:
@@ -114,40 +157,72 @@ def _importance_line(found: Found) -> str:
 
 
 def _comparison_row(name: StretchName, compared: Comparison) -> dict[str, str]:
+    ends = compared.interval
+    interval = "-" if ends is None else f"{_signed(ends.low)}, {_signed(ends.high)}"
+    ahead = sum(difference > 0 for difference in compared.differences)
     return {
         "places": _LONG[name],
         "number": str(compared.n_places),
         "queries": str(compared.n_queries),
-        "best R@1 % [95 %]": _accuracy(compared.best),
-        "paper R@1 % [95 %]": _accuracy(compared.paper),
-        "only best right": str(compared.test.b),
-        "only paper right": str(compared.test.c),
-        "p (McNemar, exact)": f"{compared.test.p_value:.2g}",
+        "best R@1 %": _repeated(compared.best),
+        "paper R@1 %": _repeated(compared.paper),
+        "difference [95 %]": f"{_signed(compared.best.recall_at_1 - compared.paper.recall_at_1)} [{interval}]",
+        "seeds with best ahead": f"{ahead} of {len(compared.seeds)}",
     }
+
+
+def _seed_rows(name: StretchName, compared: Comparison) -> list[dict[str, str]]:
+    return [
+        {
+            "places": _SHORT[name],
+            "seed": str(seed),
+            "best R@1 %": _percent(compared.best.recalls_at_1[n]),
+            "paper R@1 %": _percent(compared.paper.recalls_at_1[n]),
+            "difference": _signed(compared.differences[n]),
+            "only best right": str(compared.tests[n].b),
+            "only paper right": str(compared.tests[n].c),
+            "p (McNemar, exact)": f"{compared.tests[n].p_value:.2g}",
+        }
+        for n, seed in enumerate(compared.seeds)
+    ]
 
 
 def _verdicts(found: Found) -> list[str]:
     searched, checked = found.compared["searched"], found.compared["checked"]
     verdicts = []
     if searched.best.recall_at_1 <= searched.paper.recall_at_1:
-        verdicts.append("No trial beats the paper's settings on the searched places: more trials may.")
-    if checked.test.p_value >= _SEPARATED:
-        verdicts.append("On the places held out, best and paper cannot be told apart.")
-    elif checked.test.b > checked.test.c:
-        verdicts.append("The best settings are better on the places held out too.")
-    else:
-        verdicts.append("On the places held out the paper's settings are better.")
+        verdicts.append("With these seeds the best settings do not beat the paper's where they were searched either.")
+    verdicts.append(_VERDICTS[checked.verdict])
+    if checked.interval is None:
+        verdicts.append(f"{checked.n_queries} queries are too few for an interval: search more places.")
     verdicts += [
-        f"On the places {_SHORT[name]} the training under {whose} settings diverged: {accuracy.diverged}."
+        f"On the places {_SHORT[name]} the training under {whose} settings diverged with {_seeds(compared, repeated)}."
         for name, compared in found.compared.items()
-        for whose, accuracy in (("the best", compared.best), ("the paper's", compared.paper))
-        if accuracy.diverged is not None
+        for whose, repeated in (("the best", compared.best), ("the paper's", compared.paper))
+        if any(repeated.diverged)
     ]
     verdicts.append(
-        "Intervals are Wilson's and take queries as independent. On the searched places p says nothing about other "
-        "places, because the best settings were chosen there."
+        f"Both settings are trained with the same {SEEDS} seeds, none of which chose the best: R@1 is the mean over "
+        "them and ± their standard deviation. The interval is that of the difference of per-query mean hits, by a "
+        f"bootstrap of blocks of {BLOCK} neighbouring queries. One is called better only where that interval excludes 0 "
+        f"and {AGREE} or more of the {SEEDS} seeds agree. What the searched places say holds for no others, because "
+        "the best settings were chosen there."
     )
     return verdicts
+
+
+def _seeds(compared: Comparison, repeated: Repeated) -> str:
+    """Name the seeds whose training diverged, and how."""
+    reasons = {seed: reason for seed, reason in zip(compared.seeds, repeated.diverged, strict=True) if reason}
+    return "; ".join(f"seed {seed}: {reason}" for seed, reason in reasons.items())
+
+
+def _warning(verdict: Verdict) -> list[str]:
+    """Return what has to be known before the best settings are used."""
+    if verdict == "better":
+        return []
+    told = "worse than" if verdict == "worse" else "not shown to be better than"
+    return [f"On the places held out these settings were {told} the paper's."]
 
 
 def _trials_line(found: Found) -> str:
@@ -158,17 +233,30 @@ def _trials_line(found: Found) -> str:
     journey = found.protocols["searched"].get("seed")
     of = "" if journey is None else f" of the journey with seed {journey}"
     return (
-        f"Places{of}: {places}. This call tried {found.tried_now} settings in {_duration(found.minutes)}, "
-        f"{found.jobs} at a time, one thread each. All trials lie in {found.folder}: the same command goes on there."
+        f"Places{of}: {places}. This call tried {found.tried_now} settings in {_duration(found.minutes)}. "
+        f"All trials lie in {found.folder}: the same command goes on there."
     )
 
 
-def _accuracy(accuracy: Accuracy) -> str:
-    return f"{_percent(accuracy.recall_at_1)} [{_ends(accuracy.interval)}]"
+def _machine(found: Found) -> list[str]:
+    here = dict(found.environment)
+    _, software = machine_lines(here)
+    processes = f"{found.jobs} process{'es' * (found.jobs != 1)} of one thread"
+    memory = f"{here['memory_bytes'] / 1e9:.0f} GB"
+    return [f"{here['processor']}, {processes} on {here['cores']} cores, {memory}, {here['platform']}.", software]
 
 
-def _ends(interval: Interval) -> str:
-    return f"{_percent(interval.low)}, {_percent(interval.high)}"
+def _stem(settings: Settings) -> str:
+    usual = settings.dataset == Settings.dataset
+    return "-".join(["search", *[settings.dataset] * (not usual), *["quick"] * settings.quick])
+
+
+def _repeated(repeated: Repeated) -> str:
+    return f"{_percent(repeated.recall_at_1)} ± {_percent(repeated.spread)}"
+
+
+def _signed(share: float) -> str:
+    return f"{100 * share:+.1f}"
 
 
 def _percent(share: float | None) -> str:

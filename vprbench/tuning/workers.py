@@ -46,14 +46,13 @@ class Workers(Generic[Asked, Given]):
     """
 
     def __init__(self, prepare: Callable[[], Attempt[Asked, Given]], count: int) -> None:
-        """Start nothing yet."""
+        """Start nothing yet; there will be at most `count` processes, and never more than there were tasks."""
         self._prepare = prepare
         self._count = count
         self._workers: list[_Worker] = []
 
     def __enter__(self) -> Self:
-        """Start the processes."""
-        self._workers = [self._started() for _ in range(self._count)]
+        """Start nothing yet: `answers` knows how many processes have something to do."""
         return self
 
     def __exit__(
@@ -66,11 +65,18 @@ class Workers(Generic[Asked, Given]):
         for worker in self._workers:
             worker.process.join()
 
+    @property
+    def started(self) -> int:
+        """How many processes there are."""
+        return len(self._workers)
+
     def answers(self, tasks: Sequence[Asked], begins: Callable[[int], None]) -> Iterator[Answer[Given]]:
         """Yield what comes of each task, in the order in which they end; `begins` is told of each that is handed out.
 
         Raises RuntimeError where a process cannot even prepare.
         """
+        while len(self._workers) < min(self._count, len(tasks)):
+            self._workers.append(self._started())
         waiting = deque(enumerate(tasks))
         while waiting or any(worker.task is not None for worker in self._workers):
             for worker in self._workers:

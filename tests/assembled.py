@@ -1,0 +1,46 @@
+"""Tables of made-up runs, and how tests look into them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from stored_runs import PLAN, RAIL, ROWS, run
+
+from vprbench.assembly import assemble
+from vprbench.belonging import ColumnAsked, groups
+from vprbench.cells import Cell, Measured, Table
+from vprbench.plan import QUANTITIES, Quantity, Row
+from vprbench.records import Failure, Run
+
+
+def table(
+    runs: Sequence[Run] = (),
+    failures: Sequence[Failure] = (),
+    rows: Sequence[Row] = ROWS,
+    asked: Sequence[ColumnAsked] = (RAIL,),
+    left_out: Mapping[tuple[str, str], str] | None = None,
+) -> Table:
+    return assemble(groups(runs, failures, asked, rows), rows, PLAN, left_out or {})
+
+
+def cell(made: Table, row: str, quantity: Quantity, column: str = "railway") -> Cell:
+    return next(each for each in made.rows if each.name == row).cells[column, quantity]
+
+
+def measured(made: Table, row: str, quantity: Quantity, column: str = "railway") -> Measured:
+    found = cell(made, row, quantity, column).measured
+    assert found is not None
+    return found
+
+
+def reasons(made: Table, row: str, quantity: Quantity) -> list[str]:
+    return [made.notes[number - 1] for number in cell(made, row, quantity).notes]
+
+
+def tempo(seed: int = 0, **changes: Any) -> Run:
+    return run("vprtempo", seed, **changes)
+
+
+def absences(made: Table, row: str) -> list[str]:
+    return [cell(made, row, quantity).mark for quantity in QUANTITIES]

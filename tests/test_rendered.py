@@ -1,0 +1,264 @@
+"""What every rendered dataset promises: frames that follow from seed, traverse and place, and plain refusals."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from rendered_frames import frames_of_traverse, mean_difference
+
+from vprbench.datasets.rendering.journey import Rendered
+from vprbench.datasets.street import street
+from vprbench.datasets.synthetic import synthetic
+from vprbench.interface import BadInput
+
+TRAVERSES = {street: ("sun", "rain", "dusk"), synthetic: ("spring", "summer", "fall", "winter")}
+
+each_dataset = pytest.mark.parametrize("dataset", TRAVERSES)
+each_traverse = pytest.mark.parametrize(
+    ("dataset", "traverse"), [(dataset, traverse) for dataset, known in TRAVERSES.items() for traverse in known]
+)
+
+
+class Slate:
+    """Renders the seed and the place as a colour: what was asked for can be read off a frame."""
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def render(self, traverse, place):
+        return np.full((2, 3, 3), (self.seed, place, len(traverse)), np.uint8)
+
+
+def little_journey(skipped=(1, 4), **asked):
+    journey = Rendered("the little journey", "hour", ("dawn", "midday"), 3, 20, skipped, Slate, version=7)
+    defaults = {
+        "name": "little",
+        "places": 8,
+        "references": ["dawn"],
+        "query": "midday",
+        "first_query_place": None,
+        "query_places": None,
+        "tolerance": 0,
+        "seed": 0,
+    }
+    return journey.dataset(**defaults | asked)
+
+
+def queried(dataset):
+    return dataset.protocol["first_query_place"], dataset.protocol["query_places"]
+
+
+def refusal(dataset, **asked):
+    with pytest.raises(BadInput) as error:
+        dataset(**asked)
+    return str(error.value)
+
+
+# The frames of each dataset
+
+
+@each_traverse
+def test_frames_are_rgb_of_160_by_90(dataset, traverse):
+    frame = frames_of_traverse(dataset, traverse, [0])[0]
+    assert frame.shape == (90, 160, 3)
+    assert frame.dtype == np.uint8
+
+
+@each_traverse
+def test_another_seed_is_another_journey(dataset, traverse):
+    one, other = (frames_of_traverse(dataset, traverse, [0, 5, 9], seed) for seed in (0, 1))
+    assert mean_difference(one, other) > 5
+
+
+@each_traverse
+def test_a_frame_does_not_depend_on_what_was_rendered_before(dataset, traverse):
+    in_order = frames_of_traverse(dataset, traverse, range(12))
+    order = [7, 3, 11, 0, 5]
+    assert np.array_equal(frames_of_traverse(dataset, traverse, order), in_order[order])
+
+
+@each_dataset
+def test_threads_render_the_same_frames(dataset):
+    references = dataset(places=40).references
+    alone = [references[i] for i in range(80)]
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(references.__getitem__, range(80)))
+    assert np.array_equal(alone, together)
+
+
+@each_dataset
+def test_a_longer_journey_begins_like_a_shorter_one(dataset):
+    short, long = dataset(places=10), dataset(places=27_000)
+    assert np.array_equal(short.references[9], long.references[9])
+    assert np.array_equal(short.references[10], long.references[27_000])
+
+
+@each_traverse
+def test_neighbouring_places_look_more_alike_than_distant_ones(dataset, traverse):
+    step, share = {street: (25, 0.9), synthetic: (12, 0.8)}[dataset]
+    places = np.arange(0, 600, step)
+    here, next_to, far = (frames_of_traverse(dataset, traverse, places + offset) for offset in (0, 1, 300))
+    assert mean_difference(here, next_to) < share * mean_difference(here, far)
+
+
+@each_traverse
+def test_no_two_places_of_a_traverse_share_a_frame(dataset, traverse):
+    frames = frames_of_traverse(dataset, traverse, range(100))
+    assert len({frame.tobytes() for frame in frames}) == 100
+
+
+# What the options of each dataset select
+
+
+@each_dataset
+def test_references_follow_one_another_traverse_after_traverse(dataset):
+    first, *_, last = TRAVERSES[dataset]
+    selected = dataset(places=20, references=[last, first], query=first)
+    assert selected.references.names[0] == f"{last}/place-00000"
+    assert selected.references.names[20] == f"{first}/place-00000"
+    assert selected.places.tolist() == [*range(20), *range(20)]
+    assert np.array_equal(selected.references[23], frames_of_traverse(dataset, first, [3])[0])
+
+
+@pytest.mark.parametrize(
+    ("dataset", "references", "places", "queries", "first"),
+    [(street, 900, 450, 360, "dusk/place-00090"), (synthetic, 6600, 3300, 2700, "summer/place-00600")],
+)
+def test_the_defaults_are_as_large_as_oxford_and_nordland_in_the_paper(dataset, references, places, queries, first):
+    default = dataset()
+    assert (len(default.references), default.n_places, len(default.queries)) == (references, places, queries)
+    assert default.queries.names[0] == first
+    assert default.positives[0].tolist() == [places - queries]
+
+
+@pytest.mark.parametrize(
+    ("dataset", "places", "expected"),
+    [
+        (street, 10, (2, 8)),
+        (street, 14, (3, 11)),
+        (street, 27_000, (5400, 21_600)),
+        (synthetic, 10, (2, 8)),
+        (synthetic, 11, (2, 9)),
+        (synthetic, 27_000, (4909, 22_091)),
+    ],
+)
+def test_a_fifth_of_the_street_and_two_elevenths_of_the_journey_are_not_queried(dataset, places, expected):
+    selected = dataset(places=places)
+    assert selected.n_places == places
+    assert queried(selected) == expected
+    assert len(selected.queries) == expected[1]
+
+
+@each_dataset
+def test_the_tolerance_ends_where_the_journey_ends(dataset):
+    positives = dataset(places=10, first_query_place=0, tolerance=2).positives
+    assert positives[0].tolist() == [0, 1, 2]
+    assert positives[5].tolist() == [3, 4, 5, 6, 7]
+    assert positives[9].tolist() == [7, 8, 9]
+
+
+@each_dataset
+def test_the_protocol_says_everything_that_was_selected(dataset):
+    reference, *_, query = TRAVERSES[dataset]
+    selected = dataset("mine", 50, [reference], query, first_query_place=5, query_places=7, tolerance=1, seed=3)
+    assert selected.name == "mine"
+    assert dict(selected.protocol) == {
+        "places": 50,
+        "references": [reference],
+        "query": query,
+        "first_query_place": 5,
+        "query_places": 7,
+        "tolerance_places": 1,
+        "seed": 3,
+        "width": 160,
+        "height": 90,
+        "renderer": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("dataset", "journey", "kind", "listed"),
+    [
+        (street, "the city street", "traverse", "sun, rain, dusk"),
+        (synthetic, "the synthetic journey", "season", "spring, summer, fall, winter"),
+    ],
+)
+def test_each_dataset_refuses_in_its_own_words(dataset, journey, kind, listed):
+    for places in (9, 27_001):
+        assert refusal(dataset, places=places) == f"dataset.places={places} came; {journey} has 10 to 27000 places"
+    assert refusal(dataset, query="autumn") == f"dataset.query=autumn came; the {kind}s are {listed}"
+    assert f"wanted at least one of {listed}" in refusal(dataset, references=[])
+    known = listed.split(", ")[0]
+    assert f"name each {kind} once" in refusal(dataset, references=[known, known])
+
+
+@each_dataset
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"references": ["autumn"]}, "dataset.references=autumn came"),
+        ({"places": 20, "first_query_place": 20}, "dataset.first_query_place=20 came, but the places run from 0 to 19"),
+        ({"first_query_place": -1}, "dataset.first_query_place=-1 came"),
+        ({"query_places": 0}, "dataset.query_places=0 came"),
+        ({"places": 20, "first_query_place": 15, "query_places": 6}, "there are 1 to 5 to query"),
+        ({"tolerance": -1}, "dataset.tolerance=-1 came"),
+        ({"seed": -1}, "dataset.seed=-1 came"),
+    ],
+)
+def test_bad_input_is_answered_in_one_line_that_names_the_option(dataset, asked, message):
+    answer = refusal(dataset, **asked)
+    assert message in answer
+    assert "\n" not in answer
+
+
+# The rules themselves, on a journey of 3 to 20 places
+
+
+@pytest.mark.parametrize(
+    ("skipped", "places", "expected"), [((1, 4), 8, (2, 6)), ((2, 11), 11, (2, 9)), ((1, 5), 14, (3, 11))]
+)
+def test_a_share_of_the_places_is_not_queried_unless_told_otherwise(skipped, places, expected):
+    assert queried(little_journey(skipped, places=places)) == expected
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "expected"), [(0, None, (0, 8)), (7, None, (7, 1)), (2, 6, (2, 6)), (None, 3, (2, 3))]
+)
+def test_first_query_place_and_number_of_queries_are_kept_when_given(first, count, expected):
+    assert queried(little_journey(first_query_place=first, query_places=count)) == expected
+
+
+@pytest.mark.parametrize("places", [3, 20])
+def test_a_rendered_journey_may_be_as_short_and_as_long_as_it_says(places):
+    assert sum(queried(little_journey(places=places))) == places
+
+
+def test_the_painter_of_the_seed_renders_each_query_and_reference():
+    dataset = little_journey(references=["midday", "dawn"], query="dawn", seed=9)
+    assert dataset.references[5][0, 0].tolist() == [9, 5, len("midday")]
+    assert dataset.references[8 + 5][0, 0].tolist() == [9, 5, len("dawn")]
+    assert dataset.queries[1][0, 0].tolist() == [9, 3, len("dawn")]
+    assert dataset.protocol["renderer"] == 7
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"places": 2}, "dataset.places=2 came; the little journey has 3 to 20 places"),
+        ({"places": 21}, "dataset.places=21 came; the little journey has 3 to 20 places"),
+        ({"first_query_place": 8}, "dataset.first_query_place=8 came, but the places run from 0 to 7: choose one"),
+        (
+            {"query_places": 7},
+            "dataset.query_places=7 came, but from place 2 to the last of 8 there are 1 to 6 to query",
+        ),
+        ({"tolerance": -1}, "dataset.tolerance=-1 came; a number of places, 0 or more, was wanted"),
+        ({"seed": -1}, "dataset.seed=-1 came; a whole number, 0 or more, was wanted"),
+        ({"references": "dawn"}, "dataset.references='dawn' came; wanted at least one of dawn, midday, as a list"),
+        ({"references": []}, "dataset.references=[] came; wanted at least one of dawn, midday, as a list"),
+        ({"references": ["dawn", "dawn"]}, "dataset.references=['dawn', 'dawn'] came; name each hour once"),
+        ({"references": ["dawn", "tea"]}, "dataset.references=tea came; the hours are dawn, midday"),
+        ({"query": "tea"}, "dataset.query=tea came; the hours are dawn, midday"),
+    ],
+)
+def test_a_rendered_journey_refuses_what_it_cannot_show(asked, message):
+    assert refusal(little_journey, **asked) == message

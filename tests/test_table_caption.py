@@ -1,0 +1,76 @@
+"""Sentences beside a table tell what its numbers stand for and what is not shown, and only where it is so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from assembled import absences, measured, table, tempo
+from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
+
+from vprbench.assembly import assemble
+from vprbench.belonging import ColumnAsked, groups
+
+
+def test_seeds_are_named_where_they_differ_between_columns_and_devices() -> None:
+    runs = [tempo(0), tempo(1), *(tempo(seed, dataset=STREET, changed={"max_module": 450}) for seed in (0, 1, 2))]
+    made = table(runs, rows=[VPRTEMPO], asked=[RAIL, TOWN])
+    of_seeds = "; of R@1 and rates the mean, of minutes the median."
+    assert f"VPRTempo: seeds 0 and 1 (Railway (rendered)), seeds 0, 1 and 2 (City street){of_seeds}" in made.caption
+    devices = table([*runs[:2], tempo(0, device="cuda")], rows=[VPRTEMPO])
+    where = "seeds 0 and 1 (Railway (rendered), CPU), seed 0 (Railway (rendered), GPU)"
+    assert f"VPRTempo: {where}{of_seeds}" in devices.caption
+    assert not any("seed" in sentence for sentence in table(runs[:1], rows=[VPRTEMPO]).caption)
+
+
+def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own() -> None:
+    asked = ColumnAsked(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
+    before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
+    todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
+    told = [s for s in table([before, todays], rows=[SAD], asked=[asked]).caption if "other options" in s]
+    assert told == ["Railway (rendered), renderer 1: its runs are of a time when the dataset had other options (fog)."]
+    assert not any("other options" in s for s in table([before], rows=[SAD], asked=[asked]).caption)
+
+
+def test_a_seed_that_failed_after_it_was_stored_is_named_in_the_caption() -> None:
+    runs = [tempo(seed) for seed in (0, 1, 2)]
+    made = table(runs, [failure("vprtempo", 1, "it diverged", day="2025-04-01")], rows=[VPRTEMPO])
+    assert absences(made, "VPRTempo")[0] == "measured"
+    assert "VPRTempo, Railway (rendered), CPU: seed 1 failed since: it diverged." in made.caption
+
+
+def test_an_older_record_is_set_aside_by_name() -> None:
+    made = table([run(), older(run(day="2025-01-01", hits=[1, 1, 1, 1]))], rows=[SAD])
+    assert measured(made, "SAD", "recall_at_1").value == 50
+    (sentence,) = [sentence for sentence in made.caption if "set aside" in sentence]
+    assert sentence.startswith("SAD: 1 run in an older record")
+
+
+def test_what_a_row_sets_aside_in_all_columns_is_one_sentence() -> None:
+    other = {"config": {"code": "beef"}, "day": "2025-01-01"}
+    runs = [run(), run(**other), run(dataset=STREET), run(dataset=STREET, **other), run(device="cuda")]
+    made = table(runs, rows=[SAD], asked=[RAIL, TOWN])
+    assert [sentence for sentence in made.caption if "set aside" in sentence] == [
+        "SAD: 2 runs of other code are set aside."
+    ]
+
+
+def test_what_a_reader_has_to_know_of_a_column_stands_in_the_caption() -> None:
+    remark = "How hard it is was set by hand."
+    asked = ColumnAsked(replace(RAIL.planned, remark=remark), RAIL.dataset)
+    made = assemble(groups([run()], (), [asked], [SAD]), [SAD], PLAN, {})
+    assert remark in made.caption
+
+
+def test_the_interval_in_blocks_is_given_for_every_row_where_there_are_enough_frames() -> None:
+    # right in every other block of ten: the mean of blocks varies much more than Wilson's interval says
+    hits = ([1] * 10 + [0] * 10) * 10
+    made = table([run(hits=hits), run("vprsnn", hits=[1] * 200)])
+    (sentence,) = [sentence for sentence in made.caption if "in blocks of 10 frames: " in sentence]
+    assert "VPRSNN [100.0, 100.0]" in sentence
+    low, high = (float(end) for end in sentence.partition("SAD [")[2].partition("]")[0].split(", "))
+    wilson = measured(made, "SAD", "recall_at_1")
+    assert wilson.low is not None
+    assert wilson.high is not None
+    assert 25 < low < wilson.low
+    assert wilson.high < high < 75
+    assert not any("blocks of 10 frames: " in sentence for sentence in table([run()]).caption)
