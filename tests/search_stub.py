@@ -34,6 +34,7 @@ class Stub:
     diverges_above: float = 2.0  # rate_max
     constant: bool = False
     dies_once: Path | None = None  # the file that says that it did
+    shifts_by_seed: float = 0.0  # how much less recall a seed has than the one before
     unprepared: bool = False
     halts_at_call: int | None = None  # says so, and goes on when the search was killed
 
@@ -49,11 +50,11 @@ class Stub:
                 assert parent is not None
                 print(HALTS, flush=True)
                 wait([parent.sentinel])
-            return self.tried(task.values)
+            return self.tried(task.values, task.seed or 0)
 
         return tried
 
-    def tried(self, values: Values) -> Tried:
+    def tried(self, values: Values, seed: int) -> Tried:
         if self.dies_once is not None and not self.dies_once.exists():
             self.dies_once.touch()
             os._exit(7)
@@ -62,7 +63,7 @@ class Stub:
         nothing = np.zeros(1)
         if values["rate_max"] > self.diverges_above:
             return Tried(nothing, nothing, "one output neuron wins for all")
-        return Tried(np.array([0.5 if self.constant else recall(values)]), nothing)
+        return Tried(np.array([0.5 if self.constant else recall(values) - seed * self.shifts_by_seed]), nothing)
 
 
 def search_on(folder: Path, trials: int, halts_at_call: int) -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
 from report_page import (
     N_QUERIES,
     SAD_WRONG,
@@ -29,46 +25,15 @@ from report_page import (
     query_colour,
     right_place,
 )
-from report_reader import PATIENCE, Reader, choose, colours, contrasts, current, focused, listed, queries_of, widest
+from report_reader import Reader, choose, colours, contrasts, listed, widest
 
 from vprbench.report.page import Section, page
 from vprbench.series import Series
 
 MINUS = "\N{MINUS SIGN}"
-ARGUMENTS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
 ORDERS = {"route": "along the route", "lowest": "by margin, lowest first", "highest": "by margin, highest first"}
 
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        reason = "there is no chromium on this machine: its package brings it"
-        if os.environ.get("VPRBENCH_INSIST_ON_CHROMIUM"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    expect.set_options(timeout=PATIENCE)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS.split(), timeout=4 * PATIENCE)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
-    reader = Reader(browser, tmp_path)
-    yield reader
-    for context in reader.contexts:
-        context.close()
-    assert reader.complaints == []
-
-
-@pytest.fixture
-def tab(reader: Reader) -> Page:
-    return reader.read(made_up_page())
+pytest_plugins = ["report_browser"]
 
 
 def test_the_page_loads_without_a_complaint_and_asks_for_nothing_else(reader: Reader) -> None:
@@ -139,6 +104,43 @@ def test_a_right_b_wrong_shows_exactly_those_queries_with_the_frames_of_both(tab
     assert listed(tab) == [3, 11, 20, 30]
     choose(tab, kind="A and B wrong")
     assert listed(tab) == [10]
+
+
+def test_comparing_tells_the_score_and_the_rank_of_the_right_place_by_both(tab: Page) -> None:
+    choose(tab, method_b="VPRTempo, seed 0")
+    row = tab.locator("#queries > li").nth(listed(tab).index(3))
+    assert row.locator("figcaption").all_inner_texts()[-1] == (
+        "True\nnoon/00008.png\nplace 8\nscore by A 0.5, by B 0.5"
+    )
+    assert row.locator(".facts li").all_inner_texts() == [
+        f"A wrong: margin {MINUS}0.25, the right place ranks 2 of 60, 7 places off",
+        "B right: margin 0.375, the right place ranks 1 of 60",
+    ]
+
+
+def test_comparing_methods_that_prefer_different_right_places_names_that_of_the_score(reader: Reader) -> None:
+    no = -np.inf
+    a = answered([[0.75, 0.5, 0.25, 0.125], [0.5, no, no, 0.25]], [[1, 2], [2]])
+    b = answered([[0.75, 0.25, 0.5, 0.125], [0.5, no, 0.25, 0.25]], [[1, 2], [2]])
+    series = (Series("SAD", False, (a,)), Series("GCL", False, (b,)))
+    tab = reader.read(page("", [], [Section("Journey", series, None)]))
+    choose(tab, method_b="GCL", order=ORDERS["route"])
+    rows = tab.locator("#queries > li")
+    expect(rows.nth(0).locator("figcaption").last).to_contain_text("score by A 0.5, by B 0.5 for place 2")
+    expect(rows.nth(1).locator("figcaption").last).to_contain_text("score by A none, by B 0.25")
+
+
+def test_of_several_reference_images_of_a_place_the_page_says_which_is_shown(reader: Reader) -> None:
+    run = journey_run(SAD_WRONG, n_references=120)
+    several = Section("Twice", (Series("SAD", False, (run,)),), journey_thumbnails())
+    once = Section("Once", (Series("SAD", False, (journey_run(SAD_WRONG, n_references=60),)),), journey_thumbnails())
+    tab = reader.read(page("", [], [several, once]))
+    expect(tab.locator("#first-references")).to_have_text(
+        "The frame of a place is always its first reference image, of the traverse noon; "
+        "the methods learnt its other reference images too."
+    )
+    choose(tab, dataset="Once")
+    expect(tab.locator("#first-references")).to_be_hidden()
 
 
 def test_comparing_needs_a_second_method(tab: Page) -> None:
@@ -226,117 +228,6 @@ def test_opening_a_query_shows_its_best_three_places(tab: Page) -> None:
     assert colours(row.locator(".more .frames").nth(1))[0] == place_colour(right_place(11))
     button.click()
     expect(row.locator(".more")).to_have_count(0)
-
-
-# The strip along the route
-
-
-def test_the_strip_shows_hits_and_misses_where_they_are(tab: Page) -> None:
-    choose(tab, method_b="VPRTempo, seed 0")
-    lanes = tab.locator("#lanes .lane")
-    wrong = [queries_of(lanes.nth(i).locator(".bars.wrong").get_attribute("d") or "") for i in (0, 1)]
-    assert wrong == [set(SAD_WRONG) - {20}, set(TEMPO_WRONG)]
-    assert queries_of(lanes.nth(0).locator(".bars.tied").get_attribute("d") or "") == {20}
-    assert queries_of(lanes.nth(2).locator(".bars.shown").get_attribute("d") or "") == set(SAD_WRONG)
-    expect(lanes.nth(0)).to_contain_text("A, SAD: 44 right, 4 wrong, 1 tied, 1 no right place")
-
-
-def test_a_click_into_the_strip_goes_to_the_nearest_query_that_is_shown(tab: Page) -> None:
-    strip = tab.locator("#lanes svg").first
-    box = strip.bounding_box()
-    assert box is not None
-    strip.click(position={"x": box["width"] * 32.5 / N_QUERIES, "y": box["height"] / 2})
-    assert current(tab) == 30
-    assert focused(tab) == "query-30"
-
-
-def test_the_slider_steps_from_one_shown_query_to_the_next_along_the_route(tab: Page) -> None:
-    slider = tab.locator("#along")
-    slider.focus()
-    assert current(tab) == 11
-    slider.press("ArrowRight")
-    assert current(tab) == 20
-    slider.press("ArrowLeft")
-    slider.press("ArrowLeft")
-    assert current(tab) == 10
-    slider.press("ArrowRight")
-    assert current(tab) == 11
-    slider.press("ArrowLeft")
-    expect(slider).to_have_attribute("aria-valuetext", "query 10: wrong")
-
-
-# Keyboard and paging
-
-
-def test_tab_goes_from_the_controls_over_the_slider_to_one_query_and_on(tab: Page) -> None:
-    tab.locator("#method-a").focus()
-    visited = []
-    for _ in range(6):
-        visited.append(focused(tab))
-        tab.keyboard.press("Tab")
-    assert visited == ["method-a", "method-b", "kind", "order", "along", "query-11"]
-    assert not focused(tab).startswith("query-")
-
-
-def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages(tab: Page) -> None:
-    choose(tab, kind="all queries", order=ORDERS["route"])
-    tab.locator("#query-0").focus()
-    for key, query in [("ArrowDown", 1), ("ArrowRight", 2), ("ArrowUp", 1), ("End", 49), ("Home", 0), ("ArrowUp", 0)]:
-        tab.keyboard.press(key)
-        assert (current(tab), focused(tab)) == (query, f"query-{query}")
-    for _ in range(20):
-        tab.keyboard.press("ArrowDown")
-    assert focused(tab) == "query-20"
-    assert listed(tab) == [*range(20, 40)]
-    tab.keyboard.press("ArrowLeft")
-    assert listed(tab) == [*range(20)]
-
-
-def test_enter_opens_and_closes_the_query_in_focus(tab: Page) -> None:
-    tab.locator("#query-11").focus()
-    tab.keyboard.press("ArrowDown")
-    tab.keyboard.press("Enter")
-    expect(tab.locator("#query-3")).to_have_attribute("aria-expanded", "true")
-    tab.keyboard.press("Enter")
-    expect(tab.locator("#query-3")).to_have_attribute("aria-expanded", "false")
-
-
-def test_what_has_the_focus_is_outlined(tab: Page) -> None:
-    tab.locator("#order").focus()
-    for _ in range(2):
-        tab.keyboard.press("Tab")
-        outline = tab.evaluate("getComputedStyle(document.activeElement).outline")
-        assert "solid" in outline
-        assert "3px" in outline
-
-
-def test_pages_turn_by_their_buttons(tab: Page) -> None:
-    choose(tab, kind="all queries", order=ORDERS["route"])
-    expect(tab.locator("#previous-page")).to_be_disabled()
-    tab.locator("#next-page").click()
-    tab.locator("#next-page").click()
-    assert listed(tab) == [*range(40, 50)]
-    expect(tab.locator("#page-number")).to_have_text("Page 3 of 3")
-    expect(tab.locator("#next-page")).to_be_disabled()
-    tab.locator("#previous-page").click()
-    assert listed(tab) == [*range(20, 40)]
-
-
-def test_an_empty_selection_says_what_to_do(tab: Page) -> None:
-    choose(tab, method_a="VPRTempo, seed 0", kind="A tied")
-    expect(tab.locator("#status")).to_contain_text("No query is left")
-    expect(tab.locator("#along")).to_be_disabled()
-    tab.locator("#lanes svg").first.click()
-    assert listed(tab) == []
-
-
-def test_of_thousands_of_queries_twenty_are_in_the_page_at_a_time(reader: Reader) -> None:
-    scores = np.eye(2700, 30, dtype=np.float32)
-    run = answered(scores, [[query % 30] for query in range(2700)], scores=None)
-    tab = reader.read(page("", [], [Section("Railway", (Series("SAD", False, (run,)),), None)]))
-    choose(tab, kind="all queries")
-    expect(tab.locator("#queries > li")).to_have_count(20)
-    expect(tab.locator("#page-number")).to_have_text("Page 1 of 135")
 
 
 # Looks

@@ -34,6 +34,7 @@ from vprbench.records import Run
 from vprbench.report import page as report
 from vprbench.report import words
 from vprbench.report.page import Picture, Section
+from vprbench.report.small_png import small_png
 from vprbench.series import Series
 
 
@@ -76,6 +77,42 @@ def test_the_page_holds_the_table_unchanged_and_every_figure_with_its_caption() 
     assert Image.open(io.BytesIO(png)).size == (1200, 500)
     assert "How long a query takes, on Abacus 9." in parsed.text
     assert "Made from 3 stored runs." in parsed.text
+
+
+@pytest.mark.parametrize("n_pictures", [0, 1])
+def test_a_figure_that_is_not_drawn_is_told_under_the_others(n_pictures: int) -> None:
+    pictures = [Picture("speed", "How long a query takes.", b"")] * n_pictures
+    sentence = f"growth: no run at other numbers of places is stored{HOSTILE}"
+    parsed = Parsed(report.page(TABLE, pictures, [], absent=[sentence]))
+    assert sentence in parsed.text.split("Figures")[-1]
+    assert "#figures" in [link["href"] for link in parsed.all("a")]
+    assert len(parsed.all("li")) - len(Parsed(report.page(TABLE, pictures, [])).all("li")) == 2 - n_pictures
+
+
+def speckled_png(colours: int, alpha: int = 255) -> tuple[bytes, np.ndarray]:
+    """Return a PNG of noise in so many shades of grey, and its pixels on white."""
+    levels = np.random.default_rng(0).integers(0, colours, (600, 600)) * (255 // (colours - 1))
+    pixels = np.stack([levels, levels, levels, np.full_like(levels, alpha)], 2).astype(np.uint8)
+    written = io.BytesIO()
+    Image.fromarray(pixels, "RGBA").save(written, "PNG", compress_level=1)
+    return written.getvalue(), np.where(alpha == 255, pixels[..., :3], 255)
+
+
+@pytest.mark.parametrize("alpha", [255, 0])
+def test_a_large_figure_takes_fewer_bytes_and_looks_the_same(alpha: int) -> None:
+    png, pixels = speckled_png(colours=52, alpha=alpha)
+    assert len(png) > 200_000
+    (image,) = Parsed(report.page(TABLE, [Picture("frames", "Frames.", png)], [])).all("img")
+    small = base64.b64decode(str(image["src"]).removeprefix("data:image/png;base64,"))
+    assert len(small) < len(png)
+    np.testing.assert_array_equal(Image.open(io.BytesIO(small)).convert("RGB"), pixels)
+
+
+def test_a_large_figure_stays_as_it_is_where_a_palette_saves_nothing() -> None:
+    written = io.BytesIO()
+    Image.open(io.BytesIO(speckled_png(colours=256)[0])).convert("L").save(written, "PNG", optimize=True)
+    assert len(written.getvalue()) > 200_000
+    assert small_png(written.getvalue()) == written.getvalue()
 
 
 def test_the_page_refers_to_nothing_outside_itself() -> None:
@@ -231,10 +268,12 @@ def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch: 
 
 
 def test_where_no_frames_fit_names_stand_in_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    section = sized_section(60, 40, 2, Noise(40, 60))
+    run = answered(np.eye(40, 60), [[query] for query in range(40)], n_references=120)
+    section = Section("Railway", (Series("SAD", False, (run,)),), Noise(40, 60))
     monkeypatch.setattr(report, "MOST_BYTES", 1000)
     text = report.page("", [], [section])
     (told,) = Parsed(text).data("answers")
+    assert told["firstReferences"] == ""
     assert told["framesMissing"].startswith("This page would be too large with frames")
     assert told["queryNames"][3] == "images-00003.png"
     assert embedded(text)["queries"] == []
@@ -305,12 +344,47 @@ def test_a_record_that_knows_little_of_its_machine_is_no_obstacle() -> None:
 
 def test_notes_name_their_run_and_its_seed_where_there_are_several() -> None:
     runs = (journey_run({}, 0, notes=("audit failed",)), journey_run({}, 1, notes=("noisy", "caching")))
-    assert words.notes("Journey", [Series("VPRTempo", True, runs)]) == (
+    assert words.notes([("Journey", Series("VPRTempo", True, runs))]) == (
         ("Journey: VPRTempo, seed 0", "audit failed"),
         ("Journey: VPRTempo, seed 1", "noisy"),
         ("Journey: VPRTempo, seed 1", "caching"),
     )
     assert "two carts passed" in Parsed(made_up_page()).text
+
+
+def test_machines_and_notes_are_of_everything_measured_not_only_of_what_is_browsed() -> None:
+    run = journey_run({}, notes=("the clock was not locked",))
+    on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
+    browsed = journey_section()
+    measured = [("Journey", browsed.series[0]), ("Journey", Series("VPRTempo", True, (on_gpu,)))]
+    text = Parsed(report.page(TABLE, [], [browsed], measured=measured)).text
+    assert "Difference Engine" in text
+    assert "Abacus 9" in text
+    assert "Journey: VPRTempo, on cuda" in text
+    assert "the clock was not locked" in text
+    assert "two carts passed" in text
+    assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
+
+
+@pytest.mark.parametrize(
+    ("references", "names", "sentence"),
+    [
+        (60, ["spring/1.png"], ""),
+        (120, ["spring/1.png", "spring/2.png"], "is always its first reference image, of the traverse spring; "),
+        (120, ["spring/1.png", "fall/2.png"], "is always its first reference image; "),
+        (120, ["1.png", "2.png"], "is always its first reference image; "),
+    ],
+)
+def test_which_of_several_reference_images_is_shown_is_told(references: int, names: list[str], sentence: str) -> None:
+    told_of_it = words.first_references([journey_run({}, n_references=references)], names)
+    assert sentence in told_of_it
+    assert bool(told_of_it) == bool(sentence)
+
+
+def test_without_frames_nothing_is_said_of_which_image_is_shown() -> None:
+    several = Section("Journey", (Series("SAD", False, (journey_run({}, n_references=120),)),), None)
+    (section,) = Parsed(report.page("", [], [several])).data("answers")
+    assert section["firstReferences"] == ""
 
 
 def test_margin_and_verdicts_are_defined_on_the_page_itself() -> None:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from little import pictures
+from little import a_run, pictures
 
 from vprbench import registry
 from vprbench.interface import BadInput, Dataset
 from vprbench.plan import PlannedColumn, read_plan
-from vprbench.tuning.places import Searchable, cut, searchable
+from vprbench.records import Run
+from vprbench.tuning.places import Searchable, cut, querying, searchable
 
 
 def config(name: str) -> dict[str, Any]:
@@ -109,6 +110,39 @@ def test_what_has_no_free_places_is_refused_with_the_reason(
 ) -> None:
     with pytest.raises(BadInput, match=complaint):
         searchable(name, dataset, places, [])
+
+
+def stored(dataset: dict[str, Any], *queried: int) -> Run:
+    """A run whose queries show these places."""
+    return a_run(
+        dataset=dataset["name"],
+        config={**a_run().config, "dataset": dataset},
+        positives=tuple(np.array([place]) for place in queried),
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "queried", "named"),
+    [
+        ({}, (3, 40), True),
+        ({"root": "/elsewhere"}, (599,), True),
+        ({}, (600, 601), False),
+        ({"name": "other"}, (3,), False),
+    ],
+)
+def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(
+    changed: dict[str, Any], queried: tuple[int, ...], named: bool
+) -> None:
+    run = stored({**NORDLAND, **changed}, *queried)
+    allowed = searchable("nordland", NORDLAND, 500, [])
+    assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
+
+
+def test_a_stored_run_of_another_journey_is_not_named() -> None:
+    rendered = config("synthetic")
+    allowed = searchable("synthetic", rendered, 20, [])
+    runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
+    assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
 
 
 def two_traverses(tolerance: int = 0) -> Dataset:

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from little import a_run
 from search_stub import HALTS, Stub, recall
 
 import vprbench
 from vprbench import environment, registry
 from vprbench.bench_report import chosen
 from vprbench.interface import BadInput
+from vprbench.records import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training, Tried
 from vprbench.tuning.search import QUICK, Found, Settings, explore, search
@@ -95,6 +97,13 @@ def test_two_processes_find_what_one_finds(tmp_path: Path, workers: Stubs) -> No
     alone = tried(explored(tmp_path / "one", workers, 9))
     with Workers(Stub(), 2) as two:
         assert tried(explored(tmp_path / "two", two, 9)) == alone
+
+
+def test_no_more_processes_start_than_there_are_settings_to_try() -> None:
+    with Workers(Stub(), 8) as many:
+        assert many.started == 0
+        list(many.answers([Task("searched", PAPER)] * 2, lambda task: None))
+        assert many.started == 2
 
 
 def test_a_search_that_is_complete_tries_nothing_more(tmp_path: Path, workers: Stubs) -> None:
@@ -258,11 +267,17 @@ def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path: P
     arguments = {**METHOD, "seed": 4, "device": "cpu"}
     objective.keep(tmp_path / "searched", part, registry.make_method(arguments))
     values = {**PAPER, "rate_min": 0.4}
-    given = Training(tmp_path, arguments)()(Task("searched", values))
-    alone = registry.make_method({**arguments, **values, "max_module": 20}).fit(part.references, part.places)
-    right = [scores.argmax() == place for place, scores in enumerate(alone.query(part.queries))]
-    assert given.recall_at_1 == np.mean(right) > 0
-    assert given.sure_hits.tolist() == right
+    attempt = Training(tmp_path, arguments)()
+    answers = []
+    for asked, seed in ((None, 4), (9, 9)):  # the searched one, and one of the comparison
+        given = attempt(Task("searched", values, asked))
+        alone = registry.make_method({**arguments, **values, "max_module": 20, "seed": seed})
+        alone.fit(part.references, part.places)
+        right = [scores.argmax() == place for place, scores in enumerate(alone.query(part.queries))]
+        assert given.recall_at_1 == np.mean(right) > 0
+        assert given.sure_hits.tolist() == right
+        answers.append(right)
+    assert answers[0] != answers[1]
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -283,9 +298,11 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(results: Path) -> Found:
+def found(results: Path) -> Iterator[Found]:
     settings = Settings(places=12, trials=3, jobs=2, results=str(results))
-    return search(settings, METHOD, DATASET)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(environment, "cores", lambda: [0, 1])
+        yield search(settings, METHOD, DATASET)
 
 
 def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches(found: Found) -> None:
@@ -294,7 +311,7 @@ def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches(found:
         "searched": (12, 12),
         "checked": (12, 12),
     }
-    assert found.compared["searched"].best.recall_at_1 == found.best.recall_at_1
+    assert {each.seeds for each in found.compared.values()} == {(1, 2, 3, 4, 5)}
     assert [found.protocols[name]["stretch"] for name in ("searched", "checked")] == [[0, 11], [12, 23]]
 
 
@@ -302,6 +319,21 @@ def test_the_same_real_search_again_only_compares(found: Found, results: Path) -
     again = search(Settings(places=12, trials=3, jobs=1, results=str(results)), METHOD, DATASET)
     assert again.tried_now == 0
     assert (again.folder, again.trials, again.compared) == (found.folder, found.trials, found.compared)
+
+
+def test_more_jobs_than_cores_are_not_started_and_stored_runs_on_these_places_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    monkeypatch.setattr(environment, "cores", lambda: [0])
+    there = a_run(
+        config={**a_run().config, "dataset": {**DATASET, "seed": 1, "places": 10}}, dataset="synthetic", method="sad"
+    )
+    Store(tmp_path).save(there)
+    crowded = search(Settings(places=12, trials=1, jobs=64, results=str(tmp_path)), METHOD, DATASET)
+    assert crowded.jobs == crowded.environment["threads"] == 1
+    assert "jobs=64: 1 process is used" in caplog.text
+    assert crowded.queried_by == (f"synthetic/sad-{there.key}",)
 
 
 @pytest.mark.parametrize("change", [{"epochs": 2}, {"rules": "v1"}])

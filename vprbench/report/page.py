@@ -95,7 +95,12 @@ def page(
     fitted = _fitted(frames, MOST_BYTES - len(without_frames.encode()))
     if fitted is None:
         return _rendered(
-            facts, [{**one, "framesMissing": one["framesMissing"] or _FRAMES_TOO_LARGE} for one in told], nothing
+            facts,
+            [
+                {**one, "framesMissing": one["framesMissing"] or _FRAMES_TOO_LARGE, "firstReferences": ""}
+                for one in told
+            ],
+            nothing,
         )
     return _rendered(facts, told, fitted)
 
@@ -116,7 +121,8 @@ def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
     """Return what the page's script reads of a section."""
     runs, kept = [run for _, run in _named(section)], section.thumbnails
     run = runs[0]
-    place_names = kept and {place: kept.reference_names[place] for place in places_shown(answers.values())}
+    shown = places_shown(answers.values())
+    place_names = None if kept is None else {place: kept.reference_names[place] for place in shown}
     return {
         "title": section.title,
         "nPlaces": run.outcome.n_places,

@@ -187,7 +187,8 @@ def _jobs(asked: int | None) -> int:
     """Return how many processes there may be: more than there are cores would only be in each other's way."""
     cores = len(environment.cores())
     if asked is not None and asked > cores:
-        logger.info("jobs=%d: %d processes are used, one for each core this process may use", asked, cores)
+        used = "1 process is used" if cores == 1 else f"{cores} processes are used"
+        logger.info("jobs=%d: %s, one for each core that is there for this process", asked, used)
     return min(asked or cores, cores)
 
 

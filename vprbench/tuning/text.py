@@ -70,9 +70,10 @@ def command(found: Found) -> str:
     options = ["method=vprtempo", f"dataset={found.settings.dataset}"]
     if found.settings.root is not None:
         options.append(f"dataset.root={found.settings.root}")
-    rules, largest, places = found.method.get("rules", "paper"), found.method["max_module"], found.dataset["places"]
+    rules = found.method.get("rules", "paper")
     options += [f"method.rules={rules}"] * (rules != "paper")
-    options += [f"method.max_module={places}"] * (places < largest)
+    if (places := found.dataset.get("places")) is not None and places < found.method["max_module"]:
+        options.append(f"method.max_module={places}")
     options += [f"method.{name}={value:g}" for name, value in found.best.values.items()]
     return " ".join(["python -m vprbench", *map(shlex.quote, options)])
 
@@ -113,7 +114,8 @@ def _apart(found: Found) -> str:
         more = f" and {len(runs) - _NAMED} more" * (len(runs) > _NAMED)
         told = (
             "No column of the table queries any of these places, but of the stored runs "
-            f"{', '.join(runs[:_NAMED])}{more} {'does' if len(runs) == 1 else 'do'}: compare none of them with this."
+            f"{', '.join(runs[:_NAMED])}{more} {'does' if len(runs) == 1 else 'do'}: under the best settings "
+            "that is no independent check."
         )
     else:
         told = "No column of the table and no stored run queries any of these places."
@@ -138,9 +140,9 @@ def _parameter_rows(found: Found) -> list[dict[str, str]]:
 def _highest_line(found: Found) -> str:
     recalls = [trial.recall_at_1 for trial in found.trials if trial.recall_at_1 is not None]
     return (
-        f"The best trial has R@1 {_percent(found.best.recall_at_1)} %. That is the highest of {len(recalls)} trials, all "
-        f"trained with seed {found.settings.seed}, on the queries that chose it: a maximum, which luck raises. Only the "
-        "comparison below says what these settings are worth."
+        f"The best trial has R@1 {_percent(found.best.recall_at_1)} %. That is the highest of {len(recalls)} trials, "
+        f"all trained with seed {found.settings.seed}, on the queries that chose it: a maximum, which luck raises. "
+        "Only the comparison below says what these settings are worth."
     )
 
 
@@ -204,8 +206,8 @@ def _verdicts(found: Found) -> list[str]:
     verdicts.append(
         f"Both settings are trained with the same {SEEDS} seeds, none of which chose the best: R@1 is the mean over "
         "them and ± their standard deviation. The interval is that of the difference of per-query mean hits, by a "
-        f"bootstrap of blocks of {BLOCK} neighbouring queries. One is called better only where that interval excludes 0 "
-        f"and {AGREE} or more of the {SEEDS} seeds agree. What the searched places say holds for no others, because "
+        f"bootstrap of blocks of {BLOCK} neighbouring queries. One is called better only where that interval excludes "
+        f"0 and {AGREE} or more of the {SEEDS} seeds agree. What the searched places say holds for no others, because "
         "the best settings were chosen there."
     )
     return verdicts
@@ -256,7 +258,7 @@ def _repeated(repeated: Repeated) -> str:
 
 
 def _signed(share: float) -> str:
-    return f"{100 * share:+.1f}"
+    return f"{round(100 * share, 1) + 0.0:+.1f}"  # no -0.0
 
 
 def _percent(share: float | None) -> str:

@@ -1,0 +1,105 @@
+"""Best against paper: a verdict needs the queries and nearly all seeds, none of them the one that was searched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from search_stub import Stub, recall
+
+from vprbench.tuning.comparison import Comparison, Verdict, compare, compared
+from vprbench.tuning.objective import Task, Tried
+from vprbench.tuning.space import PAPER
+from vprbench.tuning.workers import Workers
+
+RIGHT, WRONG = np.ones(40), np.zeros(40)
+SEEDS = (1, 2, 3, 4, 5)
+
+
+def by_seed(rows: Sequence[npt.NDArray[np.float64]]) -> list[Tried]:
+    return [Tried(row, row) for row in rows]
+
+
+def at(*places: int) -> npt.NDArray[np.float64]:
+    """Hits on these queries alone."""
+    return np.isin(np.arange(40), places).astype(np.float64)
+
+
+def of(best: Sequence[npt.NDArray[np.float64]], paper: Sequence[npt.NDArray[np.float64]]) -> Comparison:
+    return compare(40, SEEDS, by_seed(best), by_seed(paper))
+
+
+@pytest.mark.parametrize(
+    ("best", "verdict"),
+    [
+        ([RIGHT] * 5, "better"),
+        ([RIGHT] * 4 + [WRONG], "better"),
+        ([RIGHT] * 3 + [WRONG] * 2, "not told apart"),  # the interval is [0.2, 0.2] all the same
+        ([WRONG] * 4 + [RIGHT], "worse"),
+        ([WRONG] * 2 + [RIGHT] * 3, "not told apart"),
+    ],
+)
+def test_a_verdict_needs_four_of_five_seeds(best: list[npt.NDArray[np.float64]], verdict: Verdict) -> None:
+    compared = of(best, [1 - row for row in best])
+    assert compared.interval is not None
+    gain = np.mean([2 * row.mean() - 1 for row in best])
+    assert [compared.interval.low, compared.interval.high] == pytest.approx([gain, gain])  # all queries are alike
+    assert compared.verdict == verdict
+
+
+def test_seeds_that_agree_are_no_verdict_where_few_neighbouring_queries_made_it() -> None:
+    compared = of([at(0, 1, 2, 3)] * 5, [at(20, 21, 22)] * 5)  # a traverse without queries 0 to 3 says the opposite
+    assert compared.differences == pytest.approx((0.025,) * 5)
+    assert compared.interval is not None
+    assert compared.interval.low < 0 < compared.interval.high
+    assert compared.verdict == "not told apart"
+
+
+def test_the_interval_takes_neighbouring_queries_together() -> None:
+    together = of([at(*range(20))] * 5, [WRONG] * 5).interval
+    spread = of([at(*range(0, 40, 2))] * 5, [WRONG] * 5).interval  # as many hits, 5 in each block of 10
+    assert together is not None
+    assert spread is not None
+    assert together.high - together.low > 0.5
+    assert [spread.low, spread.high] == pytest.approx([0.5, 0.5])
+
+
+def test_means_deviations_and_differences_are_those_over_the_seeds() -> None:
+    compared = of([at(*range(n)) for n in (8, 12, 16, 20, 24)], [at(*range(12))] * 5)
+    assert compared.best.recall_at_1 == pytest.approx(0.4)
+    assert compared.best.spread == pytest.approx((0.1 * 0.1 * 10 / 4) ** 0.5)  # of 0.2, 0.3, 0.4, 0.5 and 0.6
+    assert compared.differences == pytest.approx((-0.1, 0.0, 0.1, 0.2, 0.3))
+    assert [(test.b, test.c) for test in compared.tests] == [(0, 4), (0, 0), (4, 0), (8, 0), (12, 0)]
+
+
+def test_fewer_queries_than_two_blocks_give_no_verdict() -> None:
+    compared = compare(19, SEEDS, by_seed([np.ones(19)] * 5), by_seed([np.zeros(19)] * 5))
+    assert (compared.interval, compared.verdict) == (None, "not told apart")
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Workers[Task, Tried]]:
+    with Workers(Stub(shifts_by_seed=0.01), 1) as workers:
+        yield workers
+
+
+def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one(workers: Workers[Task, Tried]) -> None:
+    best = {**PAPER, "rate_min": 0.4}
+    both = compared(workers, best, {"searched": 12, "checked": 10}, seed=7)
+    assert {name: (each.n_places, each.seeds) for name, each in both.items()} == {
+        "searched": (12, (8, 9, 10, 11, 12)),
+        "checked": (10, (8, 9, 10, 11, 12)),
+    }
+    for each in both.values():
+        assert each.best.recalls_at_1 == pytest.approx([recall(best) - 0.01 * seed for seed in range(8, 13)])
+        assert each.paper.recalls_at_1 == pytest.approx([recall(PAPER) - 0.01 * seed for seed in range(8, 13)])
+
+
+def test_a_training_that_fails_in_the_comparison_ends_it_with_the_reason() -> None:
+    with (
+        Workers(Stub(fails_above=0.0), 1) as failing,
+        pytest.raises(RuntimeError, match="the comparison with the paper's settings failed: MemoryError: no room"),
+    ):
+        compared(failing, PAPER, {"searched": 12}, seed=0)
