@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
+from little import keep_frames_often
 from PIL import Image as PillowImage
 
 from vprbench import frames, progress
@@ -178,23 +179,9 @@ def test_what_is_kept_already_is_not_read_again(tmp_path: Path) -> None:
     frames.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
 
 
-def keep_often(root: Path) -> int:
-    """Keep the frames again and again, each time as if they were not there; returns how often they were whole."""
-    whole = 0
-    for _ in range(15):
-        found = frames.find
-        frames.find = lambda *_: None  # type: ignore[assignment]
-        try:
-            frames.keep(root, FINGERPRINT, two_traverses())
-        finally:
-            frames.find = found
-        whole += frames.find(root, FINGERPRINT) is not None
-    return whole
-
-
 def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("forkserver")) as pool:
-        assert list(pool.map(keep_often, [tmp_path] * 2)) == [15, 15]
+        assert list(pool.map(keep_frames_often, [tmp_path] * 2, [FINGERPRINT] * 2)) == [15, 15]
     assert [entry.name for entry in tmp_path.iterdir()] == ["frames"]
     assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
 
