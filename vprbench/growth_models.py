@@ -16,7 +16,7 @@ Law = Literal["constant", "logarithmic", "linear"]
 LAWS: tuple[Law, ...] = ("constant", "logarithmic", "linear")
 
 _FEWEST_SIZES = 5  # with fewer the correction of AICc for two coefficients is infinite
-_CLOSEST = 1e-6  # relative error below which no time is known: keeps exact data from an infinite likelihood
+_CLOSEST = 1e-6  # error of ln seconds below which no time is known: keeps exact data from an infinite likelihood
 _SEPARATED = 2.0  # a difference of AICc below which a law keeps substantial support (Burnham and Anderson 2002)
 
 
@@ -62,9 +62,9 @@ def compare(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Comparison:
     """Fit the laws to times (n_samples,) at numbers of places (n_samples,) and compare them.
 
     Of several times at one number of places, such as those of seeds, the median counts as one: what a size has of its
-    own is in all of them. Each law is fitted by least squares on the error relative to the measured time, so that small
-    maps count as much as large ones. None falls, nor lies below 0 at the smallest map. AICc = m ln(S / m) + 2 k +
-    2 k (k + 1) / (m - k - 1), S the sum of squared relative errors at m sizes and k the coefficients and the variance
+    own is in all of them. Each law is fitted by least squares on ln seconds, so that small maps count as much as large
+    ones and half a time is as wrong as twice it. None falls, nor lies below 0 at the smallest map. AICc = m ln(S / m) +
+    2 k + 2 k (k + 1) / (m - k - 1), S the sum of squared errors at m sizes and k the coefficients and the variance
     (Hurvich and Tsai 1989). The exponent is the slope of ln seconds over ln places with Student's interval. Raises
     BadInput for fewer than 5 different sizes and for times that are not above 0.
     """
@@ -87,16 +87,25 @@ def compare(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Comparison:
 
 
 def _fit(law: Law, sizes: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> Fit:
-    from scipy.optimize import nnls  # takes long to import
+    """Fit a law by least squares on ln(seconds), from several starts."""
+    from scipy.optimize import least_squares  # takes long to import
 
-    shape = _shape(law, sizes)
-    columns = [np.ones(len(sizes)), shape - shape.min()][: 1 if law == "constant" else 2]
-    relative = np.stack(columns, axis=1) / times[:, None]
-    scales = np.linalg.norm(relative, axis=0)
-    coefficients = nnls(relative / scales, np.ones(len(sizes)))[0] / scales
-    errors = relative @ coefficients - 1
-    smallest, b = [*coefficients.tolist(), 0.0][:2]
-    return Fit(law, smallest - b * shape.min(), b, _aicc(float(np.mean(errors**2)), len(sizes), len(columns) + 1))
+    shape, logs = _shape(law, sizes), np.log(times)
+    if law == "constant":
+        level = float(logs.mean())
+        return Fit(law, float(np.exp(level)), 0.0, _aicc(float(np.mean((logs - level) ** 2)), len(sizes), 2))
+    rise = (shape - shape.min()) / (shape.max() - shape.min())  # 0 to 1
+
+    def errors(coefficients: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.asarray(np.log(np.exp(coefficients[0]) + coefficients[1] * times.max() * rise) - logs)
+
+    tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    starts = [(low, high) for low in (logs.min(), logs.mean()) for high in (1e-6, 0.1, 1.0)]
+    found = [least_squares(errors, start, bounds=([-np.inf, 0], np.inf), **tight) for start in starts]
+    best = min(found, key=lambda one: float(one.cost))
+    smallest, b = float(np.exp(best.x[0])), float(best.x[1] * times.max() / (shape.max() - shape.min()))
+    mean_square = float(np.mean(errors(best.x) ** 2))
+    return Fit(law, smallest - b * float(shape.min()), b, _aicc(mean_square, len(sizes), 3))
 
 
 def _shape(law: Law, sizes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -176,9 +176,9 @@ def _caption(rows: Sequence[GrowthSamples], said: Sequence[str], fitted: bool) -
     sizes = sorted({run.outcome.n_places for run in runs})
     shown = "thin lines are the other laws" if len(rows) == 1 else "of each row the best law alone is drawn"
     laws = (
-        "Constant, logarithmic and linear laws that do not fall are fitted by least squares on the relative error; the "
-        f"thick line has the lowest AICc, {shown}. An exponent is that of a power law over these sizes, with its 95 % "
-        "interval."
+        "Constant, logarithmic and linear laws that do not fall are fitted by least squares on the logarithm of time; "
+        f"the thick line has the lowest AICc, {shown}. An exponent is that of a power law over these sizes, with its "
+        "95 % interval."
     )
     return caption(
         f"Time against the number of places on {listed(run.dataset for run in runs)}: {len(sizes)} maps of "
