@@ -457,3 +457,8 @@ def test_lines_within_text_end_neither_a_row_nor_a_line_of_csv() -> None:
     assert len(table_formats.csv(made).splitlines()) == 6
     assert in_csv(made)[0]["notes"] == "Error: at line 3"
     assert in_html(made, name="a b c d")[1] == ["41.01"]
+
+
+def test_an_interval_and_a_home_folder_stand_in_markdown_as_they_are() -> None:
+    text = "SAD [43.3, 50.1], weights not in ~/.cache"
+    assert text in markdown(replace(table(), caption=("first", text)))

@@ -66,7 +66,11 @@ def csv(table: Table) -> str:
 def _markdown(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
     text = escape(one_line(text), quote=False)
-    text = re.sub(r"([\\`*\[\]#~$])", r"\\\1", text)
+    text = re.sub(r"([\\`*#$])", r"\\\1", text)
+    if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
+        text = re.sub(r"([\[\]])", r"\\\1", text)
+    if text.count("~") > 1:  # one alone strikes nothing out
+        text = text.replace("~", r"\~")
     text = re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", text)
     return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", text)  # inside of words it is no markup
 
