@@ -461,4 +461,4 @@ def test_lines_within_text_end_neither_a_row_nor_a_line_of_csv() -> None:
 
 def test_an_interval_and_a_home_folder_stand_in_markdown_as_they_are() -> None:
     text = "SAD [43.3, 50.1], weights not in ~/.cache"
-    assert text in markdown(replace(table(), caption=("first", text)))
+    assert text in table_formats.markdown(replace(table(), caption=("first", text)))

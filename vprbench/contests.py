@@ -24,8 +24,8 @@ BLOCK = 10  # consecutive frames that see nearly the same
 NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
 RULES = (
     "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
-    f"{CHANCE} / number of other rows, and the interval of the difference at that level, in blocks of {BLOCK} frames, lies "
-    "above 0.",
+    f"{CHANCE} / number of other rows, and the interval of the difference at that level, in blocks of {BLOCK} frames, "
+    "lies above 0.",
     f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
     f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary.",
 )
