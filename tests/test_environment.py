@@ -5,20 +5,14 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Self
 
-import numpy as np
-import psutil
 import pytest
-from little import Lookup, journey
-from little_runs import quiet_surroundings, run_of, table
+from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, rise_in_a_window
+from little_runs import quiet_surroundings
 
 from vprbench import environment
-from vprbench.images import Images
-from vprbench.interface import Places
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -60,35 +54,19 @@ def test_the_canary_takes_no_notice_of_an_interrupted_lap() -> None:
 
 @in_a_window
 def test_peak_memory_rises_by_200_megabytes_that_were_held_for_a_moment() -> None:
-    environment.reset_peak_memory()
-    before = environment.peak_memory_bytes()
-    np.ones(200_000_000, np.uint8)
-    assert 190e6 <= environment.peak_memory_bytes() - before <= 260e6
+    assert 190e6 <= in_a_new_process(rise_in_a_window) <= 260e6
 
 
 @in_a_window
 def test_a_new_window_forgets_an_earlier_peak() -> None:
-    np.ones(200_000_000, np.uint8)
-    high = environment.peak_memory_bytes()
-    environment.reset_peak_memory()
-    assert environment.peak_memory_bytes() <= high - 150e6
+    assert in_a_new_process(fall_in_a_new_window) >= 150e6
 
 
 @in_a_window
 def test_a_run_knows_the_memory_that_its_method_took() -> None:
-    @dataclass
-    class Large(Lookup):
-        resident_bytes: int = 0  # before
-
-        def fit(self, references: Images, places: Places) -> Self:
-            self.resident_bytes = psutil.Process().memory_info().rss
-            np.ones(200_000_000, np.uint8)
-            return self
-
-    method = Large(table(6, 4))
-    large = run_of(method, journey(6, 4)).peak_memory_bytes
-    assert large - method.resident_bytes >= 190e6
-    assert run_of(Lookup(table(6, 4)), journey(6, 4)).peak_memory_bytes <= large - 150e6
+    before, large, small = in_a_new_process(peaks_of_runs)
+    assert large - before >= 190e6
+    assert small <= large - 150e6
 
 
 def test_a_cpu_has_no_device_memory() -> None:

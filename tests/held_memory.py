@@ -1,0 +1,64 @@
+"""How much memory something takes, measured in a process of its own: one that ran other tests has freed memory at hand.
+
+What a process has freed and kept serves its next 200 MB too, and then nothing rises.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+import numpy as np
+import psutil
+from little import Lookup, journey
+from little_runs import run_of, table
+
+from vprbench import environment
+from vprbench.images import Images
+from vprbench.interface import Places
+
+Answer = TypeVar("Answer")
+
+
+def in_a_new_process(measure: Callable[[], Answer]) -> Answer:
+    """Return what a function of this module measures in a process that has done nothing before."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("forkserver")) as pool:
+        return pool.submit(measure).result()
+
+
+def rise_in_a_window() -> int:
+    """Return by how many bytes the peak rises while 200 MB are held for a moment."""
+    environment.reset_peak_memory()
+    before = environment.peak_memory_bytes()
+    np.ones(200_000_000, np.uint8)
+    return environment.peak_memory_bytes() - before
+
+
+def fall_in_a_new_window() -> int:
+    """Return by how many bytes the peak falls when a new window begins after 200 MB were held."""
+    np.ones(200_000_000, np.uint8)
+    high = environment.peak_memory_bytes()
+    environment.reset_peak_memory()
+    return high - environment.peak_memory_bytes()
+
+
+@dataclass
+class Large(Lookup):
+    """Holds 200 MB while it learns, and remembers what was resident before."""
+
+    resident_bytes: int = 0
+
+    def fit(self, references: Images, places: Places) -> Self:
+        self.resident_bytes = psutil.Process().memory_info().rss
+        np.ones(200_000_000, np.uint8)
+        return self
+
+
+def peaks_of_runs() -> tuple[int, int, int]:
+    """Return the resident bytes before a run holds 200 MB, its peak, and the peak of a run after it that holds none."""
+    method = Large(table(6, 4))
+    large = run_of(method, journey(6, 4)).peak_memory_bytes
+    return method.resident_bytes, large, run_of(Lookup(table(6, 4)), journey(6, 4)).peak_memory_bytes
