@@ -125,7 +125,7 @@ def _work(prepare: Callable[[], Attempt[Any, Any]], link: Connection) -> None:
     with contextlib.suppress(*_GONE):
         try:
             attempt = prepare()
-        except Exception as error:
+        except Exception as error:  # told to the parent, which ends the search by it
             traceback.print_exc()
             link.send(("unprepared", _told(error)))
             return
@@ -134,7 +134,7 @@ def _work(prepare: Callable[[], Attempt[Any, Any]], link: Connection) -> None:
             asked = link.recv()
             try:
                 message = ("given", attempt(asked))
-            except Exception as error:
+            except Exception as error:  # whatever one setting leads to ends its trial, not the search
                 traceback.print_exc()
                 message = ("failed", _told(error))
             link.send(message)
