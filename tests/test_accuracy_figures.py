@@ -211,7 +211,7 @@ def test_rows_differ_in_more_than_colour_and_stand_in_the_legend_in_their_order(
     written = [text.get_text().split(",")[0] for text in legend.get_texts()]
     assert written == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
     assert len({line.get_marker() for line in lines}) == 5
-    assert len({str(line._unscaled_dash_pattern) for line in lines}) == 5  # type: ignore[attr-defined]
+    assert len({str(line._unscaled_dash_pattern) for line in lines}) == 5
 
 
 @pytest.mark.parametrize("draw", ALL)

@@ -27,7 +27,7 @@ def a_wish(row: Row = SAD, seed: int = 0, **changes: object) -> Wanted:
         "seed": seed,
         "device": "cpu",
     }
-    return Wanted(**{**given, **changes})  # type: ignore[arg-type]
+    return Wanted(**{**given, **changes})
 
 
 class Children:

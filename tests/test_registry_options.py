@@ -72,7 +72,7 @@ def test_the_options_of_a_method_are_the_arguments_of_its_class(name: str, kind:
 def test_every_method_can_be_built_without_any_file_of_weights(name: str) -> None:
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         config = OmegaConf.to_container(hydra.compose("run", overrides=[f"method={name}"]).method, resolve=True)
-    assert isinstance(registry.make_method(config), Method)  # type: ignore[arg-type]
+    assert isinstance(registry.make_method(config), Method)
 
 
 # Changed arguments
@@ -130,7 +130,7 @@ def test_no_method_is_changed_when_nothing_was_asked_for(name: str) -> None:
 def changed(name: str, asked: list[str]) -> dict[str, object]:
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         config = OmegaConf.to_container(hydra.compose("run", overrides=asked).method, resolve=True)
-    return registry.entries("method")[name].changed(config)  # type: ignore[arg-type]
+    return registry.entries("method")[name].changed(config)
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> type[Method]:
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "plugin.given", module)
     spec.loader.exec_module(module)
-    return module.Given  # type: ignore[no-any-return]
+    return module.Given
 
 
 def test_code_that_stays_the_same_has_the_same_hash(given: type[Method]) -> None:

@@ -176,7 +176,7 @@ def test_few_large_codes_are_kept_for_an_audit() -> None:
 def test_an_audit_shows_the_method_no_image_again() -> None:
     shown = []
     for index in ("exact", "hnsw"):
-        method = Angles(index=index)  # type: ignore[arg-type]
+        method = Angles(index=index)
         run_of(method, journey(30, 300), replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1]))
         shown.append(sum(method.shown))
     assert shown[0] == shown[1]
