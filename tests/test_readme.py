@@ -12,6 +12,8 @@ import hydra
 import pytest
 
 from vprbench import registry
+from vprbench.layout import HEADS
+from vprbench.plan import QUANTITIES, read_plan
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -63,10 +65,15 @@ def test_what_it_shows_of_a_run_is_filled_in() -> None:
     assert "vprtempo" in shown("run")
 
 
-def test_the_table_it_shows_is_the_one_that_is_kept() -> None:
-    kept = (ROOT / "results" / "table.md").read_text(encoding="utf-8")
-    assert "paper" in shown("table")
-    assert shown("table").strip() in kept
+def test_the_table_it_shows_has_the_columns_and_rows_of_the_plan() -> None:
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown("table").splitlines() if "|" in line]
+    plan = read_plan(ROOT / "conf" / "table.yaml")
+    heads = ["method", *(" ".join(HEADS[quantity]) for quantity in QUANTITIES)]
+    stand_ins = [column for column in plan.columns.values() if column.stand_in_for and column.published]
+    assert [line for line in lines if line[0] == "method"] == [heads] * len(stand_ins)
+    names = [line[0] for line in lines if line[0] in plan.rows]
+    assert names == [*plan.rows] * len(stand_ins)
+    assert [line[0] for line in lines].count("\u21b3 paper") == len(names)
 
 
 def test_every_method_stands_in_the_readme_and_in_the_table_of_methods() -> None:
