@@ -32,10 +32,12 @@ ORDER = [
     "stopwatch",
     "environment",
     "replacing",
+    "partial",
     "records",
     "sources",
     "descriptor_cache",
     "described",
+    "learning",
     "runner",
     "summary",
     "tables",
@@ -66,7 +68,10 @@ ORDER = [
     "workload",
     "measures",
     "bench_report",
+    "bench_vprsnn",
     "bench",
+    "bench_cells",
+    "bench_vprsnn_text",
     "bench_text",
     "descriptor_bench",
     "gpu_check",
@@ -79,7 +84,18 @@ ORDER = [
     "cli",
     "__main__",
 ]
-FOR_PLUGINS = {"compiled", "search", "interface", "images", "preprocess", "progress", "weights", "resize", "neural"}
+FOR_PLUGINS = {
+    "compiled",
+    "search",
+    "interface",
+    "images",
+    "partial",
+    "preprocess",
+    "progress",
+    "weights",
+    "resize",
+    "neural",
+}
 
 
 def imported(path: Path) -> set[str]:

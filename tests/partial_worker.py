@@ -1,0 +1,128 @@
+"""Trainings for the tests of what is kept of them, some in processes that are started, ended and killed."""
+
+from __future__ import annotations
+
+import logging
+import os
+import resource
+import signal
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench import partial
+
+if TYPE_CHECKING:
+    import pytest
+    from stopped_clock import Clock
+
+WHAT = {"method": "walks", "seed": 3}
+MODULES = 5
+FOUR = {"w": np.arange(4.0)}
+
+
+class Interrupted(Exception):
+    """In place of whatever ends a training."""
+
+
+@contextmanager
+def interrupted(by: type[BaseException] = Interrupted) -> Iterator[None]:
+    """Go on after the error that the block has to end with."""
+    try:
+        yield
+    except by:
+        return
+    raise AssertionError("nothing interrupted the block")
+
+
+def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: partial.Arrays) -> Path:
+    """Leave a training with some parts; returns its folder."""
+    before = set(root.iterdir()) if root.exists() else set()
+    with interrupted(), partial.training(what, root) as kept:
+        for name, arrays in parts.items():
+            kept.put(name, arrays)
+        raise Interrupted
+    (home,) = set(root.iterdir()) - before
+    return home
+
+
+def spend(root: Path, clock: Clock, *steps: tuple[str, float], then: float = 0.0) -> float:
+    """Spend seconds on parts, be interrupted after some more; returns what had been spent when this began."""
+    with interrupted(), partial.training(WHAT, root, clock.seconds) as kept:
+        before = kept.found_seconds
+        for name, seconds in steps:
+            kept.get(name)
+            clock.spend(seconds)
+            kept.put(name, FOUR)
+        clock.spend(then)
+        raise Interrupted
+    return before
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """The warnings so far."""
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+def module(number: int) -> dict[str, npt.NDArray[Any]]:
+    """What is learnt in one module."""
+    generator = np.random.default_rng(number)
+    return {"weights": generator.random((20, 30)), "spikes": generator.integers(0, 9, 30)}
+
+
+def whole(number: int, found: Mapping[str, npt.NDArray[Any]]) -> bool:
+    """Whether arrays are those of one module, to the last bit."""
+    wanted = module(number)
+    return found.keys() == wanted.keys() and all(np.array_equal(found[name], wanted[name]) for name in wanted)
+
+
+def train(root: Path) -> tuple[list[int], bool]:
+    """Train all modules that are not kept; returns which, and whether all are right in the end."""
+    trained, right = [], True
+    with partial.training(WHAT, root) as kept:
+        for number in range(MODULES):
+            found = kept.get(f"module-{number}")
+            if found is None:
+                found = module(number)
+                kept.put(f"module-{number}", found)
+                trained.append(number)
+            right &= whole(number, found)
+    return trained, right
+
+
+def train_and_die(root: Path, step: int) -> None:
+    """Train, killed right before so many steps that change or open something on disk are done."""
+    steps = count()
+
+    def die(event: str, _: object) -> None:
+        if event in ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir") and next(steps) == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(die)
+    train(root)
+
+
+def train_often(root: Path, times: int) -> bool:
+    """Train again and again, as one of several processes; returns whether every training had its modules right."""
+    return all(train(root)[1] for _ in range(times))
+
+
+def train_where_no_file_may_exceed(root: Path, limit_bytes: int) -> tuple[list[int], bool, list[str]]:
+    """Train where the system refuses longer files; returns what `train` does, and what was said."""
+    said: list[str] = []
+    listener = logging.Handler(logging.WARNING)
+    listener.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    partial.logger.addHandler(listener)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        return *train(root), said
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        partial.logger.removeHandler(listener)

@@ -1,0 +1,296 @@
+"""Partial trainings: what a long fit has finished is kept on disk, so that an interrupted one goes on from there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import platformdirs
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from vprbench.replacing import replace_bytes
+
+logger = logging.getLogger(__name__)
+
+FORMAT = 1
+_FOLDER = "VPRBENCH_PARTIAL"  # environment variable
+_PART, _UNFINISHED = ".safetensors", ".partial-"  # how the names of files end, or begin
+_SECONDS, _DIGEST = "seconds", "sha256"  # the keys of a file's metadata
+_FORGOTTEN_SECONDS = 30 * 86400.0
+_ATTEMPTS = 5  # to write where another process removes the folder meanwhile
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+
+class Partial:
+    """The parts of one training that are done, each a few arrays under a name; several threads may share it.
+
+    A file that is damaged, or a disk that refuses, costs what was kept and never the training.
+    """
+
+    def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
+        """Look what an interrupted run has left in `folder`."""
+        self._folder = folder
+        self._clock = clock
+        self._last = clock()  # when the last part was kept
+        self._one_at_a_time = threading.Lock()
+        self._refused = False
+        self._found: dict[str, float] = {}  # seconds that other runs spent, by part that they left
+        self._taken: dict[str, float] = {}  # the same of the parts that this run has asked for
+        self._own: dict[str, float] = {}  # seconds that this one spent on the parts that it kept
+        with suppress(OSError):
+            for path in sorted(folder.iterdir()):
+                self._look_at(path)
+
+    @property
+    def seconds(self) -> float:
+        """The wall time that interrupted runs had spent on the parts that this one has asked for."""
+        return sum(self._taken.values())
+
+    @property
+    def found_seconds(self) -> float:
+        """The wall time that interrupted runs had spent on all that they left."""
+        return sum(self._found.values())
+
+    def get(self, name: str) -> dict[str, npt.NDArray[Any]] | None:
+        """Return the arrays of a part; None where it is not there, or was damaged, and then is removed."""
+        path = self._path(name)
+        with self._one_at_a_time:
+            try:
+                arrays, seconds = _read(path)
+            except FileNotFoundError:
+                self._taken.pop(name, None)
+                return None
+            except (OSError, ValueError) as error:
+                self._discard(path, error)
+                return None
+            if name not in self._own:
+                self._taken[name] = seconds
+            return arrays
+
+    def put(self, name: str, arrays: Arrays) -> None:
+        """Keep a part, whole or not at all, in place of an earlier one of that name.
+
+        With it is stored the time since the last part was kept. Raises ValueError for a name that is no file's
+        (letters, digits, '_', '.' and '-') and TypeError for anything but numpy arrays of numbers.
+        """
+        path = self._path(name)
+        plain = {key: _plain(array, key) for key, array in arrays.items()}
+        with self._one_at_a_time:
+            if self._refused:
+                return
+            now = self._clock()
+            own = self._own.get(name, 0.0) + now - self._last
+            try:
+                _write(path, plain, self._taken.get(name, 0.0) + own)
+            except OSError as error:
+                self._refused = True
+                logger.warning(
+                    "the training cannot be kept in %s (%s): it goes on, but an interruption would cost the rest",
+                    self._folder,
+                    error.strerror or error,
+                )
+            else:
+                self._own[name], self._last = own, now
+
+    def start(self) -> None:
+        """Count time from now on."""
+        self._last = self._clock()
+
+    def remove(self) -> None:
+        """Remove all parts."""
+        _remove(self._folder)
+
+    def _look_at(self, path: Path) -> None:
+        if path.name.startswith(_UNFINISHED):
+            with suppress(OSError):
+                path.unlink()
+        elif path.name.endswith(_PART):
+            try:
+                self._found[path.name.removesuffix(_PART)] = _seconds(path)
+            except FileNotFoundError:  # another process has ended the same training
+                return
+            except (OSError, ValueError) as error:
+                self._discard(path, error)
+
+    def _discard(self, path: Path, error: Exception) -> None:
+        for seconds in (self._found, self._taken):
+            seconds.pop(path.name.removesuffix(_PART), None)
+        logger.warning("%s cannot be used (%s): that part is trained anew", path, error)
+        if isinstance(error, ValueError):  # damaged; what only could not be read now may be whole
+            with suppress(OSError):
+                path.unlink()
+
+    def _path(self, name: str) -> Path:
+        if re.fullmatch(r"\w[\w.-]*", name) is None:
+            raise ValueError(f"{name!r} names no part: give letters, digits, '_', '.' and '-'")
+        return self._folder / f"{name}{_PART}"
+
+
+class Resumed:
+    """The trainings of one run: what they took over, and what there is to remove once all is done."""
+
+    def __init__(self) -> None:
+        self._opened: dict[Path, Partial] = {}
+        self._done: set[Path] = set()
+
+    @property
+    def seconds(self) -> float:
+        """The wall time that interrupted runs had spent on what the trainings took over."""
+        return sum(kept.seconds for kept in self._opened.values())
+
+    def open(self, folder: Path, clock: Callable[[], float]) -> Partial:
+        """Return what is kept in a folder; a second training of the same run goes on with its own parts."""
+        if folder not in self._opened:
+            self._opened[folder] = Partial(folder, clock)
+        return self._opened[folder]
+
+    def done(self, folder: Path) -> None:
+        """Take note that a training has ended."""
+        self._done.add(folder)
+
+    def remove(self) -> None:
+        """Remove what was kept of the trainings that have ended."""
+        for folder in self._done:
+            self._opened[folder].remove()
+
+
+_running: ContextVar[Resumed | None] = ContextVar("trainings_of_a_run", default=None)
+
+
+@contextmanager
+def ledger() -> Iterator[Resumed]:
+    """Collect what the trainings inside the block take over, and keep their parts until the block ends.
+
+    So a run that is killed in a later training, or before its result is stored, loses none of the earlier ones. A
+    ledger inside another one is the same.
+    """
+    outer = _running.get()
+    if outer is not None:
+        yield outer
+        return
+    resumed = Resumed()
+    token = _running.set(resumed)
+    try:
+        yield resumed
+    finally:
+        _running.reset(token)
+    resumed.remove()
+
+
+@contextmanager
+def training(
+    what: Mapping[str, Any], folder: Path | None = None, clock: Callable[[], float] = time.perf_counter
+) -> Iterator[Partial]:
+    """Open what was kept of a training, and remove it once the block has ended without an error.
+
+    `what` (plain JSON) is all that decides about the outcome: only a training of the same is resumed. `folder` holds
+    the trainings, one folder for each: by default VPRBENCH_PARTIAL, or one in the user's cache. Those that nobody went
+    on with for 30 days are removed. Several processes may train the same at once: each file is replaced whole.
+    """
+    root = partial_folder() if folder is None else folder
+    text = json.dumps({"format": FORMAT, "what": what}, sort_keys=True)
+    home = root / hashlib.sha256(text.encode()).hexdigest()
+    run = _running.get()
+    _remove_forgotten(root, home)
+    kept = Partial(home, clock) if run is None else run.open(home, clock)
+    if kept.found_seconds:
+        logger.info("a training that took %.0f s goes on from %s", kept.found_seconds, home)
+    kept.start()
+    yield kept
+    if run is None:
+        kept.remove()
+    else:
+        run.done(home)
+
+
+def partial_folder() -> Path:
+    """Return the folder that keeps partial trainings: VPRBENCH_PARTIAL, or one in the user's cache."""
+    chosen = os.environ.get(_FOLDER)
+    if chosen:
+        return Path(chosen).expanduser()
+    return platformdirs.user_cache_path("vprbench", appauthor=False) / "partial"
+
+
+def _write(path: Path, arrays: Arrays, seconds: float) -> None:
+    stated = repr(seconds)
+    content = save(dict(arrays), {_SECONDS: stated, _DIGEST: _digest(stated, arrays)})
+    for attempt in range(_ATTEMPTS):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            replace_bytes(path, content)
+            return
+        except FileNotFoundError:  # another process has ended the same training, and removed the folder
+            if attempt == _ATTEMPTS - 1:
+                raise
+
+
+def _read(path: Path) -> tuple[dict[str, npt.NDArray[Any]], float]:
+    """Return the arrays of a file and the seconds spent on them; raises ValueError where it is damaged."""
+    try:
+        with safe_open(path, framework="np") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
+            metadata = file.metadata() or {}
+    except (SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that numpy lacks
+        raise ValueError(str(error)) from error
+    stated = metadata.get(_SECONDS, "")
+    if metadata.get(_DIGEST) != _digest(stated, arrays):
+        raise ValueError("it is not what was written")
+    return arrays, float(stated)
+
+
+def _seconds(path: Path) -> float:
+    """Return the seconds spent on the arrays of a file, unread; raises ValueError where it is damaged."""
+    try:
+        with safe_open(path, framework="np") as file:
+            return float((file.metadata() or {})[_SECONDS])
+    except (SafetensorError, KeyError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _digest(stated: str, arrays: Arrays) -> str:
+    digest = hashlib.sha256(stated.encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
+        digest.update(array.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def _plain(array: npt.NDArray[Any], name: str) -> npt.NDArray[Any]:
+    """Return an array as safetensors writes it, byte after byte."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        raise TypeError(f"{name} is {kind}; wanted a numpy array of numbers")
+    return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
+
+
+def _remove_forgotten(root: Path, wanted: Path) -> None:
+    """Remove the trainings that nobody went on with, but for the one that is wanted now."""
+    with suppress(OSError):
+        for folder in root.iterdir():
+            if folder != wanted and re.fullmatch(r"[0-9a-f]{64}", folder.name):
+                with suppress(OSError):
+                    if time.time() - folder.stat().st_mtime > _FORGOTTEN_SECONDS:
+                        _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a training; files that are none of ours stay, and their folder with them."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.name.startswith(_UNFINISHED) or path.name.endswith(_PART):
+                path.unlink(missing_ok=True)
+        folder.rmdir()
