@@ -9,7 +9,7 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset
 
 from .frame_folders import check_frames, root_folder
-from .traverses import check_recorded, check_recorded_range, places_of, right_places
+from .traverses import Evaluation, check_recorded, dataset_of, recorded_split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -29,11 +29,13 @@ def nordland(
     frame_multiple: int = 1,
     default_root: str | None = None,
     source: str = _SOURCE,
+    protocol: Evaluation = "vprtempo",
 ) -> Dataset:
     """Return Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
 
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
-    `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places away.
+    `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places away. With
+    the protocol of VPRSNN that many places, chosen as its authors do, are in neither map nor queries instead.
     `frame_multiple` keeps only names whose number it divides. `default_root` (relative to the checkout) stands in
     for a `root` of None where it exists; `source` says in messages where frames are to be had. Raises NotThere for a
     missing root or frames, BadInput for other arguments.
@@ -41,25 +43,23 @@ def nordland(
     seasons = ["spring", "fall"] if references is None else references
     check_recorded("Nordland", "season", SEASONS, seasons, query)
     names = chosen_names(stride, places, frame_multiple)
-    check_recorded_range(places, first_query_place, query_places, tolerance)
-    asked = names[first_query_place : first_query_place + query_places]
+    parts = recorded_split(protocol, places, first_query_place, query_places, tolerance)
     layout = f"get the frames from {source}, and set dataset.root so that <root>/{seasons[0]}/{names[0]} is the first"
     folder = root_folder(name, _beside_checkout(default_root) if root is None else root, "the seasons", layout)
+    asked = [names[place] for place in parts.needed_of_query()]
     check_frames({folder / query: asked} | {folder / season: names for season in seasons}, layout)
-    return Dataset(
-        name=name,
-        references=Images.from_files([folder / season / frame for season in seasons for frame in names]),
-        places=places_of(places, len(seasons)),
-        queries=Images.from_files([folder / query / frame for frame in asked]),
-        positives=right_places(first_query_place, query_places, places, tolerance),
-        protocol={
+    return dataset_of(
+        name,
+        parts,
+        seasons,
+        query,
+        lambda shown: Images.from_files([folder / season / names[place] for season, place in shown]),
+        {
+            "protocol": protocol,
             "references": seasons,
             "query": query,
             "stride": stride,
-            "places": places,
-            "query_places": query_places,
-            "first_query_place": first_query_place,
-            "tolerance_places": tolerance,
+            **parts.record(),
             "frame_multiple": frame_multiple,
         },
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset
 
 from .frame_folders import check_frames, root_folder
-from .traverses import check_recorded, check_recorded_range, places_of, right_places
+from .traverses import Evaluation, check_recorded, dataset_of, recorded_split
 
 #: When each traverse was recorded: its name in the RobotCar dataset.
 RECORDINGS = {"sun": "2015-08-12-15-04-18", "rain": "2015-10-29-12-18-17", "dusk": "2014-11-21-16-07-03"}
@@ -31,12 +32,14 @@ def oxford_robotcar(
     query_places: int = 360,
     first_query_place: int = 90,
     tolerance: int = 0,
+    protocol: Evaluation = "vprtempo",
 ) -> Dataset:
     """Return Oxford RobotCar as `places` places, every `stride`-th row of the published lists (VPRTempo 64154e5).
 
     The k-th rows of all traverses show the same place. `references` are the traverses of the map (sun and rain if
     None). The `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places
-    away. Frames are RGB, demosaiced and undistorted, at `<root>/<traverse>/<timestamp>.png` or
+    away. With the protocol of VPRSNN that many places, chosen as its authors do, are in neither map nor queries
+    instead. Frames are RGB, demosaiced and undistorted, at `<root>/<traverse>/<timestamp>.png` or
     `<root>/<recording>/demosaiced/<timestamp>.png`. The lists name some images more than once, and some of their steps
     lead back in time: the protocol counts both. Raises NotThere for a missing root or frames, BadInput for raw frames
     and for other arguments.
@@ -44,37 +47,38 @@ def oxford_robotcar(
     chosen = ["sun", "rain"] if references is None else references
     check_recorded("Oxford RobotCar", "traverse", RECORDINGS, chosen, query)
     stamps = {traverse: chosen_timestamps(traverse, stride, places) for traverse in [*chosen, query]}
-    check_recorded_range(places, first_query_place, query_places, tolerance)
-    asked = stamps[query][first_query_place : first_query_place + query_places]
+    parts = recorded_split(protocol, places, first_query_place, query_places, tolerance)
     recordings = ", ".join(RECORDINGS[traverse] for traverse in stamps)
     layout = (
         f"register at {_REGISTER} for stereo/left of {recordings}, demosaic and undistort it (raw Bayer frames are not "
         f"accepted yet), and set dataset.root so that <root>/{chosen[0]}/{stamps[chosen[0]][0]}.png is the first"
     )
     top = root_folder(name, root, "the traverses", layout)
-    maps = {_folder(top, traverse): [f"{stamp}.png" for stamp in stamps[traverse]] for traverse in chosen}
-    queried = {_folder(top, query): [f"{stamp}.png" for stamp in asked]}
-    check_frames(queried | maps, layout)
-    reference_paths, query_paths = (
-        [folder / frame for folder in part for frame in part[folder]] for part in (maps, queried)
-    )
-    for first in [*reference_paths[::places], query_paths[0]]:
+    folders = {traverse: _folder(top, traverse) for traverse in stamps}
+
+    def paths(shown: Sequence[tuple[str, int]]) -> list[Path]:
+        return [folders[traverse] / f"{stamps[traverse][place]}.png" for traverse, place in shown]
+
+    asked = paths([(query, place) for place in parts.needed_of_query()])
+    maps = {traverse: paths([(traverse, place) for place in range(places)]) for traverse in chosen}
+    wanted = {query: asked} | maps
+    check_frames({folders[traverse]: [path.name for path in wanted[traverse]] for traverse in wanted}, layout)
+    for first in [*(frames[0] for frames in maps.values()), asked[0]]:
         _check_processed(first)
-    used = {**{traverse: stamps[traverse] for traverse in chosen}, "queries": asked}
-    return Dataset(
-        name=name,
-        references=Images.from_files(reference_paths),
-        places=places_of(places, len(chosen)),
-        queries=Images.from_files(query_paths),
-        positives=right_places(first_query_place, query_places, places, tolerance),
-        protocol={
+    used = {traverse: [stamps[traverse][place] for place in parts.mapped] for traverse in chosen}
+    used["queries"] = [stamps[query][place] for place in parts.queried]
+    return dataset_of(
+        name,
+        parts,
+        chosen,
+        query,
+        lambda shown: Images.from_files(paths(shown)),
+        {
+            "protocol": protocol,
             "references": chosen,
             "query": query,
             "stride": stride,
-            "places": places,
-            "query_places": query_places,
-            "first_query_place": first_query_place,
-            "tolerance_places": tolerance,
+            **parts.record(),
             "repeated_images": {which: len(rows) - len(set(rows)) for which, rows in used.items()},
             "steps_back_in_time": {which: sum(b < a for a, b in pairwise(rows)) for which, rows in used.items()},
         },

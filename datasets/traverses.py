@@ -1,24 +1,132 @@
-"""Traverses of the same places: which are right for a query, and checks of what is asked of recordings."""
+"""Traverses of the same places: which are mapped, queried and held out, which are right, and what recordings refuse."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, HeldOut
+
+Evaluation = Literal["vprtempo", "vprsnn"]  # whose way to split places
+Numbers = npt.NDArray[np.int64]  # (n,), of places along the journey, ascending
+
+_SET_ASIDE_SEED = 42  # QVPR/VPRSNN d38f30c
 
 
-def right_places(first: int, count: int, places: int, tolerance: int) -> tuple[npt.NDArray[np.int64], ...]:
-    """Return for each of `count` queries, the first at place `first`, the places at most `tolerance` places away."""
-    return tuple(
-        np.arange(max(place - tolerance, 0), min(place + tolerance, places - 1) + 1, dtype=np.int64)
-        for place in range(first, first + count)
+@dataclass(frozen=True)
+class Split:
+    """Which places of a journey are in the map, which are queried and which are held out, by their numbers there.
+
+    The dataset numbers the places of its map anew: 0 is the first of `mapped`.
+    """
+
+    protocol: Evaluation
+    mapped: Numbers
+    queried: Numbers
+    held_out: Numbers
+    tolerance: int  # places along the journey
+
+    @property
+    def held_out_in_map(self) -> bool:
+        """Tell whether the references of held-out places are searched too."""
+        return self.protocol == "vprtempo"
+
+    def needed_of_query(self) -> list[int]:
+        """Return the places whose images of the query traverse have to be there whatever the method.
+
+        Those of held-out places that the map holds matter to a method that calibrates alone.
+        """
+        needed = self.queried if self.held_out_in_map else np.union1d(self.queried, self.held_out)
+        return [int(place) for place in needed]
+
+    def record(self) -> dict[str, Any]:
+        """Return what of the split belongs to the protocol of a dataset, but for its name."""
+        held_out = len(self.held_out)
+        return {
+            "places": len(self.mapped) + (0 if self.held_out_in_map else held_out),
+            "query_places": len(self.queried),
+            **({"first_query_place": held_out} if self.held_out_in_map else {}),
+            "reference_places": len(self.mapped),
+            "held_out_places": held_out,
+            "tolerance_places": self.tolerance,
+        }
+
+
+def split(protocol: Evaluation, places: int, first_query_place: int, query_places: int, tolerance: int) -> Split:
+    """Split the places 0 to `places` - 1 as the authors of VPRTempo or those of VPRSNN do; raises BadInput for others.
+
+    vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
+    are queried. vprsnn: as many places as `first_query_place` says are set aside; the others alone are in the map, and
+    the first `query_places` of them are queried.
+    """
+    if protocol not in get_args(Evaluation):
+        raise BadInput(f"dataset.protocol={protocol}: choose {' or '.join(get_args(Evaluation))}")
+    numbers = np.arange(places, dtype=np.int64)
+    if protocol == "vprtempo":
+        mapped, first = numbers, first_query_place
+        held_out = numbers[:first]
+    else:
+        held_out, first = set_aside(places, first_query_place), 0
+        mapped = np.setdiff1d(numbers, held_out)
+    return Split(protocol, mapped, mapped[first : first + query_places], held_out, tolerance)
+
+
+def set_aside(places: int, count: int) -> Numbers:
+    """Return which `count` of the places VPRSNN's authors keep for calibration, ascending (QVPR/VPRSNN d38f30c)."""
+    return np.sort(np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:count]).astype(np.int64)
+
+
+def dataset_of(
+    name: str,
+    parts: Split,
+    references: Sequence[str],
+    query: str,
+    frames: Callable[[Sequence[tuple[str, int]]], Images],
+    protocol: Mapping[str, Any],
+) -> Dataset:
+    """Return the dataset of a split of the traverses `references` and `query`.
+
+    `frames` gives the images of (traverse, place), places by their numbers along the journey.
+    """
+
+    def shown(traverses: Sequence[str], places: Numbers) -> Images:
+        return frames([(traverse, place) for traverse in traverses for place in places.tolist()])
+
+    held_out = (
+        HeldOut(
+            references=shown(references, parts.held_out),
+            places=places_of(len(parts.held_out), len(references)),
+            queries=shown([query], parts.held_out),
+            right=np.arange(len(parts.held_out), dtype=np.int64),
+            in_map=parts.held_out_in_map,
+        )
+        if len(parts.held_out)
+        else None
+    )
+    return Dataset(
+        name=name,
+        references=shown(references, parts.mapped),
+        places=places_of(len(parts.mapped), len(references)),
+        queries=shown([query], parts.queried),
+        positives=right_places(parts.queried, parts.mapped, parts.tolerance),
+        protocol=protocol,
+        held_out=held_out,
     )
 
 
-def places_of(places: int, traverses: int) -> npt.NDArray[np.int64]:
+def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
+    """Return for each query which of the mapped places lie at most `tolerance` places away, by their places in it."""
+    first = np.searchsorted(mapped, queried - tolerance, side="left").tolist()
+    last = np.searchsorted(mapped, queried + tolerance, side="right").tolist()
+    return tuple(np.arange(low, high, dtype=np.int64) for low, high in zip(first, last, strict=True))
+
+
+def places_of(places: int, traverses: int) -> Numbers:
     """Return the place of every reference image of so many traverses, one after the other."""
     return np.tile(np.arange(places, dtype=np.int64), traverses)
 
@@ -35,13 +143,22 @@ def check_recorded(owner: str, kind: str, known: Collection[str], references: Se
         raise BadInput(f"dataset.references={[*references]}: name at least one {kind}, each once")
 
 
-def check_recorded_range(places: int, first_query_place: int, query_places: int, tolerance: int) -> None:
-    """Raise BadInput for queries outside of the places 0 to `places` - 1, and for a negative tolerance."""
+def recorded_split(
+    protocol: Evaluation, places: int, first_query_place: int, query_places: int, tolerance: int
+) -> Split:
+    """Split the places of a recording; raises BadInput where none is left to query, and for a negative tolerance."""
     last = first_query_place + query_places
     if query_places < 1 or first_query_place < 0 or last > places:
+        asked = f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places}"
+        if protocol == "vprsnn":
+            raise BadInput(
+                f"{asked} with dataset.protocol=vprsnn: of {places} places the first number is set aside and the "
+                f"second queried; wanted are 0 or more and 1 or more, together at most {places}"
+            )
         raise BadInput(
-            f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places} ask for places "
-            f"{first_query_place} to {last - 1}; wanted are one or more of the places 0 to {places - 1}"
+            f"{asked} ask for places {first_query_place} to {last - 1}; "
+            f"wanted are one or more of the places 0 to {places - 1}"
         )
     if tolerance < 0:
         raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
+    return split(protocol, places, first_query_place, query_places, tolerance)

@@ -154,10 +154,10 @@ def test_a_pretrained_row_without_a_published_time_quotes_none() -> None:
 
 
 def test_what_is_missing_is_told_in_a_sentence() -> None:
-    lost = failure("vprsnn", error="there is no method vprsnn here yet; write one", missing=True)
+    lost = failure("vprsnn", error="/nets/XeAe.npy is missing: put it there; then run again", missing=True)
     made = table([], [lost], rows=[VPRSNN])
     assert absences(made, "VPRSNN") == ["not there", "not there", "not there", "not run", "not run"]
-    assert reasons(made, "VPRSNN", "recall_at_1") == ["there is no method vprsnn here yet"]
+    assert reasons(made, "VPRSNN", "recall_at_1") == ["/nets/XeAe.npy is missing: put it there"]
 
 
 def test_a_failed_row_shows_its_error_cut_between_words() -> None:

@@ -151,16 +151,75 @@ def test_frames_of_the_query_season_outside_the_queries_may_be_missing(tiny_root
     assert len(nordland(root=str(tiny_root), **TINY).queries) == 4
 
 
+def test_the_places_before_the_first_query_are_held_out_in_every_season(tiny_root):
+    held_out = nordland(root=str(tiny_root), query="winter", **TINY).held_out
+    assert reds(held_out.references) == [10, 11, 30, 31]
+    assert held_out.places.tolist() == [0, 1, 0, 1]
+    assert reds(held_out.queries) == [40, 41]
+    assert (held_out.right.tolist(), held_out.in_map) == ([0, 1], True)
+
+
+def test_without_places_before_the_first_query_none_are_held_out(tiny_root):
+    assert nordland(root=str(tiny_root), stride=2, places=6, query_places=6, first_query_place=0).held_out is None
+
+
+# numpy's RandomState(42) draws of six places first 0, then 1, then 5.
+SET_ASIDE = {"stride": 2, "places": 6, "first_query_place": 3, "query_places": 2, "protocol": "vprsnn"}
+
+
+@pytest.fixture
+def vprsnn(tiny_root):
+    return nordland(root=str(tiny_root), query="winter", **SET_ASIDE)
+
+
+def test_the_places_that_vprsnn_sets_aside_are_neither_in_the_map_nor_queried(vprsnn):
+    assert reds(vprsnn.references) == [12, 13, 14, 32, 33, 34]
+    assert vprsnn.places.tolist() == [0, 1, 2, 0, 1, 2]
+    assert reds(vprsnn.queries) == [42, 43]
+    assert [right.tolist() for right in vprsnn.positives] == [[0], [1]]
+
+
+def test_the_places_that_vprsnn_sets_aside_are_held_out(vprsnn):
+    assert reds(vprsnn.held_out.references) == [10, 11, 15, 30, 31, 35]
+    assert vprsnn.held_out.places.tolist() == [0, 1, 2, 0, 1, 2]
+    assert reds(vprsnn.held_out.queries) == [40, 41, 45]
+    assert (vprsnn.held_out.right.tolist(), vprsnn.held_out.in_map) == ([0, 1, 2], False)
+
+
+def test_frames_of_places_that_vprsnn_sets_aside_have_to_be_there(tiny_root):
+    (tiny_root / "summer" / "images-00202.png").unlink()
+    message = answer(NotThere, root=str(tiny_root), **SET_ASIDE)
+    assert f"images-00202.png is missing from {tiny_root / 'summer'} (1 of 5 expected frames" in message
+
+
+def test_the_record_names_the_protocol_of_vprsnn_and_what_it_sets_aside(vprsnn):
+    assert dict(vprsnn.protocol) == {
+        "protocol": "vprsnn",
+        "references": ["spring", "fall"],
+        "query": "winter",
+        "stride": 2,
+        "places": 6,
+        "query_places": 2,
+        "reference_places": 3,
+        "held_out_places": 3,
+        "tolerance_places": 0,
+        "frame_multiple": 1,
+    }
+
+
 def test_the_protocol_says_everything_that_was_selected(tiny_root):
     dataset = nordland("mine", str(tiny_root), ["fall"], "winter", tolerance=1, **TINY)
     assert dataset.name == "mine"
     assert dict(dataset.protocol) == {
+        "protocol": "vprtempo",
         "references": ["fall"],
         "query": "winter",
         "stride": 2,
         "places": 6,
         "query_places": 4,
         "first_query_place": 2,
+        "reference_places": 6,
+        "held_out_places": 2,
         "tolerance_places": 1,
         "frame_multiple": 1,
     }

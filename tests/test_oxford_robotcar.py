@@ -115,14 +115,35 @@ def test_the_protocol_says_everything_that_was_selected_and_what_is_odd_about_it
     assert (steps["sun"], steps["rain"]) == (55, 59)
     assert steps["queries"] <= 5
     assert protocol == {
+        "protocol": "vprtempo",
         "references": ["sun", "rain"],
         "query": "dusk",
         "stride": 7,
         "places": 450,
         "query_places": 360,
         "first_query_place": 90,
+        "reference_places": 450,
+        "held_out_places": 90,
         "tolerance_places": 0,
     }
+
+
+def test_the_places_before_the_first_query_are_held_out(tiny_root):
+    held_out = oxford_robotcar(root=str(tiny_root), **TINY).held_out
+    assert (reds(held_out.references), reds(held_out.queries)) == ([10, 20], [30])
+    assert (held_out.places.tolist(), held_out.right.tolist(), held_out.in_map) == ([0, 0], [0], True)
+
+
+def test_as_vprsnns_authors_evaluate_the_places_set_aside_are_neither_in_the_map_nor_queried(tiny_root):
+    # numpy's RandomState(42) draws place 1 first of four.
+    dataset = oxford_robotcar(root=str(tiny_root), protocol="vprsnn", **TINY)
+    assert (reds(dataset.references), reds(dataset.queries)) == ([10, 12, 13, 20, 22, 23], [30, 32, 33])
+    assert [right.tolist() for right in dataset.positives] == [[0], [1], [2]]
+    assert (reds(dataset.held_out.references), reds(dataset.held_out.queries)) == ([11, 21], [31])
+    assert not dataset.held_out.in_map
+    assert dataset.protocol["protocol"] == "vprsnn"
+    assert (dataset.protocol["reference_places"], dataset.protocol["held_out_places"]) == (3, 1)
+    assert dataset.protocol["steps_back_in_time"].keys() == {"sun", "rain", "queries"}
 
 
 def test_traverses_come_in_the_order_asked_for(tiny_root):

@@ -163,11 +163,14 @@ def test_the_protocol_says_everything_that_was_selected(dataset):
     selected = dataset("mine", 50, [reference], query, first_query_place=5, query_places=7, tolerance=1, seed=3)
     assert selected.name == "mine"
     assert dict(selected.protocol) == {
+        "protocol": "vprtempo",
         "places": 50,
         "references": [reference],
         "query": query,
         "first_query_place": 5,
         "query_places": 7,
+        "reference_places": 50,
+        "held_out_places": 5,
         "tolerance_places": 1,
         "seed": 3,
         "width": 160,
@@ -241,6 +244,54 @@ def test_the_painter_of_the_seed_renders_each_query_and_reference():
     assert dataset.protocol["renderer"] == 7
 
 
+def shown(images):
+    """The places that the frames of the little journey say they are of."""
+    return [int(frame[0, 0, 1]) for frame in images]
+
+
+def test_the_places_before_the_first_query_are_held_out():
+    held_out = little_journey(references=["midday", "dawn"]).held_out
+    assert (shown(held_out.references), shown(held_out.queries)) == ([0, 1, 0, 1], [0, 1])
+    assert (held_out.places.tolist(), held_out.right.tolist(), held_out.in_map) == ([0, 1, 0, 1], [0, 1], True)
+
+
+def test_where_every_place_is_queried_none_is_held_out():
+    assert little_journey(first_query_place=0).held_out is None
+    assert little_journey(first_query_place=0, protocol="vprsnn").held_out is None
+
+
+# numpy's RandomState(42) draws of eight places first 1, then 5, then 0.
+
+
+def test_as_vprsnns_authors_evaluate_the_places_set_aside_are_neither_in_the_map_nor_queried():
+    dataset = little_journey(references=["midday", "dawn"], first_query_place=3, protocol="vprsnn")
+    assert shown(dataset.references) == [2, 3, 4, 6, 7, 2, 3, 4, 6, 7]
+    assert (shown(dataset.queries), dataset.places.tolist()) == ([2, 3, 4, 6, 7], [*range(5), *range(5)])
+    assert [right.tolist() for right in dataset.positives] == [[0], [1], [2], [3], [4]]
+    assert (shown(dataset.held_out.references), shown(dataset.held_out.queries)) == ([0, 1, 5, 0, 1, 5], [0, 1, 5])
+    assert not dataset.held_out.in_map
+
+
+def test_as_many_places_are_set_aside_as_would_not_be_queried():
+    dataset = little_journey(protocol="vprsnn")
+    assert (shown(dataset.held_out.queries), dataset.n_places, len(dataset.queries)) == ([1, 5], 6, 6)
+    assert dataset.protocol["protocol"] == "vprsnn"
+    assert (dataset.protocol["held_out_places"], dataset.protocol["reference_places"]) == (2, 6)
+
+
+def test_places_that_were_neighbours_before_some_were_set_aside_stay_so():
+    dataset = little_journey(first_query_place=3, query_places=4, tolerance=1, protocol="vprsnn")
+    assert shown(dataset.queries) == [2, 3, 4, 6]
+    # 2 and 3, 3 and 4, 6 and 7 are neighbours; 5 lies between 4 and 6.
+    assert [right.tolist() for right in dataset.positives] == [[0, 1], [0, 1, 2], [1, 2], [3, 4]]
+
+
+def test_the_journey_of_nordlands_size_is_split_as_vprsnns_authors_split_nordland():
+    dataset = synthetic(protocol="vprsnn")
+    assert (len(dataset.queries), dataset.n_places, len(dataset.references)) == (2700, 2700, 5400)
+    assert (len(dataset.held_out.queries), len(dataset.held_out.references)) == (600, 1200)
+
+
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
@@ -251,6 +302,12 @@ def test_the_painter_of_the_seed_renders_each_query_and_reference():
             {"query_places": 7},
             "dataset.query_places=7 came, but from place 2 to the last of 8 there are 1 to 6 to query",
         ),
+        (
+            {"query_places": 7, "protocol": "vprsnn"},
+            "dataset.query_places=7 came, but of 8 places, 2 of them set aside (dataset.first_query_place), there are "
+            "1 to 6 to query",
+        ),
+        ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo or vprsnn"),
         ({"tolerance": -1}, "dataset.tolerance=-1 came; a number of places, 0 or more, was wanted"),
         ({"seed": -1}, "dataset.seed=-1 came; a whole number, 0 or more, was wanted"),
         ({"references": "dawn"}, "dataset.references='dawn' came; wanted at least one of dawn, midday, as a list"),

@@ -165,7 +165,9 @@ def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Met
     assert runner.code_hash(given) == before
 
 
-@pytest.mark.parametrize("name", ["interface", "search", "images", "ranking", "networks", "stopwatch", "runner"])
+@pytest.mark.parametrize(
+    "name", ["interface", "search", "images", "ranking", "networks", "stopwatch", "learning", "runner"]
+)
 def test_a_change_in_what_all_methods_use_changes_their_hash(
     given: type[Method], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -1,8 +1,9 @@
-"""What is asked of traverses: the right places of a query, and what recordings refuse."""
+"""What is asked of traverses: how places are split, the right places of a query, and what recordings refuse."""
 
+import numpy as np
 import pytest
 
-from vprbench.datasets.traverses import check_recorded, check_recorded_range, places_of, right_places
+from vprbench.datasets.traverses import check_recorded, places_of, recorded_split, right_places, set_aside, split
 from vprbench.interface import BadInput
 
 
@@ -12,17 +13,72 @@ def refusal(check, *arguments, **named):
     return str(error.value)
 
 
+def right(queried, mapped, tolerance):
+    return [places.tolist() for places in right_places(np.array(queried), np.array(mapped), tolerance)]
+
+
 def test_right_are_the_places_within_the_tolerance_as_far_as_there_are_any():
-    right = right_places(first=0, count=4, places=5, tolerance=2)
-    assert [places.tolist() for places in right] == [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4], [1, 2, 3, 4]]
+    expected = [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4], [1, 2, 3, 4]]
+    assert right([0, 1, 2, 3], [0, 1, 2, 3, 4], tolerance=2) == expected
 
 
 def test_without_a_tolerance_each_query_has_its_own_place_alone():
-    assert [places.tolist() for places in right_places(first=3, count=2, places=9, tolerance=0)] == [[3], [4]]
+    assert right([3, 4], [*range(9)], tolerance=0) == [[3], [4]]
+
+
+def test_a_tolerance_is_of_places_along_the_journey_and_right_places_are_of_the_map():
+    # Of the journey 0 to 9 the map holds 1, 2, 5, 6 and 9, which it numbers 0, 1, 2, 3 and 4.
+    assert right([1, 5, 9], [1, 2, 5, 6, 9], tolerance=1) == [[0, 1], [2, 3], [4]]
+    assert right([1, 5, 9], [1, 2, 5, 6, 9], tolerance=3) == [[0, 1], [1, 2, 3], [3, 4]]
 
 
 def test_every_traverse_shows_all_places_in_order():
     assert places_of(3, 2).tolist() == [0, 1, 2, 0, 1, 2]
+
+
+# How places are split
+
+
+def test_vprtempo_searches_all_places_and_holds_out_those_before_the_first_query():
+    parts = split("vprtempo", 7, 2, 4, 0)
+    assert (parts.mapped.tolist(), parts.queried.tolist()) == ([0, 1, 2, 3, 4, 5, 6], [2, 3, 4, 5])
+    assert (parts.held_out.tolist(), parts.held_out_in_map) == ([0, 1], True)
+
+
+def test_the_places_set_aside_are_the_published_draw():
+    # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
+    assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
+
+
+def test_vprsnn_searches_none_of_the_places_that_are_set_aside():
+    parts = split("vprsnn", 10, 3, 4, 0)
+    assert (parts.held_out.tolist(), parts.held_out_in_map) == ([1, 5, 8], False)
+    assert parts.mapped.tolist() == [0, 2, 3, 4, 6, 7, 9]
+    assert parts.queried.tolist() == [0, 2, 3, 4]
+
+
+def test_as_published_vprsnn_asks_2700_queries_of_2700_places_after_600_were_set_aside():
+    parts = split("vprsnn", 3300, 600, 2700, 0)
+    assert (len(parts.held_out), len(parts.mapped), parts.queried.tolist()) == (600, 2700, parts.mapped.tolist())
+    assert sorted([*parts.held_out.tolist(), *parts.mapped.tolist()]) == [*range(3300)]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "recorded"),
+    [
+        ("vprtempo", {"first_query_place": 3, "reference_places": 10, "held_out_places": 3}),
+        ("vprsnn", {"reference_places": 7, "held_out_places": 3}),
+    ],
+)
+def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, recorded):
+    assert split(protocol, 10, 3, 4, 1).record() == {"places": 10, "query_places": 4, "tolerance_places": 1} | recorded
+
+
+def test_an_unknown_protocol_is_answered_with_those_there_are():
+    assert refusal(split, "sift", 10, 3, 4, 0) == "dataset.protocol=sift: choose vprtempo or vprsnn"
+
+
+# What recordings refuse
 
 
 @pytest.mark.parametrize(
@@ -42,19 +98,33 @@ def test_the_query_traverse_of_recordings_may_be_the_map():
     check_recorded("Town", "hour", ("dawn", "noon"), ["noon"], "noon")
 
 
-@pytest.mark.parametrize(("first", "count"), [(-1, 2), (0, 0), (0, -3), (4, 3), (6, 1)])
+OUTSIDE = [(-1, 2), (0, 0), (0, -3), (4, 3), (6, 1)]
+
+
+@pytest.mark.parametrize(("first", "count"), OUTSIDE)
 def test_recordings_refuse_queries_outside_of_their_places(first, count):
-    message = refusal(check_recorded_range, 6, first, count, 0)
+    message = refusal(recorded_split, "vprtempo", 6, first, count, 0)
     assert message.startswith(
         f"dataset.first_query_place={first} and dataset.query_places={count} ask for places {first} "
     )
     assert message.endswith("wanted are one or more of the places 0 to 5")
 
 
+@pytest.mark.parametrize(("aside", "count"), OUTSIDE)
+def test_recordings_refuse_more_queries_than_places_are_left_once_some_are_set_aside(aside, count):
+    message = refusal(recorded_split, "vprsnn", 6, aside, count, 0)
+    assert message == (
+        f"dataset.first_query_place={aside} and dataset.query_places={count} with dataset.protocol=vprsnn: of 6 "
+        "places the first number is set aside and the second queried; wanted are 0 or more and 1 or more, "
+        "together at most 6"
+    )
+
+
+@pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
 @pytest.mark.parametrize(("first", "count"), [(0, 6), (5, 1)])
-def test_recordings_may_be_queried_from_their_first_place_to_their_last(first, count):
-    check_recorded_range(6, first, count, 0)
+def test_recordings_may_be_queried_from_their_first_place_to_their_last(protocol, first, count):
+    assert len(recorded_split(protocol, 6, first, count, 0).queried) == count
 
 
 def test_recordings_refuse_a_negative_tolerance():
-    assert refusal(check_recorded_range, 6, 0, 6, -2) == "dataset.tolerance=-2: give 0 or more places"
+    assert refusal(recorded_split, "vprtempo", 6, 0, 6, -2) == "dataset.tolerance=-2: give 0 or more places"

@@ -175,7 +175,7 @@ def test_who_else_queries_these_places_is_told() -> None:
 
 def test_recorded_places_are_said_to_stay_in_the_map_of_reported_results() -> None:
     recorded = {"searched": {"stretch": [0, 39]}, "checked": {"stretch": [40, 79]}}
-    stay = "As references they stay in the map of reported results."
+    stay = "As references they stay in the map of reported results, and columns on request may query them."
     assert stay in text.text_of(a_search(protocols=recorded))
     assert stay not in text.text_of(a_search())
 

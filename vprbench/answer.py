@@ -13,6 +13,7 @@ from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
+from vprbench.partial import ledger
 from vprbench.records import Run, Store
 from vprbench.weights import content_hash
 
@@ -40,17 +41,18 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         run = None
     from_store = run is not None
-    if run is not None:  # whoever stored it may have asked in other words
-        run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
-    else:
-        cache = DescriptorCache(store.root / "descriptors") if settings.cache else None
-        with progress_shown(f"{name} on {dataset.name}"):
-            run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, cache)
-    try:
-        folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
-    except BadInput:
-        _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
-        raise
+    with ledger():  # what was trained is kept until the run is stored
+        if run is not None:  # whoever stored it may have asked in other words
+            run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
+        else:
+            cache = DescriptorCache(store.root / "descriptors") if settings.cache else None
+            with progress_shown(f"{name} on {dataset.name}"):
+                run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, cache)
+        try:
+            folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
+        except BadInput:
+            _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
+            raise
     _print(run, folder, from_store, settings.output)
     if settings.frames:
         _keep_frames(store, fingerprint, dataset)

@@ -21,7 +21,8 @@ from vprbench.records import Run
 
 _BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
 _OF_RATES = ("caching", "audit failed")
-_OF_TRAINING = ("descriptors of",)
+_RESUMED = "fit was resumed"
+_OF_TRAINING = ("descriptors of", _RESUMED)
 
 
 def assemble(
@@ -217,6 +218,8 @@ def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) 
     if quantity in TRAINING:
         if _only_maps(entry.row, plan):
             yield "the time to build the map from the references"
+        for note in (note for run in runs for note in run.notes if note.startswith(_RESUMED)):
+            yield one_sentence(note, sentences=False)
         return
     if quantity in RATES and entry.row.boundary is None:
         yield "encode and match together: the paper has no such row"

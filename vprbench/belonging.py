@@ -174,7 +174,7 @@ def title(group: Group, among: Sequence[Group]) -> str:
     versions = [other for other in among if other.asked.planned.name == planned.name and other.runs]
     if len(versions) < 2:
         return planned.title
-    protocols = [other.runs[0].protocol for other in versions]
+    protocols = [_told(other.runs[0]) for other in versions]
     names = dict.fromkeys(name for protocol in protocols for name in protocol)
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
     parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
@@ -185,7 +185,13 @@ def title(group: Group, among: Sequence[Group]) -> str:
 
 def protocol_words(run: Run) -> str:
     """Return what a run's dataset selected and how, without the numbers of its places and queries."""
-    return _words({name: value for name, value in run.protocol.items() if name not in ("places", "query_places")})
+    return _words({name: value for name, value in _told(run).items() if name not in ("places", "query_places")})
+
+
+def _told(run: Run) -> dict[str, Any]:
+    """Return the protocol of a run without counts that follow from the rest of it."""
+    follows = {"reference_places"} | ({"held_out_places"} if "first_query_place" in run.protocol else set())
+    return {name: value for name, value in run.protocol.items() if name not in follows}
 
 
 def _words(protocol: Mapping[str, Any]) -> str:

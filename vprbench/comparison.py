@@ -20,6 +20,7 @@ _BOUNDARIES = {
     "match": "the rate covers matching alone, here and in the paper",
 }
 _DISTRACTORS = "our map keeps the {:,} places that are not queried; the paper does not say whether its map does"
+_NO_DISTRACTORS = "our map leaves out {:,} places that are not queried; the paper does not say whether its map does"
 _LOOP = "the paper's rate looks like a loop over the references; ours compares all at once"
 
 
@@ -53,6 +54,8 @@ def reasons(row: Row, planned: PlannedColumn, real_title: str | None, quantity: 
         found += _protocol(run, paper)
         if not found and run.outcome.n_places > len(run.outcome):
             found.append(_DISTRACTORS.format(run.outcome.n_places - len(run.outcome)))
+        elif not found and _leaves_out(run, paper):
+            found.append(_NO_DISTRACTORS.format(paper.places - run.outcome.n_places))
     else:
         if run.outcome.n_places != paper.places:
             found.append(f"other size: {run.outcome.n_places:,} places; the paper's: {paper.places:,}")
@@ -104,7 +107,7 @@ def _data(real_title: str | None, run: Run, paper: _Protocol) -> Iterator[str]:
 
 def _protocol(run: Run, paper: _Protocol) -> Iterator[str]:
     places, queries = run.outcome.n_places, len(run.outcome)
-    if (places, queries) != (paper.places, paper.queries):
+    if (places, queries) != (paper.places, paper.queries) and not _leaves_out(run, paper):
         yield (
             f"other protocol: {queries:,} queries of {places:,} places; "
             f"the paper's: {paper.queries:,} of {paper.places:,}"
@@ -113,6 +116,12 @@ def _protocol(run: Run, paper: _Protocol) -> Iterator[str]:
         if within := run.protocol.get(name):
             words = f"{within:g} {unit}{'s' if unit == 'place' and within > 1 else ''}"
             yield f"other protocol: right within {words}; the paper's: the same place alone"
+
+
+def _leaves_out(run: Run, paper: _Protocol) -> bool:
+    """Tell whether a run asked the paper's queries of their own places alone, as VPRSNN's authors do."""
+    asked_alone = run.outcome.n_places == len(run.outcome) == paper.queries
+    return asked_alone and run.protocol.get("protocol") == "vprsnn"
 
 
 def _hardware(quantity: Quantity, run: Run) -> Iterator[str]:

@@ -16,7 +16,9 @@ from vprbench.plan import Boundary, Row
 from vprbench.records import Run
 
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which runs of one growth differ
-_PER_SIZE = frozenset({"places", "query_places", "first_query_place"})  # and parts of their protocol
+_PER_SIZE = frozenset(  # and parts of their protocol
+    {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}
+)
 
 
 @dataclass(frozen=True)

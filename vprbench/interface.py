@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -84,6 +85,18 @@ class Method(ABC):
         `places` (n_references,) holds for each reference image its place, 0 to n_places - 1, each at least once.
         """
 
+    @property
+    def calibrates(self) -> bool:
+        """Whether `calibrate` chooses anything under the arguments that were given; else it is not called."""
+        return type(self).calibrate is not Method.calibrate
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        """Choose settings by held-out places; called after `fit`, where the dataset has any, and timed as part of it.
+
+        The map stays that of `fit`.
+        """
+        return self
+
     @abstractmethod
     def encode(self, images: Images) -> npt.NDArray[Any]:
         """Turn images into codes (n_images, ...), as far as that does not need the map."""
@@ -111,6 +124,10 @@ class Method(ABC):
 
         Raises BadInput where one is missing.
         """
+        return ()
+
+    def notes(self) -> Sequence[str]:
+        """Return what a reader of its results has to know of what was learnt or loaded; a line each."""
         return ()
 
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
@@ -240,6 +257,43 @@ def best_image_of_place(similarity: Scores, places: Places) -> Scores:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """Places whose queries are no part of the evaluation: a method may choose its settings by them.
+
+    Raises BadInput where the parts do not fit one another.
+    """
+
+    references: Images  # of those places alone
+    places: Places  # (n_references,), numbered from 0 on their own
+    queries: Images
+    right: Places  # (n_queries,), the right place of each, in that numbering
+    in_map: bool  # whether the references are also among those of the dataset
+    n_places: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit one another."""
+        object.__setattr__(self, "n_places", _number_of_places("held-out places", self.references, self.places))
+        if not len(self.queries) or len(self.right) != len(self.queries):
+            raise BadInput(
+                f"held-out places: {len(self.queries)} queries but {len(self.right)} right places; "
+                "wanted one for each of at least one query"
+            )
+        if not 0 <= self.right.min() <= self.right.max() < self.n_places:
+            raise BadInput(
+                f"held-out places: the right places run from {self.right.min()} to {self.right.max()}, "
+                f"the places from 0 to {self.n_places - 1}"
+            )
+
+    def fingerprint(self) -> str:
+        """Return the hash of images, order and ground truth."""
+        digest = hashlib.sha256(self.references.fingerprint().encode())
+        digest.update(self.places.tobytes())
+        digest.update(self.queries.fingerprint().encode())
+        digest.update(self.right.tobytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True)
 class Dataset:
     """Reference and query traverses with their ground truth.
 
@@ -253,26 +307,15 @@ class Dataset:
     positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places; empty where there is none
     protocol: Mapping[str, Any]  # what was selected and how; part of every record
     n_places: int = field(init=False)
+    held_out: HeldOut | None = None  # None: there are no such places
 
     def __post_init__(self) -> None:
         """Check that the parts fit one another."""
-        object.__setattr__(self, "n_places", int(self.places.max()) + 1 if len(self.places) else 0)
         if re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"dataset.name={self.name}: give letters, digits, '.', '_' and '-', for it names a folder")
-        if not len(self.references):
-            raise BadInput(f"dataset {self.name} has no reference images")
+        object.__setattr__(self, "n_places", _number_of_places(f"dataset {self.name}", self.references, self.places))
         if not len(self.queries):
             raise BadInput(f"dataset {self.name} has no query images: ask for at least one")
-        if len(self.places) != len(self.references):
-            raise BadInput(
-                f"dataset {self.name}: {len(self.references)} reference images but {len(self.places)} place ids"
-            )
-        unseen = np.setdiff1d(np.arange(self.n_places), self.places)
-        if len(unseen) or self.places.min() < 0:
-            raise BadInput(
-                f"dataset {self.name}: place ids must run from 0 to {self.n_places - 1} without a gap, "
-                + (f"but {unseen[:3].tolist()} are missing" if len(unseen) else f"but {int(self.places.min())} came")
-            )
         if len(self.positives) != len(self.queries):
             raise BadInput(
                 f"dataset {self.name}: {len(self.queries)} queries but ground truth for {len(self.positives)}"
@@ -284,3 +327,24 @@ class Dataset:
                     f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
                     f"place {wrong}, but places run from 0 to {self.n_places - 1}"
                 )
+
+
+def calibration(method: Method, dataset: Dataset) -> HeldOut | None:
+    """Return the places that a method chooses its settings by; None where it chooses none or the dataset has none."""
+    return dataset.held_out if method.calibrates else None
+
+
+def _number_of_places(whose: str, references: Images, places: Places) -> int:
+    """Return the number of places; raises BadInput where the ids do not fit the images or leave one out."""
+    if not len(references):
+        raise BadInput(f"{whose} has no reference images")
+    if len(places) != len(references):
+        raise BadInput(f"{whose}: {len(references)} reference images but {len(places)} place ids")
+    n_places = int(places.max()) + 1
+    unseen = np.setdiff1d(np.arange(n_places), places)
+    if len(unseen) or places.min() < 0:
+        raise BadInput(
+            f"{whose}: place ids must run from 0 to {n_places - 1} without a gap, "
+            + (f"but {unseen[:3].tolist()} are missing" if len(unseen) else f"but {int(places.min())} came")
+        )
+    return n_places

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from vprbench.interface import BadInput, Dataset, Method
+from vprbench.interface import BadInput, Dataset, Method, calibration
 
 if TYPE_CHECKING:
     import torch
@@ -51,6 +51,7 @@ class Origin:
     dataset: str
     n_places: int
     references: str  # hash of the reference images and their places
+    held_out: str | None = None  # hash of the places that its settings were chosen by
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Or
     """Return what the network of a method is trained with and on, where `arguments` configure the method."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
+    held_out = calibration(method, dataset)
     kept = {name: value for name, value in arguments.items() if name not in ("_target_", "device")}
     return Origin(
         kind=method.stored_as or f"{type(method).__module__}.{type(method).__qualname__}",
@@ -89,6 +91,7 @@ def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Or
         dataset=dataset.name,
         n_places=dataset.n_places,
         references=digest.hexdigest(),
+        held_out=None if held_out is None else held_out.fingerprint(),
     )
 
 
@@ -190,6 +193,8 @@ def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str])
         yield f"{there['n_places']} places there (dataset {there['dataset']}) and {wanted.n_places} here"
     elif there["references"] != wanted.references:
         yield f"other reference images or places (dataset {there['dataset']} there and {wanted.dataset} here)"
+    elif None not in (there.get("held_out"), wanted.held_out) and there["held_out"] != wanted.held_out:
+        yield "its settings were chosen by other held-out places"
 
 
 def _shown(value: Any, missing: object) -> str:

@@ -244,7 +244,7 @@ def _default_columns(plan: Plan, asked: Asked) -> list[str]:
     smaller = {column.smaller for column in plan.columns.values()}
     chosen = []
     for column in plan.columns.values():
-        if column.stand_in_for is not None and column.name not in smaller:
+        if column.stand_in_for is not None and column.name not in smaller and not column.on_request:
             real = plan.columns[column.stand_in_for]
             chosen.append(real.name if _root(real, asked) else column.name)
     return chosen

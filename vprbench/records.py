@@ -246,6 +246,7 @@ def load(folder: Path) -> Run:
         if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
             raise DamagedRunError(f"{_SUMMARY} is not what was written")
         summary = {**{name: None for name, first in _ADDED.items() if layout < first}, **summary}
+        _name_protocol(summary)
         for name, digest in summary["sha256"].items():
             if _digest(folder / name) != digest:
                 raise DamagedRunError(f"{name} is not what was written")
@@ -279,7 +280,23 @@ _PLAIN = (
     "method_seconds",
     "spikes",
 )
+_WITH_PROTOCOLS = frozenset(  # datasets that came to have two
+    f"vprbench.datasets.{name}.{name}" for name in ("nordland", "oxford_robotcar", "street", "synthetic")
+)
 _ADDED = {"load_seconds": 2, "network": 2, "search": 3, "spikes": 4}  # the layout that first held it
+
+
+def _name_protocol(content: dict[str, Any]) -> None:
+    """Name the protocol of a run or failure that was stored when its dataset had only one, VPRTempo's."""
+    dataset = content["config"].get("dataset", {})
+    if dataset.get("_target_") not in _WITH_PROTOCOLS or "protocol" in dataset:
+        return
+    content["config"] = {**content["config"], "dataset": {**dataset, "protocol": "vprtempo"}}
+    if "protocol" in content:
+        recorded = content["protocol"]
+        counts = {"reference_places": "places", "held_out_places": "first_query_place"}
+        follow = {name: recorded[same] for name, same in counts.items() if same in recorded}
+        content["protocol"] = {"protocol": "vprtempo", **recorded, **follow}
 
 
 def _write(run: Run, folder: Path) -> None:
@@ -346,10 +363,11 @@ def _read_failure(folder: Path) -> Failure | None:
     """Read a failure, of an earlier or later version too; None where there is none or, with a warning, none whole."""
     try:
         content = json.loads((folder / _FAILURE).read_text("utf-8"))
+        _name_protocol(content)
         return Failure(**{part.name: content[part.name] for part in fields(Failure) if part.name in content})
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         logger.warning("%s cannot be read (%s)", folder / _FAILURE, error)
         return None
 

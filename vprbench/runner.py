@@ -6,7 +6,7 @@ import hashlib
 import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +18,9 @@ from vprbench import environment, networks, progress, spikes
 from vprbench.described import Described, source_hash
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Places, Scores, held_together
+from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Scores, calibration, held_together
+from vprbench.learning import learn
+from vprbench.partial import ledger
 from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.search import Audit, Search
@@ -54,6 +56,7 @@ def run_key(
     `network` is the hash of the file that the run loads; a run that trains has another key.
     """
     arguments = {name: value for name, value in config["method"].items() if name != "device"}
+    held_out = calibration(method, dataset)
     return content_key(
         {
             "method": arguments,
@@ -61,6 +64,7 @@ def run_key(
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
             "images": fingerprint,
+            "held_out": None if held_out is None else held_out.fingerprint(),
             "files": config.get("files", []),
             "seed": config["seed"],
             "device": environment.device_class(config["device"]),
@@ -76,7 +80,7 @@ def run_key(
 def code_hash(method: type[Method]) -> str:
     """Return the hash of the source behind a method and of what runs, ranks and times all methods."""
     digest = hashlib.sha256(source_hash(method).encode())
-    for part in (Method, Images, Outcome, Stopwatch, networks.load, run):
+    for part in (Method, Images, Outcome, Stopwatch, networks.load, learn, run):
         digest.update(Path(inspect.getfile(part)).read_bytes())
     return digest.hexdigest()
 
@@ -119,13 +123,14 @@ def run(
     environment.reset_peak_memory()
 
     described = Described.of(cache if files.load is None else None, method, config)
-    learnt = _learn(stopwatch, method, dataset, config["method"], key, files, described)
+    with ledger() as resumed:
+        learnt = learn(stopwatch, method, dataset, config["method"], key, files, described, resumed)
 
-    before = dataset.queries.reading.seconds
-    answers = _Answers(dataset, config["depth"])
-    audited = _Audited(method, len(dataset.queries))
-    with stopwatch.lap() as querying:
-        from_cache = _answer(stopwatch, method, dataset, described, answers, audited)
+        before = dataset.queries.reading.seconds
+        answers = _Answers(dataset, config["depth"])
+        audited = _Audited(method, len(dataset.queries))
+        with stopwatch.lap() as querying:
+            from_cache = _answer(stopwatch, method, dataset, described, answers, audited)
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     with stopwatch.lap() as measuring:
@@ -155,6 +160,7 @@ def run(
         },
         notes=(
             *learnt.notes,
+            *method.notes(),
             *_cache_notes(dataset, learnt.from_cache, from_cache),
             *_notes(slowdown, pressure, timing, answers),
             *_search_notes(search),
@@ -183,64 +189,6 @@ def run(
         scores=np.concatenate(answers.kept) if answers.kept else None,
         spikes=spiked,
     )
-
-
-@dataclass(frozen=True)
-class _Learnt:
-    """How a method came to its map, and how long that took."""
-
-    fit_seconds: float | None = None
-    fit_compute_seconds: float | None = None
-    load_seconds: float | None = None
-    notes: tuple[str, ...] = ()
-    from_cache: bool = False  # the descriptors of the references
-
-    @property
-    def seconds(self) -> float:
-        """Return the wall time."""
-        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0)
-
-    @property
-    def method_seconds(self) -> float:
-        """Return the time that went into the method."""
-        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0)
-
-
-def _learn(
-    stopwatch: Stopwatch,
-    method: Method,
-    dataset: Dataset,
-    arguments: Mapping[str, Any],
-    key: str,
-    files: networks.Files,
-    described: Described | None,
-) -> _Learnt:
-    """Load the method's network, or fit the method and store its network where that was asked for."""
-    if files.load is not None:
-        progress.report("load", 0.0)
-        wanted = networks.origin(method, arguments, dataset)
-        with stopwatch.lap() as load:
-            notes = networks.load(files.load, method, wanted, files.sha256)
-        return _Learnt(load_seconds=load[0], notes=notes)
-    destination = networks.prepare(files, method, arguments, dataset)
-    before = dataset.references.reading.seconds
-    progress.report("fit", 0.0)
-    references, places = dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places)
-    from_cache = False
-    with stopwatch.lap() as fit:
-        if described is None:
-            method.fit(references, places)
-        else:
-            assert isinstance(method, DescriptorMethod)
-            method.insist_on_index(len(references))
-            descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
-            method.fit_descriptors(descriptors, places)
-    computing = fit[0] - (dataset.references.reading.seconds - before)
-    if destination is not None:
-        networks.save(destination, method, key, fit[0], computing)
-    if from_cache:
-        return _Learnt(load_seconds=fit[0], from_cache=True)
-    return _Learnt(fit_seconds=fit[0], fit_compute_seconds=computing)
 
 
 class _Answers:
@@ -294,11 +242,6 @@ class _Audited:
         rows = rows[(rows >= 0) & (rows < len(codes))]
         if len(rows):
             self.codes.append(codes[rows])
-
-
-def _reading(total: int) -> Callable[[int], None]:
-    """Return what reports how many references a fit has read, as a stage of its own."""
-    return lambda done: progress.report("fit, reading images", done / total)
 
 
 def _block_size(method: Method, queries: Images, n_places: int) -> int:
@@ -373,12 +316,6 @@ def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[
     if kept:
         nothing = "nothing was encoded" if references and queries else "none of these was encoded"
         yield f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
-
-
-def _read_only(places: Places) -> Places:
-    view = places.view()
-    view.flags.writeable = False
-    return view
 
 
 def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[str]:

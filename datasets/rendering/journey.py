@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image
 
-from ..traverses import places_of, right_places
+from ..traverses import Evaluation, dataset_of, split
 from .film import HEIGHT, WIDTH
 
 
@@ -43,32 +44,32 @@ class Rendered:
         query_places: int | None,
         tolerance: int,
         seed: int,
+        protocol: Evaluation = "vprtempo",
     ) -> Dataset:
         """Return the dataset of what was asked for; raises BadInput for what cannot be rendered."""
         if not self.fewest_places <= places <= self.most_places:
             raise BadInput(
                 f"dataset.places={places} came; {self.journey} has {self.fewest_places} to {self.most_places} places"
             )
-        first, count = self._queries(places, first_query_place, query_places)
+        first, count = self._queries(places, first_query_place, query_places, protocol)
         if tolerance < 0:
             raise BadInput(f"dataset.tolerance={tolerance} came; a number of places, 0 or more, was wanted")
         if seed < 0:
             raise BadInput(f"dataset.seed={seed} came; a whole number, 0 or more, was wanted")
         self._check_traverses(references, query)
         painter = self.painter(seed)
-        return Dataset(
-            name=name,
-            references=_frames(painter, [(traverse, place) for traverse in references for place in range(places)]),
-            places=places_of(places, len(references)),
-            queries=_frames(painter, [(query, place) for place in range(first, first + count)]),
-            positives=right_places(first, count, places, tolerance),
-            protocol={
-                "places": places,
+        parts = split(protocol, places, first, count, tolerance)
+        return dataset_of(
+            name,
+            parts,
+            references,
+            query,
+            partial(_frames, painter),
+            {
+                "protocol": protocol,
                 "references": list(references),
                 "query": query,
-                "first_query_place": first,
-                "query_places": count,
-                "tolerance_places": tolerance,
+                **parts.record(),
                 "seed": seed,
                 "width": WIDTH,
                 "height": HEIGHT,
@@ -76,7 +77,9 @@ class Rendered:
             },
         )
 
-    def _queries(self, places: int, first_query_place: int | None, query_places: int | None) -> tuple[int, int]:
+    def _queries(
+        self, places: int, first_query_place: int | None, query_places: int | None, protocol: Evaluation
+    ) -> tuple[int, int]:
         part, whole = self.skipped
         first = round(places * part / whole) if first_query_place is None else first_query_place
         if not 0 <= first < places:
@@ -85,10 +88,10 @@ class Rendered:
             )
         count = places - first if query_places is None else query_places
         if not 1 <= count <= places - first:
-            raise BadInput(
-                f"dataset.query_places={count} came, but from place {first} to the last of {places} there are "
-                f"1 to {places - first} to query"
-            )
+            left = f"from place {first} to the last of {places}"
+            if protocol == "vprsnn":
+                left = f"of {places} places, {first} of them set aside (dataset.first_query_place),"
+            raise BadInput(f"dataset.query_places={count} came, but {left} there are 1 to {places - first} to query")
         return first, count
 
     def _check_traverses(self, references: Sequence[str], query: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from vprbench.interface import Dataset
 
 from ..rendering.journey import Rendered
+from ..traverses import Evaluation
 from .renderer import VERSION, Renderer
 from .weather import WEATHERS
 
@@ -31,17 +32,19 @@ def street(
     query_places: int | None = None,
     tolerance: int = 0,
     seed: int = 0,
+    protocol: Evaluation = "vprtempo",
 ) -> Dataset:
     """Return traverses of one drive in several weathers, as RGB frames of 160 x 90.
 
     Place k of a seed looks the same however many places are asked for: more places are a longer drive. Without
     `first_query_place` the first fifth of the places is not queried (90 of 450, as the VPRTempo paper does with Oxford
     RobotCar); without `query_places` the queries run to the last place. A query's right places are those within
-    `tolerance` places of its own.
+    `tolerance` places of its own. With the protocol of VPRSNN as many places, chosen as its authors do, are in
+    neither map nor queries instead.
 
     Raises BadInput for a traverse that does not exist and for queries outside the drive.
 
     >>> street(places=100).queries.names[0]
     'dusk/place-00020'
     """
-    return _DRIVE.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed)
+    return _DRIVE.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed, protocol)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from vprbench.interface import Dataset
 
 from ..rendering.journey import Rendered
+from ..traverses import Evaluation
 from .renderer import VERSION, Renderer
 from .seasons import SEASONS
 
@@ -31,17 +32,19 @@ def synthetic(
     query_places: int | None = None,
     tolerance: int = 0,
     seed: int = 0,
+    protocol: Evaluation = "vprtempo",
 ) -> Dataset:
     """Return traverses of one journey in several seasons, as RGB frames of 160 x 90.
 
     Place k of a seed looks the same however many places are asked for: more places are a longer journey.
     Without `first_query_place` the first 2/11 of the places are not queried (600 of 3300, as in the VPRTempo
     paper); without `query_places` the queries run to the last place. A query's right places are those within
-    `tolerance` places of its own.
+    `tolerance` places of its own. With the protocol of VPRSNN as many places, chosen as its authors do, are in
+    neither map nor queries instead.
 
     Raises BadInput for a season that does not exist and for queries outside the journey.
 
     >>> synthetic(places=100, query="winter").queries.names[0]
     'winter/place-00018'
     """
-    return _JOURNEY.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed)
+    return _JOURNEY.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed, protocol)

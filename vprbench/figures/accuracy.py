@@ -130,7 +130,7 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
         figure,
         caption(
             "Recall at 1 over all queries against tolerance: at k, the best match is right if it lies at most k places "
-            f"along the route from a right place{f' (the dataset itself allows {own})' if own else ''}.",
+            f"of the map from a right place{f' (the dataset itself allows {own})' if own else ''}.",
             "Where several places share the highest score, the share of right ones among them counts.",
             _unseen_ties(series),
             dataset_sentence([run]),

@@ -52,6 +52,10 @@ _TRAVERSES = ("references", "reference")
 _QUERIES = ("query", "queries")
 _TOLERANCES = {"tolerance_places": "place", "tolerance_frames": "frame"}
 _COUNTS = ("places", "query_places")  # told by what was counted
+_PROTOCOLS = {
+    "vprtempo": "all places are in the map, those before the first query place too",
+    "vprsnn": "the places held out, drawn from all over the journey, are in neither the map nor the queries",
+}
 _RADII = ("radius_metres", "tolerance_metres")
 
 
@@ -67,6 +71,9 @@ def protocol(runs: Sequence[Run]) -> Facts:
     """Say what was asked of which places, for runs of one dataset and protocol."""
     run = runs[0]
     told = {*_TRAVERSES, *_QUERIES, *_TOLERANCES, *_RADII, *_COUNTS}
+    known = str(run.protocol.get("protocol"))
+    if known in _PROTOCOLS:
+        told.add("protocol")
     besides = [
         f"{name.replace('_', ' ')}: {_plain(value)}"
         for name, value in run.protocol.items()
@@ -79,6 +86,8 @@ def protocol(runs: Sequence[Run]) -> Facts:
         ("Queries", _count(len(run.outcome), "image") + _traverses(run.protocol, _QUERIES)),
         ("Right places", _right_places(run)),
     ]
+    if known in _PROTOCOLS:
+        facts.append(("Protocol", f"{known}: {_PROTOCOLS[known]}"))
     if besides:
         facts.append(("Also recorded", "; ".join(besides)))
     timing = [words for words in dict.fromkeys(_timing(run.config.get("timing")) for run in runs) if words]

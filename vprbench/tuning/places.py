@@ -31,11 +31,17 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
     """Return where to search with `places` places, and where to check what was found.
 
     A rendered dataset is another journey than the reported ones, `places` to search and as many to check. Of a
-    recorded one there are the places that neither its own protocol nor a column of the table queries: the longest
-    stretch is searched, the longest left then is checked. Raises BadInput where there are too few.
+    recorded one there are the places that neither its own protocol nor a column of the table queries, those on request
+    aside: the longest stretch is searched, the longest left then is checked. Raises BadInput where there are too few,
+    and for a protocol that sets places aside here and there.
     """
-    options = [{**config, **_arguments(column)} for column in columns if f"dataset={name}" in column.options]
-    reported = [config, *options]
+    if _scatters(config):
+        raise BadInput(
+            f"dataset.protocol={config['protocol']}: a search needs places in a row, and that protocol draws those "
+            "that it sets aside: leave it out"
+        )
+    shown = [column for column in columns if f"dataset={name}" in column.options and not column.on_request]
+    reported = [config, *({**config, **_arguments(column)} for column in shown)]
     if "seed" in config:
         journey = 1 + max(each["seed"] for each in reported)
         other = {"seed": journey, "places": 2 * places, "first_query_place": 0, "query_places": 2 * places}
@@ -44,7 +50,8 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
         raise BadInput(f"dataset={name}: nothing says which of its places no reported result queries; {_ELSEWHERE}")
     free = np.ones(config["places"], np.bool_)
     for each in reported:
-        free[each["first_query_place"] :][: each["query_places"]] = False
+        first, count = (0, len(free)) if _scatters(each) else (each["first_query_place"], each["query_places"])
+        free[first:][:count] = False
     longest = _longest(free)
     if not longest:
         raise BadInput(f"dataset={name}: reported results query all of its {config['places']} places; {_ELSEWHERE}")
@@ -63,19 +70,23 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
 def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
     """Return which stored runs query places that are searched or checked, as `<dataset>/<method>-<key>`.
 
-    A run does where dataset and seed are the same and a right place of a query lies in either stretch.
+    A run does where dataset and seed are the same and a right place of a query lies in either stretch. One whose
+    protocol draws places here and there, and numbers the others anew, may query any.
     """
     mine = {*allowed.searched, *allowed.checked}
     return [
         f"{run.dataset}/{run.method}-{run.key}"
         for run in runs
         if _journey(run.config["dataset"]) == _journey(allowed.dataset)
-        and not mine.isdisjoint(place for right in run.positives for place in right.tolist())
+        and (
+            _scatters(run.config["dataset"])
+            or not mine.isdisjoint(place for right in run.positives for place in right.tolist())
+        )
     ]
 
 
 def cut(dataset: Dataset, stretch: range) -> Dataset:
-    """Return the references of some places, and the queries all of whose right places are among them."""
+    """Return the references of some places, and the queries all of whose right places are among them; none held out."""
     shown = np.flatnonzero(np.isin(dataset.places, stretch))
     asked = [n for n, right in enumerate(dataset.positives) if len(right) and np.isin(right, stretch).all()]
     return replace(
@@ -85,7 +96,13 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
         queries=dataset.queries[np.array(asked, np.int64)],
         positives=tuple(dataset.positives[n] - stretch.start for n in asked),
         protocol={**dataset.protocol, "stretch": [stretch.start, stretch.stop - 1]},
+        held_out=None,
     )
+
+
+def _scatters(dataset: Mapping[str, Any]) -> bool:
+    """Tell whether a dataset's protocol draws the places that it does not query from all over its journey."""
+    return dataset.get("protocol") == "vprsnn"
 
 
 def _journey(dataset: Mapping[str, Any]) -> tuple[Any, Any]:

@@ -120,7 +120,8 @@ def _apart(found: Found) -> str:
     else:
         told = "No column of the table and no stored run queries any of these places."
     recorded = "seed" not in found.protocols["searched"]
-    return told + " As references they stay in the map of reported results." * recorded
+    stay = " As references they stay in the map of reported results, and columns on request may query them."
+    return told + stay * recorded
 
 
 def _parameter_rows(found: Found) -> list[dict[str, str]]:

@@ -1,0 +1,382 @@
+"""What a method may choose its settings by, and what a run says of that and of a training that it went on with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import assembled
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
+from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
+from stopped_clock import Clock, ReadersThatWait
+
+from vprbench import images, networks, partial, progress, runner
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, HeldOut, Method, Places, Scores
+from vprbench.records import Run
+
+
+@pytest.fixture(scope="module", autouse=True)
+def surroundings() -> Iterator[SimpleNamespace]:
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    clock.replaces_those_of([runner, images], monkeypatch)
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    return clock
+
+
+def held_out(**changes: Any) -> HeldOut:
+    """Three places in two traverses, each queried once, the last one first."""
+    parts = {
+        "references": pictures([50, 51, 52, 60, 61, 62]),
+        "places": np.array([0, 1, 2, 0, 1, 2]),
+        "queries": pictures([72, 71, 70]),
+        "right": np.array([2, 1, 0]),
+        "in_map": False,
+    }
+    return HeldOut(**parts | changes)
+
+
+def with_held_out(held: HeldOut | None = None) -> Dataset:
+    return replace(journey(6, 4), held_out=held or held_out())
+
+
+@dataclass
+class Choosing(Lookup):
+    """Notes the calls that it gets, and what it is given to choose its settings by."""
+
+    given: list[HeldOut] = field(default_factory=list)
+    calls: list[str] = field(default_factory=list)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        self.calls.append("fit")
+        return self
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        self.calls.append("calibrate")
+        self.given.append(held_out)
+        return self
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        self.calls.append("encode")
+        return super().encode(images)
+
+
+# What held-out places are
+
+
+def refusal(**changes: Any) -> str:
+    with pytest.raises(BadInput) as error:
+        held_out(**changes)
+    return str(error.value)
+
+
+def test_the_number_of_held_out_places_is_counted() -> None:
+    assert held_out().n_places == 3
+
+
+def test_held_out_parts_that_do_not_fit_one_another_are_refused() -> None:
+    assert "6 reference images but 2 place ids" in refusal(places=np.array([0, 1]))
+    assert "held-out places: place ids must run from 0 to 3 without a gap" in refusal(
+        places=np.array([0, 1, 3, 0, 1, 3])
+    )
+    assert refusal(right=np.array([0])) == (
+        "held-out places: 3 queries but 1 right places; wanted one for each of at least one query"
+    )
+    assert "0 queries but 0 right places" in refusal(queries=pictures([]), right=np.array([], np.int64))
+    for wrong in (3, -1):
+        assert "the places from 0 to 2" in refusal(right=np.array([0, 1, wrong]))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"references": pictures([50, 51, 53, 60, 61, 62])},
+        {"places": np.array([0, 2, 1, 0, 1, 2])},
+        {"queries": pictures([72, 71, 73])},
+        {"right": np.array([2, 0, 1])},
+    ],
+    ids=["references", "places", "queries", "ground truth"],
+)
+def test_other_held_out_places_have_another_fingerprint(changes: dict[str, Any]) -> None:
+    assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
+
+
+def test_a_dataset_has_no_held_out_places_unless_it_says_so() -> None:
+    assert journey(6, 4).held_out is None
+
+
+# What a run does with them
+
+
+def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query() -> None:
+    method = Choosing(table(6, 4))
+    run_of(method, with_held_out())
+    assert method.calls[:3] == ["fit", "calibrate", "encode"]
+    assert method.calls.count("calibrate") == 1
+
+
+def test_without_held_out_places_nothing_is_calibrated() -> None:
+    method = Choosing(table(6, 4))
+    run = run_of(method, journey(6, 4))
+    assert method.given == []
+    assert not any("calibrated" in note for note in run.notes)
+
+
+def test_a_method_sees_the_held_out_images_their_places_and_what_is_right() -> None:
+    method = Choosing(table(6, 4))
+    run_of(method, with_held_out())
+    (seen,) = method.given
+    assert numbers_in(seen.references) == [50, 51, 52, 60, 61, 62]
+    assert numbers_in(seen.queries) == [72, 71, 70]
+    assert (seen.places.tolist(), seen.right.tolist(), seen.in_map) == ([0, 1, 2, 0, 1, 2], [2, 1, 0], False)
+
+
+def test_the_names_of_held_out_images_say_nothing() -> None:
+    method = Choosing(table(6, 4))
+    named = [Images.from_arrays(list(pictures(range(n))), [f"place-{i}" for i in range(n)]) for n in (6, 3)]
+    run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
+    (seen,) = method.given
+    assert seen.references.names == tuple(f"image {i}" for i in range(6))
+    assert seen.queries.names == ("image 0", "image 1", "image 2")
+
+
+@pytest.mark.parametrize("part", ["places", "right"])
+def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
+    @dataclass
+    class Writing(Choosing):
+        def calibrate(self, held_out: HeldOut) -> Self:
+            getattr(held_out, part)[0] = 1
+            return self
+
+    with pytest.raises(ValueError, match="read-only"):
+        run_of(Writing(table(6, 4)), with_held_out())
+
+
+def test_a_run_tells_on_how_many_queries_and_places_it_was_calibrated() -> None:
+    assert "calibrated on 3 held-out queries of 3 places" in run_of(Choosing(table(6, 4)), with_held_out()).notes
+
+
+def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
+    @dataclass
+    class Settled(Choosing):
+        threshold: float | None = None
+
+        @property
+        def calibrates(self) -> bool:
+            return self.threshold is None
+
+    calls = []
+    for threshold in (None, 0.5):
+        method = Settled(table(6, 4), threshold=threshold)
+        run = run_of(method, with_held_out())
+        calls.append((method.calls.count("calibrate"), any("calibrated" in note for note in run.notes)))
+    assert calls == [(1, True), (0, False)]
+    assert key(Settled(table(6, 4), threshold=0.5), held_out()) == key(Settled(table(6, 4), threshold=0.5), None)
+
+
+def test_a_method_that_chooses_nothing_is_not_said_to_be_calibrated() -> None:
+    run = run_of(Lookup(table(6, 4)), with_held_out())
+    assert not any("calibrated" in note for note in run.notes)
+
+
+def test_calibrating_is_a_stage_of_its_own() -> None:
+    stages: list[str] = []
+    with progress.listening(lambda stage, _: stages.append(stage)):
+        run_of(Choosing(table(6, 4)), with_held_out())
+    assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
+
+
+@dataclass
+class Reading(Choosing):
+    """Looks at each reference in `fit` and at each held-out image in `calibrate`, which computes for 2 s more."""
+
+    clock: Clock = field(kw_only=True)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        list(references)
+        self.clock.spend(1)
+        return self
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        list(held_out.references)
+        list(held_out.queries)
+        self.clock.spend(2)
+        return self
+
+
+def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computing(clock: Clock) -> None:
+    slow = {"references": slow_pictures(6, 10, clock.spend), "queries": slow_pictures(3, 100, clock.spend)}
+    run = run_of(Reading(table(6, 4), clock=clock), with_held_out(held_out(**slow)))
+    assert run.fit_seconds == pytest.approx(6 * 10 + 3 * 100 + 3)
+    assert run.fit_compute_seconds == pytest.approx(3)
+
+
+def test_waiting_for_views_of_one_traverse_counts_once(clock: Clock) -> None:
+    dataset = replace(journey(6, 4), references=slow_pictures(4, 10, clock.spend))
+    shared = held_out(references=dataset.references[:2], places=np.arange(2), right=np.array([0, 1, 0]), in_map=True)
+    run = run_of(Reading(table(6, 4), clock=clock), replace(dataset, held_out=shared))
+    assert run.fit_seconds == pytest.approx(4 * 10 + 2 * 10 + 3)
+    assert run.fit_compute_seconds == pytest.approx(3)
+
+
+def key(method: Method, held: HeldOut | None) -> str:
+    return runner.run_key(method, CONFIG, replace(journey(6, 4), held_out=held), "f", QUICK, 1)
+
+
+def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_alone() -> None:
+    different = [None, held_out(), held_out(right=np.array([2, 0, 1]))]
+    assert len({key(Choosing(table(6, 4)), held) for held in different}) == 3
+    assert len({key(Lookup(table(6, 4)), held) for held in different}) == 1
+
+
+# Stored networks
+
+
+@dataclass
+class Sharpened(Prototypes):
+    """Chooses its contrast by the number of held-out places, and stores it."""
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        self.contrast = float(held_out.n_places)
+        return self
+
+    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+        return {**super().state(), "contrast": np.array(self.contrast)}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        self.contrast = float(state["contrast"])
+        return super().restore({"means": state["means"]})
+
+
+def stored(path: Path, method: Method, dataset: Dataset, load: bool = False) -> Run:
+    files = networks.Files(load=path) if load else networks.Files(save=path)
+    return runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, files)
+
+
+def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    trained = stored(path, Sharpened(), with_held_out())
+    method = Sharpened()
+    loaded = stored(path, method, with_held_out(), load=True)
+    assert method.contrast == 3.0
+    assert np.array_equal(loaded.top_scores, trained.top_scores)
+    assert not any("calibrated" in note for note in loaded.notes)
+
+
+def test_a_network_whose_settings_were_chosen_by_other_places_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    stored(path, Sharpened(), with_held_out())
+    other = held_out(queries=pictures([72, 71, 73]))
+    with pytest.raises(BadInput, match="its settings were chosen by other held-out places"):
+        stored(path, Sharpened(), replace(journey(6, 4), held_out=other), load=True)
+
+
+def test_a_network_whose_settings_were_chosen_may_be_used_where_nothing_is_held_out(tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    stored(path, Sharpened(), with_held_out())
+    method = Sharpened()
+    stored(path, method, journey(6, 4), load=True)
+    assert method.contrast == 3.0
+
+
+def test_held_out_places_are_no_difference_to_a_method_that_chooses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    stored(path, Prototypes(), with_held_out())
+    assert stored(path, Prototypes(), journey(6, 4), load=True).load_seconds is not None
+
+
+# Trainings that are resumed
+
+
+@dataclass
+class Resuming(Lookup):
+    """Trains for 512 s, keeps that, and for 60 s more; a run of it may be interrupted."""
+
+    folder: Path = field(kw_only=True)
+    clock: Clock = field(kw_only=True)
+    interrupted_in: str = ""
+
+    def fit(self, references: Images, places: Places) -> Self:
+        with partial.training({"training": 1}, self.folder, self.clock.seconds) as kept:
+            if kept.get("first") is None:
+                self.clock.spend(512)
+                kept.put("first", {"weights": np.arange(3)})
+            self._interrupt("fit")
+            self.clock.spend(60)
+        return self
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        self._interrupt("match")
+        self.clock.spend(len(codes))
+        return super().match(codes)
+
+    def _interrupt(self, where: str) -> None:
+        if where == self.interrupted_in:
+            raise KeyboardInterrupt
+
+
+RESUMED = "fit was resumed: the 512.0 s that an interrupted run had spent on it are counted"
+
+
+@pytest.fixture
+def resuming(tmp_path: Path, clock: Clock) -> Resuming:
+    return Resuming(table(6, 4), folder=tmp_path / "kept", clock=clock)
+
+
+def interrupt(method: Resuming, where: str) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_of(replace(method, interrupted_in=where), journey(6, 4))
+
+
+def kept_files(method: Resuming) -> list[Path]:
+    return [path for path in method.folder.rglob("*") if path.is_file()]
+
+
+def test_what_an_interrupted_run_spent_counts_and_is_told(resuming: Resuming) -> None:
+    interrupt(resuming, "fit")
+    run = run_of(resuming, journey(6, 4))
+    assert (run.fit_seconds, run.fit_compute_seconds) == (pytest.approx(572), pytest.approx(572))
+    assert RESUMED in run.notes
+
+
+def test_what_an_interrupted_run_spent_is_no_time_of_the_run_itself(resuming: Resuming) -> None:
+    interrupt(resuming, "fit")
+    run = run_of(resuming, journey(6, 4))
+    assert run.method_seconds == pytest.approx(60 + 6)
+    assert run.harness_seconds == pytest.approx(0)
+
+
+def test_a_fit_in_one_go_is_not_said_to_be_resumed(resuming: Resuming) -> None:
+    run = run_of(resuming, journey(6, 4))
+    assert run.fit_seconds == pytest.approx(572)
+    assert not any("resumed" in note for note in run.notes)
+
+
+def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -> None:
+    interrupt(resuming, "match")
+    assert kept_files(resuming)
+    run = run_of(resuming, journey(6, 4))
+    assert RESUMED in run.notes
+    assert not kept_files(resuming)
+
+
+def test_the_table_tells_of_a_resumed_fit_beside_its_minutes_and_of_calibrating_beside_r_at_1() -> None:
+    calibrated = "calibrated on 3 held-out queries of 3 places"
+    made = assembled.table([assembled.tempo(seed, notes=(RESUMED, calibrated)) for seed in range(3)])
+    assert RESUMED in assembled.reasons(made, "VPRTempo", "train_cpu")
+    assert calibrated not in assembled.reasons(made, "VPRTempo", "train_cpu")
+    assert calibrated in assembled.reasons(made, "VPRTempo", "recall_at_1")
+    assert RESUMED not in assembled.reasons(made, "VPRTempo", "recall_at_1")
+    assert not {RESUMED, calibrated} & {*assembled.reasons(made, "VPRTempo", "query_cpu")}

@@ -1,0 +1,273 @@
+"""Two ways to split a dataset's places are never mixed; what was stored before there were two stays what it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import figure_runs
+import numpy as np
+import pytest
+import yaml
+from assembled import table
+from little import a_failure, a_run
+from stored_runs import ABACUS, NORDLAND, PLANNED, ROWS, SAD, answers, run
+
+from vprbench import registry
+from vprbench.belonging import ColumnAsked, groups
+from vprbench.cli import main
+from vprbench.comparison import reasons
+from vprbench.growth_series import samples
+from vprbench.interface import BadInput
+from vprbench.plan import PlannedColumn, Row
+from vprbench.records import Failure, Run, Store
+from vprbench.report import words
+from vprbench.tuning.places import cut, querying, searchable
+
+
+def config(name: str) -> dict[str, Any]:
+    return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
+
+
+def record(protocol: str, places: int = 12, held_out: int = 2) -> dict[str, Any]:
+    """Return what a rendered dataset records of so many places."""
+    left = places - held_out
+    return {
+        "protocol": protocol,
+        "references": ["spring", "fall"],
+        "query": "summer",
+        "places": places,
+        "query_places": left,
+        **({"first_query_place": held_out} if protocol == "vprtempo" else {}),
+        "reference_places": places if protocol == "vprtempo" else left,
+        "held_out_places": held_out,
+        "tolerance_places": 0,
+    }
+
+
+SYNTHETIC = {**config("synthetic"), "places": 12}
+
+
+def asked_for(protocol: str, /, **changes: Any) -> Run:
+    """Return a run of a rendered dataset under a protocol."""
+    dataset = {**SYNTHETIC, "protocol": protocol}
+    return run(dataset=dataset, **{"protocol": record(protocol), "fingerprint": protocol, **changes})
+
+
+@pytest.mark.parametrize("name", ["nordland", "nordland_64x32", "oxford_robotcar", "street", "synthetic"])
+def test_each_dataset_with_held_out_places_is_evaluated_as_vprtempo_unless_told_otherwise(name: str) -> None:
+    assert config(name)["protocol"] == "vprtempo"
+
+
+@pytest.mark.parametrize(("protocol", "told"), [("vprtempo", "12 places"), ("vprsnn", "10 places")])
+def test_the_answer_names_the_protocol(
+    protocol: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quick = ["timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "threads=1"]
+    asked = ["dataset=synthetic", "dataset.places=12", f"dataset.protocol={protocol}", f"results={tmp_path}"]
+    assert main(["method=sad", *asked, *quick]) == 0
+    (stored,) = Store(tmp_path).runs()
+    assert (stored.protocol["protocol"], stored.protocol["held_out_places"]) == (protocol, 2)
+    assert f"synthetic: 10 queries, {told} (protocol {protocol}, references" in capsys.readouterr().out
+
+
+def test_an_unknown_protocol_is_refused_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", "dataset=synthetic", "dataset.protocol=sift"]) == 2
+    assert "protocol" in capsys.readouterr().err
+
+
+# Columns
+
+
+def column(protocol: str, *options: str) -> ColumnAsked:
+    planned = PlannedColumn(protocol, f"Railway, {protocol}", ("dataset=synthetic", *options), None)
+    return ColumnAsked(planned, {**SYNTHETIC, "protocol": protocol})
+
+
+def test_runs_of_two_protocols_never_share_a_column() -> None:
+    mine, other = asked_for("vprtempo"), asked_for("vprsnn")
+    first, second = groups([mine, other], [], [column("vprtempo"), column("vprsnn")], ROWS)
+    assert (first.runs, second.runs) == ((mine,), (other,))
+
+
+@pytest.mark.parametrize(
+    ("protocol", "words"),
+    [
+        (
+            "vprtempo",
+            "protocol vprtempo, references spring+fall, query summer, first query place 2, tolerance places 0",
+        ),
+        ("vprsnn", "protocol vprsnn, references spring+fall, query summer, held out places 2, tolerance places 0"),
+    ],
+)
+def test_the_caption_of_a_column_names_its_protocol_and_no_count_twice(protocol: str, words: str) -> None:
+    (made,) = table([asked_for(protocol)], rows=[SAD], asked=[column(protocol)]).columns
+    assert made.protocol == words
+
+
+def test_columns_of_other_sizes_are_told_apart_by_what_was_asked_and_not_by_what_follows() -> None:
+    asked = ColumnAsked(column("vprtempo").planned, {"name": "synthetic"})
+    sizes = [asked_for("vprtempo", protocol=record("vprtempo", n), fingerprint=str(n)) for n in (12, 20)]
+    titles = [made.title for made in table(sizes, rows=[SAD], asked=[asked]).columns]
+    assert sorted(titles) == [
+        "Railway, vprtempo, places 12, query places 10",
+        "Railway, vprtempo, places 20, query places 18",
+    ]
+
+
+def test_the_report_says_what_a_protocol_means() -> None:
+    told = [dict(words.protocol([a_run(protocol=record(protocol))])) for protocol in ("vprtempo", "vprsnn")]
+    assert told[0]["Protocol"] == "vprtempo: all places are in the map, those before the first query place too"
+    assert told[1]["Protocol"] == (
+        "vprsnn: the places held out, drawn from all over the journey, are in neither the map nor the queries"
+    )
+    assert "held out places: 2" in told[1]["Also recorded"]
+    of_its_own = dict(words.protocol([a_run(protocol={"protocol": "sift"})]))
+    assert of_its_own["Also recorded"] == "protocol: sift"
+
+
+def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone() -> None:
+    row = Row("VPRTempo", "vprtempo", boundary="match")
+    sized = [figure_runs.sized(n, 1.0, 0.001, protocol=record("vprtempo", n, n // 5)) for n in (100, 300)]
+    assert samples(row, sized, ()).runs == tuple(sized)
+    other = figure_runs.sized(500, 1.0, 0.001, protocol=record("vprsnn", 600, 100), time_utc="2024-01-01T00:00:00Z")
+    assert samples(row, [*sized, other], ()).aside == ("Set aside: runs of VPRTempo at 500 places (other dataset).",)
+
+
+def as_published(protocol: str, n_places: int) -> list[str]:
+    paper = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K"}
+    stored = run(hits=[1] * 2700, n_places=n_places, protocol=record(protocol, 3300, 600), machine=paper)
+    return reasons(SAD, NORDLAND, None, "recall_at_1", stored)
+
+
+def test_the_papers_number_may_be_of_either_protocol() -> None:
+    assert as_published("vprtempo", 3300) == [
+        "our map keeps the 600 places that are not queried; the paper does not say whether its map does"
+    ]
+    assert as_published("vprsnn", 2700) == [
+        "our map leaves out 600 places that are not queried; the paper does not say whether its map does"
+    ]
+
+
+def test_fewer_places_are_another_protocol_than_the_papers_whoever_is_followed() -> None:
+    stored = run(hits=[1] * 360, n_places=360, protocol=record("vprsnn", 450, 90))
+    first, *_ = reasons(SAD, PLANNED, None, "recall_at_1", stored)
+    assert first == "other protocol: 360 queries of 360 places; the paper's: 2,700 of 3,300"
+
+
+# What was stored before there were two
+
+
+ONE_PROTOCOL = {name: value for name, value in SYNTHETIC.items() if name != "protocol"}
+OLD_RECORD = {
+    "places": 12,
+    "references": ["spring", "fall"],
+    "query": "summer",
+    "first_query_place": 2,
+    "query_places": 10,
+    "tolerance_places": 0,
+}
+
+
+def read_back(folder: Path, dataset: Mapping[str, Any], protocol: Mapping[str, Any]) -> Run:
+    """Store a run as a version did whose datasets had one protocol, and read it."""
+    store = Store(folder)
+    store.prepare()
+    store.save(a_run(config={**a_run().config, "dataset": dict(dataset)}, protocol=dict(protocol)))
+    (found,) = store.runs()
+    return found
+
+
+def test_an_older_run_counts_as_one_of_vprtempos_protocol(tmp_path: Path) -> None:
+    found = read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
+    assert found.config["dataset"] == SYNTHETIC
+    assert found.protocol == record("vprtempo")
+
+
+@pytest.mark.parametrize("name", ["nordland", "nordland_64x32", "oxford_robotcar", "street"])
+def test_so_does_one_of_every_dataset_that_gained_a_protocol(tmp_path: Path, name: str) -> None:
+    dataset = {option: value for option, value in config(name).items() if option != "protocol"}
+    assert read_back(tmp_path, dataset, OLD_RECORD).config["dataset"]["protocol"] == "vprtempo"
+
+
+@pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
+def test_a_run_that_names_its_protocol_is_read_as_it_was_stored(tmp_path: Path, protocol: str) -> None:
+    found = read_back(tmp_path, {**SYNTHETIC, "protocol": protocol}, record(protocol))
+    assert (found.config["dataset"]["protocol"], found.protocol) == (protocol, record(protocol))
+
+
+def test_a_dataset_of_somebody_else_is_given_no_protocol(tmp_path: Path) -> None:
+    theirs = {**ONE_PROTOCOL, "_target_": "theirs.journeys.river"}
+    found = read_back(tmp_path, theirs, OLD_RECORD)
+    assert (found.config["dataset"], found.protocol) == (theirs, OLD_RECORD)
+
+
+def test_an_older_run_stands_in_the_column_of_its_protocol_beside_newer_ones(tmp_path: Path) -> None:
+    old = read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
+    beside = run(dataset=SYNTHETIC, protocol=record("vprtempo"))
+    older_run = run(dataset=old.config["dataset"], protocol=old.protocol, day="2024-01-01")
+    first, second = groups([older_run, beside], [], [column("vprtempo"), column("vprsnn")], ROWS)
+    assert set(map(id, first.runs)) == {id(older_run), id(beside)}
+    assert second.runs == ()
+
+
+def test_an_older_failure_is_none_of_the_other_protocol(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.prepare()
+    store.save_failure(a_failure(method="sad", dataset="synthetic", config={"dataset": ONE_PROTOCOL, "seed": 0}))
+    failures: list[Failure] = [*store.failures()]
+    first, second = groups([], failures, [column("vprtempo"), column("vprsnn")], ROWS)
+    assert (len(first.failures), len(second.failures)) == (1, 0)
+
+
+def test_a_stored_run_stays_as_it_is_on_disk(tmp_path: Path) -> None:
+    read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
+    (path,) = tmp_path.rglob("run.json")
+    content = json.loads(path.read_text("utf-8"))
+    assert content["protocol"] == OLD_RECORD
+    before = hashlib.sha256(path.read_bytes()).hexdigest()
+    [*Store(tmp_path).runs()]
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == before
+
+
+# Searches of settings
+
+
+def planned(*options: str) -> PlannedColumn:
+    return PlannedColumn("a column", "A column", options)
+
+
+@pytest.mark.parametrize("name", ["nordland", "synthetic"])
+def test_nothing_is_searched_under_a_protocol_that_scatters_its_held_out_places(name: str) -> None:
+    with pytest.raises(BadInput, match=r"dataset\.protocol=vprsnn: a search needs places in a row"):
+        searchable(name, {**config(name), "protocol": "vprsnn"}, 20, [])
+
+
+def test_a_column_that_scatters_its_held_out_places_leaves_none_in_a_row_to_search() -> None:
+    scattered = planned("dataset=nordland", "dataset.protocol=vprsnn")
+    with pytest.raises(BadInput, match="reported results query all of its 3300 places"):
+        searchable("nordland", config("nordland"), 100, [scattered])
+    rendered = planned("dataset=synthetic", "dataset.protocol=vprsnn")
+    assert searchable("synthetic", config("synthetic"), 20, [rendered]).searched == range(20)
+
+
+@pytest.mark.parametrize(("protocol", "named"), [("vprtempo", False), ("vprsnn", True)])
+def test_a_stored_run_whose_queries_are_scattered_may_query_any_place(protocol: str, named: bool) -> None:
+    nordland = config("nordland")
+    stored = a_run(
+        dataset="nordland",
+        config={**a_run().config, "dataset": {**nordland, "protocol": protocol}},
+        positives=tuple(np.array([place]) for place in (700, 701)),
+        outcome=answers([1, 1]),
+    )
+    allowed = searchable("nordland", nordland, 500, [])
+    assert querying([stored], allowed) == [f"nordland/little-{stored.key}"] * named
+
+
+def test_a_stretch_that_is_searched_has_no_held_out_places() -> None:
+    whole = registry.make_dataset(SYNTHETIC)
+    assert whole.held_out is not None
+    assert cut(whole, range(2, 8)).held_out is None

@@ -1,0 +1,121 @@
+"""How a method comes to its map: fitted and calibrated, or loaded; and how long that took."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vprbench import networks, progress
+from vprbench.described import Described
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, DescriptorMethod, HeldOut, Method, Places, calibration
+from vprbench.partial import Resumed
+from vprbench.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """How a method came to its map, and how long that took."""
+
+    fit_seconds: float | None = None
+    fit_compute_seconds: float | None = None
+    load_seconds: float | None = None
+    resumed_seconds: float = 0.0  # the part of a fit that interrupted runs had done
+    notes: tuple[str, ...] = ()
+    from_cache: bool = False  # the descriptors of the references
+
+    @property
+    def seconds(self) -> float:
+        """Return the wall time of this run."""
+        return (self.fit_seconds or 0.0) + (self.load_seconds or 0.0) - self.resumed_seconds
+
+    @property
+    def method_seconds(self) -> float:
+        """Return the time of this run that went into the method."""
+        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.resumed_seconds
+
+
+def learn(
+    stopwatch: Stopwatch,
+    method: Method,
+    dataset: Dataset,
+    arguments: Mapping[str, Any],
+    key: str,
+    files: networks.Files,
+    described: Described | None,
+    resumed: Resumed,
+) -> Learnt:
+    """Load the method's network, or fit and calibrate the method and store its network where that was asked for."""
+    if files.load is not None:
+        progress.report("load", 0.0)
+        wanted = networks.origin(method, arguments, dataset)
+        with stopwatch.lap() as load:
+            notes = networks.load(files.load, method, wanted, files.sha256)
+        return Learnt(load_seconds=load[0], notes=notes)
+    destination = networks.prepare(files, method, arguments, dataset)
+    given = calibration(method, dataset)
+    held_out = None if given is None else _hidden(given)
+    read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
+    before = _reading_seconds(read)
+    progress.report("fit", 0.0)
+    references, places = dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places)
+    from_cache = False
+    with stopwatch.lap() as fit:
+        if described is None:
+            method.fit(references, places)
+        else:
+            assert isinstance(method, DescriptorMethod)
+            method.insist_on_index(len(references))
+            descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
+            method.fit_descriptors(descriptors, places)
+        if held_out is not None:
+            progress.report("calibrate", 0.0)
+            try:
+                method.calibrate(held_out)
+            except BadInput as error:
+                raise BadInput(f"choosing settings by held-out places: {error}") from error
+    earlier = resumed.seconds
+    seconds = fit[0] + earlier
+    computing = seconds - (_reading_seconds(read) - before)
+    if destination is not None:
+        networks.save(destination, method, key, seconds, computing)
+    notes = tuple(_fit_notes(earlier, held_out))
+    if from_cache:
+        return Learnt(load_seconds=fit[0], notes=notes, from_cache=True)
+    return Learnt(fit_seconds=seconds, fit_compute_seconds=computing, resumed_seconds=earlier, notes=notes)
+
+
+def _hidden(held_out: HeldOut) -> HeldOut:
+    """Return the same places as a method may see them: under names that say nothing, not to be written to."""
+    return HeldOut(
+        references=held_out.references.unnamed(),
+        places=_read_only(held_out.places),
+        queries=held_out.queries.unnamed(),
+        right=_read_only(held_out.right),
+        in_map=held_out.in_map,
+    )
+
+
+def _reading_seconds(read: Iterable[Images]) -> float:
+    """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
+    return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
+
+
+def _fit_notes(resumed_seconds: float, held_out: HeldOut | None) -> Iterator[str]:
+    """Yield what a reader of the training time and of the settings has to know."""
+    if resumed_seconds:
+        yield f"fit was resumed: the {resumed_seconds:.1f} s that an interrupted run had spent on it are counted"
+    if held_out is not None:
+        yield f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+
+
+def _reading(total: int) -> Callable[[int], None]:
+    """Return what reports how many references a fit has read, as a stage of its own."""
+    return lambda done: progress.report("fit, reading images", done / total)
+
+
+def _read_only(places: Places) -> Places:
+    view = places.view()
+    view.flags.writeable = False
+    return view
