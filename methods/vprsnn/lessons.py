@@ -1,0 +1,66 @@
+"""What each of VPRSNN's modules is shown, in which order, and how it responds at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What one module is shown in each epoch, in this order, and the places that it learns."""
+
+    number: int  # of the module, which chooses its random numbers
+    levels: npt.NDArray[np.uint8]  # (n_images, n_inputs)
+    labels: npt.NDArray[np.int64]  # (n_images,) which of the places each shows
+    places: npt.NDArray[np.int64]  # (n_labels,)
+
+    def images(self, first: int, presentations: int) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yield the image (n_inputs,) of each presentation from `first` on, epoch after epoch."""
+        return (self.levels[number % len(self.levels)] for number in range(first, presentations))
+
+
+def lesson(
+    number: int, members: npt.NDArray[np.int64], levels: npt.NDArray[np.uint8], places: npt.NDArray[np.int64]
+) -> Lesson:
+    """Return what the module of the places `members` is shown: their first images in order, then their second ones.
+
+    `levels` (n_references, n_inputs) and `places` (n_references,) are of all references.
+    """
+    images, labels, times = [], [], []
+    for label, place in enumerate(members.tolist()):
+        for time, image in enumerate(np.flatnonzero(places == place).tolist()):
+            images.append(image)
+            labels.append(label)
+            times.append(time)
+    order = np.lexsort((labels, times))
+    return Lesson(number, levels[np.array(images)[order]], np.array(labels)[order], members)
+
+
+class Responses:
+    """The spikes of a module in its last presentations, summed by place."""
+
+    def __init__(self, recipe: Recipe, shown: Lesson) -> None:
+        """Begin with none."""
+        self.presentations = recipe.epochs * len(shown.levels)
+        self.first = max(0, self.presentations - recipe.recorded)
+        self._labels, self._places = shown.labels, shown.places
+        self._sums = np.zeros((recipe.n_neurons, len(shown.places)), np.float32)
+        self._shown = np.zeros(len(shown.places), np.int64)
+
+    def add(self, presentation: int, counts: npt.NDArray[np.integer]) -> None:
+        """Take the spikes (n_neurons,) of a presentation, where it is one of the last."""
+        if presentation >= self.first:
+            label = self._labels[presentation % len(self._labels)]
+            self._sums[:, label] += counts
+            self._shown[label] += 1
+
+    def arrays(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the sums, how many presentations are in each, and the places."""
+        return {"sums": self._sums, "shown": self._shown, "places": self._places}

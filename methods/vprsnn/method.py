@@ -1,0 +1,326 @@
+"""VPRSNN, a rate-coded spiking network of small modules, as a method."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench import partial
+from vprbench.images import Images
+from vprbench.interface import BadInput, HeldOut, LayerSpikes, Method, NotFittedError, Places, Scores
+from vprbench.preprocess import PatchNormalisation
+
+from . import published, scoring
+from .arguments import Arguments
+from .asking import Answers, Asked, ask, reactions
+from .lessons import Lesson, lesson
+from .network import Network, by_member
+from .order import modules
+from .physics import physics_of, steps, traces_of
+from .recipe import Recipe
+from .training import train_all
+
+Levels = npt.NDArray[np.uint8]  # (n_images, height * width)
+
+_ASIDE = 1_000_000  # numbers of modules that learn held-out places begin here
+_QUERY_TIME = frozenset(
+    {"assignment", "carried_potentials", "delays_at_query", "engine", "hyperactive_threshold", "probabilities"}
+)
+
+
+@dataclass
+class VPRSNN(Arguments, Method):
+    """The modular spiking network of VPRSNN (QVPR/VPRSNN), after Diehl and Cook (2015), with its published values.
+
+    Modules of `places_per_module` places learn by spike-timing-dependent plasticity, each from its own images alone. At
+    a query all of them see the image, and each neuron speaks for the place to which it responded most in training.
+    `fast` leaves out the delays from the input: an approximation, not VPRSNN. `hyperactive_threshold` silences neurons
+    that fire for so many references or more (0: none; None: chosen by held-out places, none where there are not any).
+    `carried_potentials` lets a query find the neurons as the one before left them, as the authors have it.
+    """
+
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {
+        "places_per_module": 5,
+        "n_excitatory": 30,
+        "epochs": 8,
+        "height": 12,
+        "width": 12,
+    }
+    stored_as: ClassVar[str] = "vprsnn"
+    query_arguments: ClassVar[frozenset[str]] = _QUERY_TIME
+
+    _asked: list[Asked] = field(default_factory=list, init=False, repr=False, compare=False)
+    #: The first image of each place, and what decided the training; None where nothing was fitted.
+    _fitted: tuple[Levels, dict[str, Any]] | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on another argument
+        """The rules that carried potentials break."""
+        if not self.carried_potentials:
+            return {}
+        reason = "a query finds the neurons as the query before left them"
+        return dict.fromkeys(
+            ("a batch gives what its single images give", "the order of queries does not matter"), reason
+        )
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether a threshold is left to be chosen; published weights come without modules to choose it by."""
+        return self.published_weights is None and None in self._thresholds()
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """Train every module from its own images, and learn which place each neuron speaks for."""
+        self.check()
+        self._asked = []
+        levels = self.encode(references)
+        first_traverse = levels[np.unique(places, return_index=True)[1]]
+        identity = self._identity(levels, places)
+        networks = []
+        with partial.training(identity) as kept:
+            for recipe, threshold, half in self._members():
+                lessons = self._lessons(recipe, levels, places, 0)
+                network = train_all(recipe, lessons, kept, "training", self._engine(), self._published(), half)
+                if threshold:
+                    network = self._counted(network, recipe, first_traverse, kept, "counting reactions", half)
+                networks.append(replace(network, threshold=threshold or 0))
+        self._fitted = (first_traverse, identity)
+        return self._take(networks)
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        """Choose the threshold of hyperactive neurons by held-out places, which have modules of their own.
+
+        As published: each candidate is judged by R@1 over the held-out places' modules and queries alone; here a tie
+        counts as wrong.
+        """
+        if self._fitted is None:
+            raise NotFittedError("VPRSNN can choose a threshold only after fit(references, places)")
+        shown, identity = self._fitted
+        levels, asked = self.encode(held_out.references), self.encode(held_out.queries)
+        if not held_out.in_map:
+            shown = np.concatenate([shown, levels[np.unique(held_out.places, return_index=True)[1]]])
+        aside_from = {"map": identity, "shown": _digest(shown)}
+        networks = [member.network for member in self._asked]
+        with partial.training({**self._identity(levels, held_out.places), **aside_from}) as kept:
+            for number, (recipe, threshold, part) in enumerate(self._members()):
+                if threshold is not None:
+                    continue
+                lessons = self._lessons(recipe, levels, held_out.places, _ASIDE)
+                aside = train_all(recipe, lessons, kept, "calibration, training", self._engine(), within=part)
+                aside = self._counted(aside, recipe, shown, kept, "calibration, counting reactions", part, _ASIDE)
+                asking = Asked.of(recipe, aside, self._new_delays(), _ASIDE)
+                best = self._best_threshold(asking, asked, held_out.right, part)
+                network = replace(networks[number], reactions=None)
+                if best:
+                    network = self._counted(network, recipe, shown, kept, "counting reactions", part)
+                networks[number] = replace(network, threshold=best)
+        return self._take(networks)
+
+    def encode(self, images: Images) -> Levels:
+        """Return the grey levels that set the rates of the input, (n_images, height * width), 0 to 255."""
+        return PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+
+    def match(self, codes: Levels) -> Scores:
+        """Return the mean spikes of each place's neurons, (n_queries, n_places); -inf where none responds to a query.
+
+        Of several networks the sum. Raises NotFittedError before `fit`.
+        """
+        self._insist_on_a_network()
+        scores = np.sum(
+            [self._scores(member, self._answers(member, codes).excitatory) for member in self._asked], axis=0
+        )
+        return scoring.no_match(scoring.normalised(scores) if self.probabilities else scores, scores)
+
+    def notes(self) -> list[str]:
+        """Return how many neurons are silenced, and that weights were not trained here."""
+        notes = []
+        if self.published_weights is not None:
+            notes.append("the weights were not trained here: fit learnt only which place each neuron speaks for")
+        for member, asked in zip(self._thresholds(), self._asked, strict=True):
+            threshold, silenced = asked.network.threshold, asked.silenced
+            if threshold:
+                chosen = "chosen by held-out places" if member is None else "given"
+                notes.append(
+                    f"neurons that fired for {threshold} references or more ({chosen}) are silenced: "
+                    f"{np.count_nonzero(silenced):,} of {silenced.size:,}"
+                )
+            elif member is None:
+                notes.append("no neuron is silenced: there are no held-out places to choose by, or none gained by it")
+        return notes
+
+    def spikes(self, codes: Levels) -> list[LayerSpikes]:
+        """Return the spikes of the input and of the excitatory and inhibitory neurons, of several networks the first's.
+
+        Raises NotFittedError before `fit`.
+        """
+        self._insist_on_a_network()
+        answer = self._answers(self._asked[0], codes)
+        return [
+            LayerSpikes("input", self._asked[0].input_counts(codes)),
+            LayerSpikes("excitatory", answer.excitatory.reshape(len(codes), -1)),
+            LayerSpikes("inhibitory", answer.inhibitory.reshape(len(codes), -1)),
+        ]
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the arrays of the trained network, those of several numbered."""
+        self._insist_on_a_network()
+        if len(self._asked) == 1:
+            return self._asked[0].network.state()
+        states = [member.network.state() for member in self._asked]
+        return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take over a stored network; where `hyperactive_threshold` is None, with the threshold that it has."""
+        self.check()
+        self._asked, self._fitted = [], None
+        networks = []
+        thresholds = self._thresholds()
+        for arrays, threshold in zip(by_member(state, len(thresholds)), thresholds, strict=True):
+            network = Network.from_state(arrays, self.height * self.width, self.n_excitatory)
+            if threshold and network.reactions is None:
+                raise BadInput(
+                    f"method.hyperactive_threshold={threshold}: the stored network has not counted the reactions of "
+                    "its neurons; train with a threshold, or set method.hyperactive_threshold=0"
+                )
+            networks.append(network if threshold is None else replace(network, threshold=threshold))
+        return self._take(networks)
+
+    def files(self) -> Sequence[Path]:
+        """Return the published weights, where they are used; raises BadInput where they are missing."""
+        return [] if self.published_weights is None else published.files_of(Path(self.published_weights))
+
+    def _members(self) -> list[tuple[Recipe, int | None, tuple[float, float]]]:
+        """Return how each network is trained, its threshold, and the part of the progress that it is."""
+        members = list(zip(self._recipes(), self._thresholds(), strict=True))
+        count = len(members)
+        return [(*member, (number / count, (number + 1) / count)) for number, member in enumerate(members)]
+
+    def _thresholds(self) -> Sequence[int | None]:
+        return [self.hyperactive_threshold]
+
+    def _recipes(self) -> list[Recipe]:
+        return [self._recipe(self.seed, self.epochs)]
+
+    def _recipe(self, seed: int, epochs: int) -> Recipe:
+        physics = physics_of(self)
+        return Recipe(
+            physics=physics,
+            traces=traces_of(self),
+            seed=seed,
+            n_inputs=self.height * self.width,
+            n_neurons=self.n_excitatory,
+            intensity=self.levels_per_hz,
+            longest_delay=0.0 if self.fast else self.input_delay_max_ms / self.time_step_ms,
+            weight_scale=self.weight_scale,
+            weight_offset=self.weight_offset,
+            weight_sum=self.weight_sum,
+            theta_start=self.theta_start_mv,
+            v_start=self.excitatory_start_mv,
+            v_start_inhibitory=self.inhibitory_start_mv,
+            first_rest=steps(self.first_rest_ms, self.time_step_ms),
+            epochs=epochs,
+            recorded=self.recorded_presentations,
+        )
+
+    def _lessons(self, recipe: Recipe, levels: Levels, places: Places, first: int) -> list[Lesson]:
+        """Return what each module is shown; their numbers begin with `first`."""
+        n_places = int(places.max()) + 1
+        groups = modules(n_places, self.places_per_module, self.module_order, recipe.seed, self.calibration_places)
+        lessons = [lesson(first + number, group, levels, places) for number, group in enumerate(groups)]
+        most = max(len(each.levels) for each in lessons)
+        if most > self.recorded_presentations:
+            raise BadInput(
+                f"method.recorded_presentations={self.recorded_presentations}: a module is shown {most} images, and no "
+                "neuron could speak for those that are not recorded: give at least as many, or fewer places a module"
+            )
+        return lessons
+
+    def _published(self) -> list[published.PublishedModule] | None:
+        if self.published_weights is None:
+            return None
+        return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
+
+    def _counted(
+        self,
+        network: Network,
+        recipe: Recipe,
+        shown: Levels,
+        kept: partial.Partial,
+        stage: str,
+        part: tuple[float, float],
+        first: int = 0,
+    ) -> Network:
+        """Return the network with the number of images in `shown` for which each neuron fired."""
+        name = f"reactions-{recipe.seed}-{first}"
+        found = kept.get(name)
+        if found is None:
+            asked = Asked.of(recipe, network, self._new_delays(), first)
+            found = {"reactions": reactions(asked, shown, self.carried_potentials, self._engine(), stage, part)}
+            kept.put(name, found)
+        return replace(network, reactions=found["reactions"])
+
+    def _best_threshold(self, aside: Asked, asked: Levels, right: Places, part: tuple[float, float]) -> int:
+        answers = ask(aside, asked, self.carried_potentials, self._engine(), "calibration, asking", part)
+
+        def scores(threshold: int) -> Scores:
+            judged = replace(aside, network=replace(aside.network, threshold=threshold))
+            found = self._scores(judged, answers.excitatory)
+            return scoring.no_match(found, found)
+
+        return scoring.best_threshold(scores, right, self.hyperactive_candidates)[0]
+
+    def _scores(self, member: Asked, responses: npt.NDArray[np.int32]) -> Scores:
+        network = member.network
+        if self.assignment == "weighted":
+            return scoring.weighted(responses, network.learnt, member.silenced, network.n_places)
+        return scoring.standard(responses, member.labels, member.silenced, network.n_places)
+
+    def _answers(self, member: Asked, codes: Levels) -> Answers:
+        return ask(member, codes, self.carried_potentials, self._engine())
+
+    def _take(self, networks: Sequence[Network]) -> Self:
+        """Make networks ready to be asked."""
+        members = zip(self._recipes(), networks, strict=True)
+        self._asked = [Asked.of(recipe, network, self._new_delays(), 0) for recipe, network in members]
+        return self
+
+    def _new_delays(self) -> bool:
+        return self.delays_at_query == "new"
+
+    def _insist_on_a_network(self) -> None:
+        if not self._asked:
+            raise NotFittedError("VPRSNN has no network yet: call fit(references, places) first")
+
+    def _engine(self) -> torch.device | None:
+        """Return where PyTorch simulates; None: the compiled loops do."""
+        device = torch.device(self.device)
+        engine = self.engine or ("compiled" if device.type == "cpu" else "batched")
+        if engine == "compiled" and device.type != "cpu":
+            raise BadInput(f"method.engine=compiled runs on processors alone: set device=cpu, not {self.device}")
+        return None if engine == "compiled" else device
+
+    def _identity(self, levels: Levels, places: Places) -> dict[str, Any]:
+        """Return what decides the outcome of a training, and who spends time on it, as plain values."""
+        free = {"assignment", "engine", "hyperactive_candidates", "hyperactive_threshold", "probabilities"}
+        digest = hashlib.sha256()
+        for file in [*sorted(Path(__file__).parent.glob("*.py")), *self.files()]:
+            digest.update(file.read_bytes())
+        engine = self._engine()
+        return {
+            "method": type(self).__name__,
+            "files": digest.hexdigest(),
+            "arguments": {name: value for name, value in self.given().items() if name not in {*free, "device"}},
+            "engine": "compiled" if engine is None else f"batched on {engine.type}",
+            "levels": _digest(levels),
+            "places": _digest(places),
+        }
+
+
+def _digest(array: npt.NDArray[Any]) -> str:
+    return hashlib.sha256(array.tobytes()).hexdigest()

@@ -1,0 +1,151 @@
+"""Constants of VPRSNN's neurons and synapses as the simulation wants them: time steps, millivolts and factors."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+_NOTHING = 1e-12  # a trace that would change a weight by less is over
+
+
+class Constants(Protocol):
+    """What VPRSNN's arguments say of its neurons and synapses; the defaults there are the published values."""
+
+    time_step_ms: float
+    presentation_ms: float
+    rest_ms: float
+    excitatory_rest_mv: float
+    excitatory_reset_mv: float
+    excitatory_tau_ms: float
+    excitatory_refractory_ms: float
+    excitatory_threshold_mv: float
+    excitatory_minimum_interval_ms: float
+    theta_start_mv: float
+    theta_plus_mv: float
+    theta_tau_ms: float
+    inhibitory_rest_mv: float
+    inhibitory_reset_mv: float
+    inhibitory_tau_ms: float
+    inhibitory_refractory_ms: float
+    inhibitory_threshold_mv: float
+    excitation_reversal_mv: float
+    excitatory_inhibition_reversal_mv: float
+    excitation_tau_ms: float
+    inhibition_tau_ms: float
+    excitatory_to_inhibitory_weight: float
+    inhibitory_to_excitatory_weight: float
+    pre_trace_tau_ms: float
+    post_trace_tau_ms: float
+    slow_post_trace_tau_ms: float
+    pre_rate: float
+    post_rate: float
+    weight_max: float
+
+
+class Physics(NamedTuple):
+    """What a compiled loop reads: durations in steps, `_gain` the step over a time constant, `_keep` a step's decay."""
+
+    step_ms: float
+    shown: int  # steps of a presentation
+    rest: int  # steps of silence after it
+    e_rest: float
+    e_reset: float
+    e_gain: float
+    e_refractory: int
+    e_threshold: float  # without theta
+    e_interval: int  # steps from one spike to the first at which the next may come
+    theta_plus: float
+    theta_keep: float
+    i_rest: float
+    i_reset: float
+    i_gain: float
+    i_refractory: int
+    i_threshold: float
+    excitation: float  # reversal potential
+    e_inhibition: float
+    ge_keep: float
+    gi_keep: float
+    e_to_i: float
+    i_to_e: float
+    slow_post_tau: float  # ms
+    post_rate: float
+    weight_max: float
+    nothing: float  # a conductance below this moves no potential
+
+
+class Traces(NamedTuple):
+    """The traces of plasticity by the steps since their last event, until they are nothing."""
+
+    pre: npt.NDArray[np.float64]
+    post: npt.NDArray[np.float64]  # times the rate of learning at a presynaptic spike
+
+
+def steps(milliseconds: float, step_ms: float) -> int:
+    """Return the whole number of steps nearest to a duration."""
+    return math.floor(milliseconds / step_ms + 0.5)
+
+
+def physics_of(constants: Constants) -> Physics:
+    """Return the constants in steps and factors.
+
+    Source: VPRSNN (QVPR/VPRSNN), whose forward Euler steps give the decay factors 1 - step / time constant.
+    """
+    step = constants.time_step_ms
+    refractory = steps(constants.excitatory_refractory_ms, step)
+    return Physics(
+        step_ms=step,
+        shown=steps(constants.presentation_ms, step),
+        rest=steps(constants.rest_ms, step),
+        e_rest=float(constants.excitatory_rest_mv),
+        e_reset=float(constants.excitatory_reset_mv),
+        e_gain=step / constants.excitatory_tau_ms,
+        e_refractory=refractory,
+        e_threshold=float(constants.excitatory_threshold_mv),
+        e_interval=max(_interval(constants.excitatory_minimum_interval_ms, step), refractory),
+        theta_plus=float(constants.theta_plus_mv),
+        theta_keep=1 - step / constants.theta_tau_ms,
+        i_rest=float(constants.inhibitory_rest_mv),
+        i_reset=float(constants.inhibitory_reset_mv),
+        i_gain=step / constants.inhibitory_tau_ms,
+        i_refractory=steps(constants.inhibitory_refractory_ms, step),
+        i_threshold=float(constants.inhibitory_threshold_mv),
+        excitation=float(constants.excitation_reversal_mv),
+        e_inhibition=float(constants.excitatory_inhibition_reversal_mv),
+        ge_keep=1 - step / constants.excitation_tau_ms,
+        gi_keep=1 - step / constants.inhibition_tau_ms,
+        e_to_i=float(constants.excitatory_to_inhibitory_weight),
+        i_to_e=float(constants.inhibitory_to_excitatory_weight),
+        slow_post_tau=float(constants.slow_post_trace_tau_ms),
+        post_rate=float(constants.post_rate),
+        weight_max=float(constants.weight_max),
+        nothing=1e-15,
+    )
+
+
+def traces_of(constants: Constants) -> Traces:
+    """Return the traces that a spike leaves, step by step until they change no weight."""
+    return Traces(
+        _decay(constants.pre_trace_tau_ms, constants.time_step_ms, 1.0),
+        _decay(constants.post_trace_tau_ms, constants.time_step_ms, constants.pre_rate),
+    )
+
+
+def _interval(minimum_ms: float, step_ms: float) -> int:
+    """Return the steps until the timer, which grows by a tenth of the time, is past a tenth of the minimum interval.
+
+    The timer is a sum of steps in seconds, and whether its rounding reaches the limit decides about one step.
+    """
+    limit, grown, timer, count = 0.1 * minimum_ms / 1000, 0.1 * step_ms / 1000, 0.0, 0
+    while timer <= limit:
+        timer += grown
+        count += 1
+    return count
+
+
+def _decay(tau_ms: float, step_ms: float, start: float) -> npt.NDArray[np.float64]:
+    length = max(1, math.ceil(tau_ms / step_ms * math.log(abs(start) / _NOTHING))) if start else 1
+    decay: npt.NDArray[np.float64] = start * np.exp(-np.arange(length) * (step_ms / tau_ms))
+    return decay

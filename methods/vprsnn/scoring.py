@@ -1,0 +1,124 @@
+"""How well each place fits a query, by the spikes of the neurons that speak for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from vprbench.interface import Places, Scores
+
+from .assignment import Learnt
+
+Responses = npt.NDArray[np.integer[Any]]  # (n_queries, n_modules, n_neurons) spikes
+Mask = npt.NDArray[np.bool_]  # (n_modules, n_neurons)
+
+_LEAST_PART = 10  # a neuron speaks for a place that drew more than a 10th of its spikes in training
+_FEW_PLACES = 50  # one that fired for a 50th of all places or more is divided by the number of those
+_BLOCK_CELLS = 1 << 22  # responses taken at once: bounds the memory
+
+
+def hyperactive(reactions: npt.NDArray[np.int64], threshold: int) -> Mask:
+    """Return which neurons fired for `threshold` references or more, (n_modules, n_neurons); none where that is 0."""
+    return (reactions >= threshold) & (threshold > 0)
+
+
+def standard(responses: Responses, labels: npt.NDArray[np.int64], silenced: Mask, n_places: int) -> Scores:
+    """Return the mean spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
+
+    `labels` (n_modules, n_neurons) are the places that the neurons speak for, -1: none. Spikes of a silenced neuron do
+    not count, but the mean is over it too.
+    """
+    labels = labels.ravel()
+    assigned = np.bincount(labels[labels >= 0], minlength=n_places)
+    heard = np.flatnonzero((labels >= 0) & ~silenced.ravel())
+    speaks = sparse.csr_array((np.ones(len(heard)), (heard, labels[heard])), (len(labels), n_places))
+    return _by_blocks(lambda spikes: (spikes @ speaks).toarray() / np.maximum(assigned, 1), responses, n_places)
+
+
+def weighted(responses: Responses, learnt: Learnt, silenced: Mask, n_places: int) -> Scores:
+    """Return the weighted spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
+
+    A neuron speaks for each place that drew more than 0.1 of its spikes in training, and its spikes are weighed by that
+    share. If it fired for 0.02 of all places or more they are divided by the number of those. A place's sum is
+    multiplied by the share of its training spikes that came from the neurons that fire now; silenced ones never do.
+    Source: Hussaini, Milford and Fischer, RA-L 2022 (QVPR/VPRSNN, weighted assignments).
+    """
+    drawn = learnt.sums.astype(np.float64)
+    totals = drawn.sum(axis=2, keepdims=True)
+    fired_for = np.count_nonzero(drawn, axis=2, keepdims=True)
+    divisor = totals * np.where(fired_for * _FEW_PLACES >= n_places, fired_for, 1)
+    modules, neurons, own = np.nonzero(drawn * _LEAST_PART > totals)
+    cells = modules * drawn.shape[1] + neurons, learnt.places[modules, own]
+    spikes_for = drawn[modules, neurons, own]
+    heard = ~silenced[modules, neurons]
+
+    def by_neuron(values: npt.NDArray[np.float64]) -> sparse.csr_array:
+        return sparse.csr_array((values, cells), (silenced.size, n_places))
+
+    weights = by_neuron(heard * spikes_for / divisor[modules, neurons, 0])
+    training = by_neuron(heard * spikes_for)
+    every = np.bincount(cells[1], spikes_for, n_places)
+    every[every == 0] = 1
+
+    def score(spikes: sparse.csr_array) -> npt.NDArray[np.float64]:
+        return np.asarray((spikes @ weights).toarray() * (spikes.sign() @ training).toarray() / every)
+
+    return _by_blocks(score, responses, n_places)
+
+
+def _by_blocks(
+    score: Callable[[sparse.csr_array], npt.NDArray[np.float64]], responses: Responses, n_places: int
+) -> Scores:
+    """Score queries some at a time; few neurons fire for a query, so their spikes are a sparse matrix."""
+    n_queries, n_modules, n_neurons = responses.shape
+    scores = np.empty((n_queries, n_places), np.float32)
+    together = max(1, _BLOCK_CELLS // max(n_modules * n_neurons, n_places))
+    for first in range(0, n_queries, together):
+        block = slice(first, first + together)
+        scores[block] = score(sparse.csr_array(responses[block].reshape(-1, n_modules * n_neurons)))
+    return scores
+
+
+def normalised(scores: Scores) -> Scores:
+    """Return the scores of each query less its lowest, divided by their sum; where all are equal they stay as they are.
+
+    It leaves the order of a query's places as it is, and makes the scores of queries comparable.
+    """
+    lowest = scores.min(axis=1, keepdims=True)
+    differ = scores.max(axis=1) > lowest[:, 0]
+    result = scores.copy()
+    result[differ] -= lowest[differ]
+    result[differ] /= result[differ].sum(axis=1, keepdims=True)
+    return result
+
+
+def no_match(scores: Scores, responses: npt.NDArray[Any]) -> Scores:
+    """Return the scores with -inf for every place where `responses` (n_queries, ...), of neurons that count, are all 0.
+
+    A silent query recognises no place; equal scores would make it a guess.
+    """
+    spoke = responses.any(axis=tuple(range(1, responses.ndim)))
+    return np.where(np.expand_dims(spoke, 1), scores, np.float32(-np.inf))
+
+
+def best_threshold(
+    scores_of: Callable[[int], Scores], right: Places, candidates: Sequence[int]
+) -> tuple[int, dict[int, float]]:
+    """Return the candidate with the highest recall at 1, of equals the first, and the recall of each.
+
+    `right` (n_queries,) are the right places. A query whose best place is tied counts as wrong.
+    """
+    recalls = {threshold: _recall_at_1(scores_of(threshold), right) for threshold in candidates}
+    return max(recalls, key=recalls.__getitem__), recalls
+
+
+def _recall_at_1(scores: Scores, right: Places) -> float:
+    queries = np.arange(len(right))
+    own = scores[queries, right]
+    others = scores.copy()
+    others[queries, right] = -np.inf
+    return float((own > others.max(axis=1)).mean())

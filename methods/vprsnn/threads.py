@@ -1,0 +1,67 @@
+"""Work on many modules by all threads that PyTorch may use, with its progress and an end when it is interrupted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from typing import TypeVar
+
+import torch
+
+from vprbench import progress
+
+_LOOK_SECONDS = 0.5  # from one report of the progress to the next
+Result = TypeVar("Result")
+Tell = Callable[[float], None]  # the share of one module that is done, 0 to 1
+
+
+class _InterruptedError(Exception):
+    """Another module failed, or somebody pressed Ctrl-C."""
+
+
+def for_each_module(
+    work: Callable[[int, Tell], Result],
+    n_modules: int,
+    stage: str | None,
+    within: tuple[float, float] = (0.0, 1.0),
+) -> list[Result]:
+    """Return what `work` gives for each module, in order; `stage` names the progress, of which it is a part `within`.
+
+    Raises what the first module to fail raises; the others end when they next tell their share.
+    """
+    if not n_modules:
+        return []
+    threads = min(torch.get_num_threads(), n_modules)
+    shares = [0.0] * n_modules
+    stopped = threading.Event()
+
+    def one(module: int) -> Result:
+        def tell(share: float) -> None:
+            shares[module] = share
+            if stopped.is_set():
+                raise _InterruptedError
+
+        result = work(module, tell)
+        shares[module] = 1.0
+        return result
+
+    if stage is not None:
+        progress.report(stage, within[0])
+    if threads == 1 and stage is None:
+        return [one(module) for module in range(n_modules)]
+    with ThreadPoolExecutor(threads) as pool:
+        futures = [pool.submit(one, module) for module in range(n_modules)]
+        try:
+            left = set(futures)
+            while left:
+                done, left = wait(left, _LOOK_SECONDS, FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                if stage is not None:
+                    progress.report(stage, within[0] + (within[1] - within[0]) * sum(shares) / n_modules)
+        except BaseException:
+            stopped.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return [future.result() for future in futures]

@@ -1,0 +1,127 @@
+"""A slow VPRSNN module that judges the compiled one: every step, every neuron and every synapse, a line per rule.
+
+Written from the description of QVPR/VPRSNN (after Diehl and Cook, 2015) alone: forward Euler steps, and in each step
+the state update, the thresholds, the synapses (presynaptic before postsynaptic) and the resets, as in Brian2.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Spikes = npt.NDArray[np.bool_]  # (n_steps, n_cells): whether a cell spikes in a step
+
+_LONG_AGO = -(10**9)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a module did and has become; steps count from the first presentation's first."""
+
+    excitatory: Spikes
+    inhibitory: Spikes
+    counts: npt.NDArray[np.int64]  # (n_presentations, n_neurons) from the end of one image to the end of the next
+    potentials: Floats  # (n_steps, n_neurons) mV, of excitatory neurons after each step
+    weights: Floats  # (n_inputs, n_neurons)
+    theta: Floats  # (n_neurons,) mV
+    ge: Floats
+    gi: Floats
+    v_i: Floats  # mV
+    ge_i: Floats
+
+
+def simulate(
+    weights: Floats,  # (n_inputs, n_neurons)
+    delays: npt.NDArray[np.integer],  # (n_inputs, n_neurons) steps
+    theta: Floats,  # (n_neurons,) mV
+    images: Sequence[Spikes],  # of each presentation: (n_steps, n_inputs) input spikes
+    constants: SimpleNamespace,
+    learning: bool,
+    weight_sum: float | None = None,
+) -> Run:
+    """Return what a module that was silent for ever does when images are shown, each followed by its rest.
+
+    With a `weight_sum` the weights are normalised before every presentation.
+    """
+    c, dt = constants, constants.time_step_ms
+    n_inputs, n = weights.shape
+    w, theta = weights.copy(), theta.copy()
+    shown, rest = round(c.presentation_ms / dt), round(c.rest_ms / dt)
+    refractory, refractory_i = round(c.excitatory_refractory_ms / dt), round(c.inhibitory_refractory_ms / dt)
+    n_steps = len(images) * (shown + rest)
+    longest = int(delays.max())
+    emitted = np.zeros((longest + n_steps, n_inputs), np.bool_)
+    for number, image in enumerate(images):
+        begin = longest + number * (shown + rest)
+        emitted[begin : begin + shown] = image
+
+    v, ge, gi = np.full(n, c.excitatory_rest_mv), np.zeros(n), np.zeros(n)
+    timer = np.full(n, np.inf)  # seconds
+    timer_limit = 0.1 * c.excitatory_minimum_interval_ms / 1000
+    v_i, ge_i = np.full(n, c.inhibitory_rest_mv), np.zeros(n)
+    last, last_i = np.full(n, _LONG_AGO), np.full(n, _LONG_AGO)
+    prees = np.zeros((n_inputs, n))  # a trace at each synapse: its delay decides when it has been reached
+    post1, post2 = np.zeros(n), np.zeros(n)
+    pre_decay, post1_decay, post2_decay = (
+        np.exp(-dt / tau) for tau in (c.pre_trace_tau_ms, c.post_trace_tau_ms, c.slow_post_trace_tau_ms)
+    )
+    excitatory, inhibitory = np.zeros((n_steps, n), np.bool_), np.zeros((n_steps, n), np.bool_)
+    potentials = np.empty((n_steps, n))
+
+    for t in range(n_steps):
+        if weight_sum is not None and t % (shown + rest) == 0:
+            w *= weight_sum / w.sum(axis=0)
+
+        # State update
+        integrates = t - last >= refractory
+        dv = ((c.excitatory_rest_mv - v) + ge * (c.excitation_reversal_mv - v)) * dt / c.excitatory_tau_ms
+        dv += gi * (c.excitatory_inhibition_reversal_mv - v) * dt / c.excitatory_tau_ms
+        v = np.where(integrates, v + dv, v)
+        ge = ge - ge * dt / c.excitation_tau_ms
+        gi = gi - gi * dt / c.inhibition_tau_ms
+        timer = timer + 0.1 * dt / 1000
+        if learning:
+            theta = theta - theta * dt / c.theta_tau_ms
+        integrates_i = t - last_i >= refractory_i
+        dv_i = ((c.inhibitory_rest_mv - v_i) + ge_i * (c.excitation_reversal_mv - v_i)) * dt / c.inhibitory_tau_ms
+        v_i = np.where(integrates_i, v_i + dv_i, v_i)
+        ge_i = ge_i - ge_i * dt / c.excitation_tau_ms
+        prees, post1, post2 = prees * pre_decay, post1 * post1_decay, post2 * post2_decay
+
+        # Thresholds
+        fires = (v > theta + c.excitatory_threshold_mv) & (timer > timer_limit) & integrates
+        fires_i = (v_i > c.inhibitory_threshold_mv) & integrates_i
+        excitatory[t], inhibitory[t] = fires, fires_i
+
+        # Synapses, presynaptic spikes
+        arrives = emitted[longest + t - delays, np.arange(n_inputs)[:, None]]
+        ge = ge + np.where(arrives, w, 0).sum(axis=0)
+        prees[arrives] = 1
+        if learning:
+            w = np.where(arrives, np.clip(w + c.pre_rate * post1, 0, c.weight_max), w)
+        ge_i = ge_i + c.excitatory_to_inhibitory_weight * fires
+        gi = gi + c.inhibitory_to_excitatory_weight * (fires_i.sum() - fires_i)  # all but the own partner
+
+        # Synapses, postsynaptic spikes
+        if learning and fires.any():
+            w = np.where(fires, np.clip(w + c.post_rate * prees * post2, 0, c.weight_max), w)
+        post1[fires] = 1
+        post2[fires] = 1
+
+        # Resets
+        v[fires] = c.excitatory_reset_mv
+        timer[fires] = 0
+        if learning:
+            theta[fires] += c.theta_plus_mv
+        v_i[fires_i] = c.inhibitory_reset_mv
+        last[fires] = t
+        last_i[fires_i] = t
+        potentials[t] = v
+
+    counted = np.concatenate([np.zeros((1, n), np.int64), excitatory.cumsum(axis=0)])
+    image_ends = counted[[shown + number * (shown + rest) for number in range(len(images))]]
+    counts = np.diff(image_ends, axis=0, prepend=0)
+    return Run(excitatory, inhibitory, counts, potentials, w, theta, ge, gi, v_i, ge_i)

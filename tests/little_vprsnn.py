@@ -1,0 +1,126 @@
+"""Small VPRSNN networks: trained on a made-up world, or made by hand with a known input for each neuron."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from vprsnn_constants import constants
+
+from vprbench.conformance import Journey
+from vprbench.images import Images
+from vprbench.interface import Image, LayerSpikes, Method, Places
+from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.methods.vprsnn.module import Train
+from vprbench.methods.vprsnn.physics import physics_of, traces_of
+from vprbench.methods.vprsnn.recipe import Recipe
+
+Floats = npt.NDArray[np.float64]
+Levels = npt.NDArray[np.uint8]  # (n_images, n_inputs)
+State = Mapping[str, npt.NDArray[Any]]
+
+SMALL: dict[str, Any] = {"height": 12, "width": 12, "places_per_module": 5, "n_excitatory": 24, "epochs": 6}
+WORLD = Journey.draw(0)
+STRONG = 50.0  # a weight with which a single spike lifts a neuron from its rest past its threshold
+
+
+def images(arrays: Sequence[Image]) -> Images:
+    return Images.from_arrays(list(arrays))
+
+
+def references(n_places: int, first: int = 0, world: Journey = WORLD) -> tuple[Images, Places]:
+    """Return two images of each of so many places, numbered from 0."""
+    rows = np.flatnonzero((world.places >= first) & (world.places < first + n_places))
+    return images([world.references[row] for row in rows]), world.places[rows] - first
+
+
+def second_sight(n_places: int, first: int = 0) -> Images:
+    """Return the second image of each of so many places."""
+    return images(WORLD.references[20 + first : 20 + first + n_places])
+
+
+def fitted(n_places: int = 5, **arguments: Any) -> VPRSNN:
+    return VPRSNN(**{**SMALL, **arguments}).fit(*references(n_places))
+
+
+def same(one: State, other: State) -> bool:
+    return one.keys() == other.keys() and all(np.array_equal(array, other[name]) for name, array in one.items())
+
+
+def layers(method: Method, codes: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """Return the spikes of each layer by its name."""
+    found: Sequence[LayerSpikes] = method.spikes(codes)
+    return {layer.name: np.asarray(layer.values) for layer in found}
+
+
+def tiny_recipe(**changes: Any) -> Recipe:
+    """Return how two neurons with three inputs learn, as published but for the sizes."""
+    published: dict[str, Any] = {
+        "physics": physics_of(constants()),
+        "traces": traces_of(constants()),
+        "seed": 0,
+        "n_inputs": 3,
+        "n_neurons": 2,
+        "intensity": 4.0,
+        "longest_delay": 100.0,
+        "weight_scale": 0.3,
+        "weight_offset": 0.01,
+        "weight_sum": 78.0,
+        "theta_start": 20.0,
+        "v_start": -105.0,
+        "v_start_inhibitory": -100.0,
+        "first_rest": 5000,
+        "epochs": 30,
+        "recorded": 250,
+    }
+    return Recipe(**{**published, **changes})
+
+
+def recorded_trains(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> list[npt.NDArray[np.bool_]]:
+    """Return a list to which every train that a module of the method draws is added, as (n_steps, n_inputs)."""
+    trains: list[npt.NDArray[np.bool_]] = []
+    draw = module.spike_train
+
+    def record(levels: Levels, generator: np.random.Generator, intensity: float, steps: int, step_ms: float) -> Train:
+        train = draw(levels, generator, intensity, steps, step_ms)
+        spikes = np.zeros((steps, len(levels)), np.bool_)
+        spikes[train.step, train.source] = True
+        trains.append(spikes)
+        return train
+
+    monkeypatch.setattr(module, "spike_train", record)
+    return trains
+
+
+# A network made by hand: `heard[j]` are the inputs that drive neuron j, `spoken_for[j]` the place that it learnt.
+
+
+def made(heard: Sequence[Sequence[int]], spoken_for: Sequence[int], n_inputs: int) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of a stored network of one module with all places up to the last that is spoken for."""
+    n_neurons, n_places = len(heard), max(spoken_for) + 1
+    weights = np.zeros((1, n_inputs, n_neurons))
+    sums = np.zeros((1, n_neurons, n_places), np.float32)
+    for neuron, (inputs, place) in enumerate(zip(heard, spoken_for, strict=True)):
+        weights[0, list(inputs), neuron] = STRONG
+        if place >= 0:
+            sums[0, neuron, place] = 10
+    return {
+        "weights": weights,
+        "theta": np.full((1, n_neurons), 20.0),
+        "sums": sums,
+        "shown": np.full((1, n_places), 10),
+        "places": np.arange(n_places)[None],
+        "threshold": np.array(0),
+    }
+
+
+def lit(n_inputs: int, *pixels: Sequence[int]) -> Levels:
+    """Return one image a sequence of pixels, which alone are white in it."""
+    levels = np.zeros((len(pixels), n_inputs), np.uint8)
+    for image, white in enumerate(pixels):
+        levels[image, list(white)] = 255
+    return levels

@@ -1,0 +1,201 @@
+"""Several VPRSNN networks of the same places: each is the one of its seed, and their scores are summed."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little_vprsnn import SMALL, WORLD, State, fitted, images, layers, lit, made, references, same
+
+from vprbench.interface import BadInput, NotFittedError
+from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
+from vprbench.methods.vprsnn.method import VPRSNN
+
+QUERIES = images(WORLD.queries)
+
+
+def ensemble(**arguments: Any) -> VPRSNNEnsemble:
+    method = VPRSNNEnsemble(**{**SMALL, "seeds": [0, 10], **arguments})
+    method.fit(*references(7))
+    return method
+
+
+@cache
+def alone(**arguments: Any) -> VPRSNN:
+    return fitted(7, **arguments)
+
+
+def member(state: State, number: int) -> State:
+    start = f"member_{number}."
+    return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
+
+
+# --- training ---------------------------------------------------------------------------------------------------
+
+
+def test_each_member_is_the_network_of_the_seed_added_to_its_own() -> None:
+    state = ensemble(seed=3).state()
+    assert same(member(state, 0), alone(seed=3).state())
+    assert same(member(state, 1), alone(seed=13).state())
+    assert not same(member(state, 0), member(state, 1))
+
+
+def test_the_published_ensemble_has_five_seeds() -> None:
+    assert VPRSNNEnsemble().seeds == [0, 10, 20, 30, 40]
+
+
+def test_each_member_has_its_own_epochs() -> None:
+    state = ensemble(member_epochs=[2, 5]).state()
+    assert same(member(state, 0), alone(epochs=2).state())
+    assert same(member(state, 1), alone(seed=10, epochs=5).state())
+
+
+def test_each_member_has_its_own_threshold() -> None:
+    state = ensemble(member_thresholds=[0, 4]).state()
+    assert same(member(state, 0), alone(hyperactive_threshold=0).state())
+    assert same(member(state, 1), alone(seed=10, hyperactive_threshold=4).state())
+
+
+def test_one_threshold_is_that_of_all_members() -> None:
+    state = ensemble(hyperactive_threshold=4).state()
+    assert [int(member(state, number)["threshold"]) for number in (0, 1)] == [4, 4]
+
+
+def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_the_end() -> None:
+    found = ensemble(module_order="shuffled", epochs=10)
+    first, second = (member(found.state(), number)["places"] for number in (0, 1))
+    assert first.tolist() != second.tolist()
+    shown, places = references(7)
+    assert np.mean(found.query(shown).argmax(1) == places) > 0.8
+
+
+# --- scores -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change", [{}, {"assignment": "weighted"}, {"hyperactive_threshold": 6}], ids=str)
+def test_scores_are_the_sum_of_the_members_scores(change: dict[str, Any]) -> None:
+    together = ensemble(seeds=[0, 10, 20], **change)
+    codes = together.encode(QUERIES)
+    parts = [alone(seed=seed, **change).match(codes).astype(np.float64) for seed in (0, 10, 20)]
+    expected = np.sum([np.where(np.isneginf(part), 0, part) for part in parts], axis=0)
+    expected[~expected.any(axis=1)] = -np.inf
+    assert np.isfinite(expected).any()
+    assert together.match(codes) == pytest.approx(expected, rel=1e-5)
+    assert together.match(codes).dtype == np.float32
+
+
+def test_an_ensemble_of_one_is_the_method_of_its_seed() -> None:
+    single = ensemble(seeds=[10])
+    assert same(single.state(), alone(seed=10).state())
+    codes = single.encode(QUERIES)
+    assert np.array_equal(single.match(codes), alone(seed=10).match(codes))
+
+
+def test_probabilities_are_those_of_the_summed_scores() -> None:
+    plain = ensemble()
+    parts = VPRSNNEnsemble(**SMALL, seeds=[0, 10], probabilities=True).restore(plain.state())
+    codes = plain.encode(QUERIES)
+    less = plain.match(codes) - plain.match(codes).min(axis=1, keepdims=True)
+    assert parts.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
+
+
+def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:
+    """Return an ensemble of networks of two places whose neurons hear the inputs that are said."""
+    state = {
+        f"member_{number}.{name}": array
+        for number, own in enumerate(heard)
+        for name, array in made(own, [0, 1], 4).items()
+    }
+    method = VPRSNNEnsemble(height=2, width=2, n_excitatory=2, seeds=[*range(len(heard))], **arguments)
+    method.restore(state)
+    return method
+
+
+def test_a_query_is_no_match_only_where_all_members_are_silent() -> None:
+    # Pixel 0 drives a neuron of the first member, pixel 1 one of the second, pixel 3 nobody.
+    scores = by_hand([[0], []], [[], [1]]).match(lit(4, [0], [1], [0, 1], [3]))
+    assert (scores > 0).tolist() == [[True, False], [False, True], [True, True], [False, False]]
+    assert scores[:2].min(axis=1).tolist() == [0, 0]
+    assert np.isneginf(scores[3]).all()
+
+
+def test_members_see_input_of_their_own() -> None:
+    # Two networks of the same weights: were their input the same, all scores would be twice those of one.
+    twice = by_hand([[0], [1]], [[0], [1]])
+    once = VPRSNN(height=2, width=2, n_excitatory=2).restore(made([[0], [1]], [0, 1], 4))
+    codes = np.random.default_rng(0).integers(30, 256, (20, 4)).astype(np.uint8)
+    assert not np.array_equal(twice.match(codes), 2 * once.match(codes))
+
+
+def test_spikes_are_those_of_the_first_member() -> None:
+    together, codes = ensemble(), alone().encode(QUERIES)
+    first = layers(alone(), codes)
+    for name, counts in layers(together, codes).items():
+        assert np.array_equal(counts, first[name])
+
+
+# --- stored and restored ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change", [{}, {"member_thresholds": [0, 4]}], ids=str)
+def test_a_restored_ensemble_is_the_stored_one_and_answers_alike(change: dict[str, Any]) -> None:
+    trained = ensemble(**change)
+    restored = VPRSNNEnsemble(**SMALL, seeds=[0, 10]).restore(trained.state())
+    assert same(restored.state(), trained.state())
+    codes = trained.encode(QUERIES)
+    assert np.array_equal(restored.match(codes), trained.match(codes))
+
+
+def stored(*numbers: int) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of members so numbered."""
+    return {f"member_{number}.{name}": array for number in numbers for name, array in alone().state().items()}
+
+
+@pytest.mark.parametrize(
+    ("numbers", "more"),
+    [((0,), ()), ((0, 1, 2), ()), ((1, 2), ()), ((), ("theta", "sums")), ((0, 1), ("theta",)), ((), ())],
+    ids=["too few", "too many", "not from 0", "not numbered", "one not numbered", "none"],
+)
+def test_other_arrays_than_those_of_the_members_are_refused(numbers: tuple[int, ...], more: tuple[str, ...]) -> None:
+    method = VPRSNNEnsemble(**SMALL, seeds=[0, 10]).restore(stored(0, 1))
+    with pytest.raises(BadInput):
+        method.restore({**stored(*numbers), **{name: alone().state()[name] for name in more}})
+    with pytest.raises(NotFittedError):
+        method.state()
+
+
+def test_the_networks_of_an_ensemble_are_none_for_the_method_alone() -> None:
+    with pytest.raises(BadInput):
+        VPRSNN(**SMALL).restore(stored(0, 1))
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seeds": []},
+        {"seeds": [0, 10, 0]},
+        {"seeds": [0, -1]},
+        {"member_epochs": [5]},
+        {"member_epochs": []},
+        {"member_epochs": [5, 0]},
+        {"member_thresholds": [1, 2, 3]},
+        {"member_thresholds": [1, -1]},
+    ],
+    ids=str,
+)
+def test_what_does_not_fit_the_members_is_refused_by_name(change: dict[str, Any]) -> None:
+    ((name, value),) = change.items()
+    with pytest.raises(BadInput) as error:
+        ensemble(**change)
+    assert str(error.value).startswith(f"method.{name}={value}: ")
+
+
+def test_the_arguments_of_the_method_alone_are_checked_too() -> None:
+    with pytest.raises(BadInput, match=r"method\.weight_sum=0"):
+        ensemble(weight_sum=0.0)

@@ -1,0 +1,159 @@
+"""The input of VPRSNN: Poisson spikes whose rates are the grey levels over `levels_per_hz`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vprbench.methods.vprsnn.input import generator_for, generator_of_image, spike_train, train_of
+from vprbench.methods.vprsnn.module import Train
+
+SHOWN, STEP_MS = 3500, 0.1
+
+
+def drawn(levels: object, seed: int = 0, intensity: float = 4.0, steps: int = SHOWN) -> Train:
+    return spike_train(np.array(levels, np.uint8), np.random.default_rng(seed), intensity, steps, STEP_MS)
+
+
+def as_grid(train: Train, steps: int = SHOWN) -> np.ndarray:
+    """Return how often each input spikes in each step, (steps, n_inputs)."""
+    grid = np.zeros((steps, len(train.first) - 1), int)
+    np.add.at(grid, (train.step, train.source), 1)
+    return grid
+
+
+def five_sigma(n_draws: float, probability: float) -> float:
+    return 5 * float(np.sqrt(n_draws * probability * (1 - probability)))
+
+
+@pytest.mark.parametrize(("level", "hertz"), [(255, 63.75), (127, 31.75), (4, 1.0), (1, 0.25)])
+def test_an_input_spikes_at_a_quarter_of_its_grey_level_in_hertz(level, hertz):
+    # 784 inputs for 10 times 350 ms
+    count = sum(len(drawn(np.full(784, level), seed).step) for seed in range(10))
+    draws, probability = 10 * 784 * SHOWN, hertz * 1e-4
+    assert count == pytest.approx(draws * probability, abs=five_sigma(draws, probability))
+
+
+def test_each_input_has_the_rate_of_its_own_level():
+    levels = np.arange(256)
+    train = drawn(np.tile(levels, 40), 1)
+    counts = np.diff(train.first).reshape(40, 256).sum(axis=0)
+    probability = levels / 4 * 1e-4
+    spread = 6 * np.sqrt(40 * SHOWN * probability)
+    assert (np.abs(counts - 40 * SHOWN * probability) <= spread + 1e-9).all()
+
+
+def test_a_level_of_0_is_silent():
+    train = drawn([0, 255, 0, 255, 0], 2, 0.1)
+    assert np.diff(train.first)[[0, 2, 4]].tolist() == [0, 0, 0]
+    assert np.diff(train.first)[[1, 3]].min() > 500
+    assert len(drawn(np.zeros(784)).step) == 0
+
+
+def test_a_longer_step_makes_a_spike_in_it_more_probable():
+    train = spike_train(np.full(784, 200, np.uint8), np.random.default_rng(3), 4.0, 700, 0.5)
+    assert len(train.step) == pytest.approx(784 * 700 * 0.025, abs=five_sigma(784 * 700, 0.025))
+
+
+def test_no_input_spikes_twice_in_a_step_and_none_outside_the_presentation():
+    train = drawn(np.full(100, 255), 4, 0.05)  # in half of the steps
+    assert as_grid(train).max() == 1
+    assert train.step.min() >= 0
+    assert train.step.max() == SHOWN - 1
+
+
+def test_gaps_between_spikes_are_geometric():
+    probability = 0.3
+    train = drawn(np.full(300, 240), 5, 240 * 1e-4 / probability)
+    gaps = np.concatenate([np.diff(own) for own in np.split(train.of_source, train.first[1:-1])])
+    for gap in range(1, 12):
+        expected = probability * (1 - probability) ** (gap - 1)
+        assert (gaps == gap).sum() == pytest.approx(len(gaps) * expected, abs=five_sigma(len(gaps), expected))
+
+
+def test_the_first_and_the_last_step_are_as_probable_as_any():
+    probability = 0.3
+    grid = as_grid(drawn(np.full(20_000, 240), 6, 240 * 1e-4 / probability, 8), 8)
+    assert grid.sum(axis=0).max() <= 8
+    assert grid.sum(axis=1) == pytest.approx(np.full(8, 20_000 * probability), abs=five_sigma(20_000, probability))
+
+
+@pytest.mark.parametrize("lag", [1, 2, 10])
+def test_a_spike_says_nothing_of_later_steps(lag):
+    probability = 0.2
+    grid = as_grid(drawn(np.full(300, 200), 7, 200 * 1e-4 / probability))
+    pairs = int((grid[lag:] & grid[:-lag]).sum())
+    draws = (SHOWN - lag) * 300
+    assert pairs == pytest.approx(draws * probability**2, abs=1.5 * five_sigma(draws, probability**2))
+
+
+def test_an_input_says_nothing_of_its_neighbour():
+    probability = 0.2
+    grid = as_grid(drawn(np.full(300, 200), 8, 200 * 1e-4 / probability))
+    together = int((grid[:, 1:] & grid[:, :-1]).sum())
+    draws = SHOWN * 299
+    assert together == pytest.approx(draws * probability**2, abs=1.5 * five_sigma(draws, probability**2))
+
+
+def test_the_variance_of_counts_is_that_of_independent_steps():
+    probability = 0.25
+    counts = np.diff(drawn(np.full(4000, 250), 9, 250 * 1e-4 / probability, 100).first)
+    assert counts.mean() == pytest.approx(25, abs=5 * np.sqrt(18.75 / 4000))
+    assert counts.var() == pytest.approx(100 * 0.25 * 0.75, rel=5 * np.sqrt(2 / 4000))
+
+
+def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():
+    train = drawn(np.random.default_rng(10).integers(0, 256, 784), 10)
+    assert (np.diff(train.step) >= 0).all()
+    assert train.first[0] == 0
+    assert train.first[-1] == len(train.step) == len(train.of_source)
+    for source in range(784):
+        own = train.of_source[train.first[source] : train.first[source + 1]]
+        assert (np.diff(own) > 0).all()
+        np.testing.assert_array_equal(train.step[train.source == source], own)
+
+
+def test_given_spikes_are_sorted_into_both_orders():
+    train = train_of(np.array([7, 3, 3, 0, 9]), np.array([1, 2, 0, 1, 1]), 4, 10)
+    assert train.step.tolist() == [0, 3, 3, 7, 9]
+    assert train.source.tolist() == [1, 0, 2, 1, 1]
+    assert train.first.tolist() == [0, 1, 4, 5, 5]
+    assert train.of_source.tolist() == [3, 0, 7, 9, 3]
+
+
+def test_no_spikes_are_a_train_too():
+    train = train_of(np.zeros(0, np.int64), np.zeros(0, np.int64), 3, 10)
+    assert len(train.step) == len(train.source) == len(train.of_source) == 0
+    assert train.first.tolist() == [0, 0, 0, 0]
+
+
+def same(one: Train, other: Train) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def of_image(levels: np.ndarray, seed: int = 0) -> Train:
+    return spike_train(levels, generator_of_image(seed, levels), 4.0, SHOWN, STEP_MS)
+
+
+def test_the_same_image_has_the_same_spikes_whatever_is_asked_before_it():
+    image, other = np.random.default_rng(11).integers(0, 256, (2, 784), np.uint8)
+    before = of_image(image)
+    of_image(other)
+    assert same(of_image(image.copy()), before)
+    assert not same(of_image(other), before)
+
+
+def test_one_level_more_gives_other_spikes_of_the_inputs_before_it_too():
+    image = np.full(784, 127, np.uint8)
+    brighter = image.copy()
+    brighter[-1] += 1
+    one, other = of_image(image), of_image(brighter)
+    assert not np.array_equal(one.of_source[: one.first[1]], other.of_source[: other.first[1]])
+
+
+def test_seeds_and_purposes_give_spikes_of_their_own():
+    image = np.full(784, 127, np.uint8)
+    assert not same(of_image(image, 0), of_image(image, 1))
+    draws = [generator_for(*key).random(4).tolist() for key in ((0, 1), (0, 2), (1, 1), (0, 1, 0), (0,))]
+    assert len({tuple(draw) for draw in draws}) == 5
+    assert draws[0] == generator_for(0, 1).random(4).tolist()

@@ -1,0 +1,308 @@
+"""VPRSNN's network as stored arrays: what comes back, what is refused, and the layout of its authors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, made, references, same, second_sight
+
+from vprbench.interface import BadInput, NotFittedError, NotThere
+from vprbench.methods.vprsnn.method import VPRSNN
+
+Array = npt.NDArray[Any]
+
+QUERIES = images(WORLD.queries)
+
+
+def method(**arguments: Any) -> VPRSNN:
+    return VPRSNN(**{**SMALL, **arguments})
+
+
+# --- stored and restored ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_places", [5, 7])
+@pytest.mark.parametrize("threshold", [0, 3])
+def test_a_restored_network_is_the_stored_one_and_answers_alike(n_places: int, threshold: int) -> None:
+    trained = fitted(n_places, hyperactive_threshold=threshold)
+    stored = {name: array.copy() for name, array in trained.state().items()}
+    restored = method().restore(stored)
+    assert same(restored.state(), stored)
+    codes = trained.encode(QUERIES)
+    assert np.array_equal(restored.match(codes), trained.match(codes))
+    for name, counts in layers(restored, codes).items():
+        assert np.array_equal(counts, layers(trained, codes)[name])
+
+
+def test_the_arrays_have_their_shapes_and_the_last_module_only_its_own_places() -> None:
+    state = fitted(7, hyperactive_threshold=3).state()
+    assert {name: array.shape for name, array in state.items()} == {
+        "weights": (2, 144, 24),
+        "theta": (2, 24),
+        "sums": (2, 24, 5),
+        "shown": (2, 5),
+        "places": (2, 5),
+        "threshold": (),
+        "reactions": (2, 24),
+    }
+    assert state["places"].tolist() == [[0, 1, 2, 3, 4], [5, 6, -1, -1, -1]]
+    assert state["shown"][1].tolist() == [12, 12, 0, 0, 0]  # 2 images in each of 6 epochs
+    assert not state["sums"][1, :, 2:].any()
+
+
+def test_a_smaller_last_module_recognises_its_places() -> None:
+    found = fitted(7, epochs=12)
+    scores = found.query(second_sight(7))
+    assert scores.shape == (7, 7)
+    assert scores.argmax(1)[5:].tolist() == [5, 6]
+
+
+def test_one_place_alone_is_a_network() -> None:
+    assert fitted(1).query(QUERIES).shape == (len(WORLD.queries), 1)
+
+
+def test_weights_are_stored_by_input_and_neuron() -> None:
+    heard = made([[0], [1, 2], []], [0, 1, 1], 4)
+    state = VPRSNN(height=2, width=2, n_excitatory=3).restore(heard).state()
+    assert (state["weights"][0] > 0).astype(int).tolist() == [[1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 0]]
+
+
+@pytest.mark.parametrize(("given", "kept"), [(None, 3), (0, 0), (5, 5)])
+def test_a_threshold_that_is_given_replaces_the_stored_one(given: int | None, kept: int) -> None:
+    state = fitted(hyperactive_threshold=3).state()
+    assert method(hyperactive_threshold=given).restore(state).state()["threshold"] == kept
+
+
+def test_a_threshold_needs_reactions_that_the_network_has_counted() -> None:
+    with pytest.raises(BadInput, match=r"method\.hyperactive_threshold=3: .* not counted"):
+        method(hyperactive_threshold=3).restore(fitted().state())
+
+
+# --- refused ----------------------------------------------------------------------------------------------------
+
+
+def little() -> dict[str, Array]:
+    """Return the arrays of two modules of three and two places, with 4 pixels and 3 neurons."""
+    draw = np.random.default_rng(0)
+    sums = draw.integers(0, 50, (2, 3, 3)).astype(np.float32)
+    sums[1, :, 2] = 0
+    return {
+        "weights": draw.random((2, 4, 3)),
+        "theta": draw.uniform(20, 30, (2, 3)),
+        "sums": sums,
+        "shown": np.array([[5, 5, 5], [5, 5, 0]]),
+        "places": np.array([[0, 3, 1], [4, 2, -1]]),
+        "threshold": np.array(7),
+        "reactions": draw.integers(0, 9, (2, 3)),
+    }
+
+
+def small() -> VPRSNN:
+    return VPRSNN(height=2, width=2, n_excitatory=3)
+
+
+def refusal(state: Mapping[str, Array], asked: VPRSNN | None = None) -> str:
+    """Return the line that refuses the arrays, and see that the method, which had a network, answers nothing."""
+    asked = asked or small().restore(little())
+    with pytest.raises(BadInput) as error:
+        asked.restore(state)
+    with pytest.raises(NotFittedError):
+        asked.state()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_the_little_network_of_these_tests_is_accepted() -> None:
+    assert small().restore(little()).match(np.full((2, 4), 200, np.uint8)).shape == (2, 5)
+
+
+@pytest.mark.parametrize("name", [name for name in little() if name != "reactions"])
+def test_a_missing_array_is_named(name: str) -> None:
+    assert name in refusal({key: array for key, array in little().items() if key != name})
+
+
+def test_an_array_too_many_is_named() -> None:
+    assert "delays" in refusal({**little(), "delays": np.zeros((2, 4, 3))})
+
+
+def test_no_arrays_are_no_network() -> None:
+    refusal({})
+
+
+@pytest.mark.parametrize("name", little())
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a: a[None],
+        lambda a: a.reshape(-1)[0] if a.ndim else np.repeat(a, 2),
+        lambda a: a.reshape(-1, 1, 1, 1),
+        lambda a: a.reshape(-1)[:0],
+        lambda a: np.concatenate([np.atleast_2d(a), np.atleast_2d(a)[..., :1]], axis=-1),
+    ],
+    ids=["one axis more", "one number or two", "four axes", "nothing", "a column too many"],
+)
+def test_an_array_of_another_shape_is_refused(name: str, spoil: Callable[[Array], Array]) -> None:
+    refusal({**little(), name: np.asarray(spoil(little()[name]))})
+
+
+@pytest.mark.parametrize("name", ["weights", "theta", "sums", "shown", "places", "reactions"])
+def test_arrays_of_different_numbers_of_modules_are_refused(name: str) -> None:
+    refusal({**little(), name: little()[name][:1]})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["weights", "theta", "sums"])
+def test_values_that_are_no_numbers_are_refused_by_the_name_of_their_array(name: str, value: float) -> None:
+    state = little()
+    state[name][0, 1] = value
+    assert name in refusal(state)
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        [[0, 3, 1], [4, 3, -1]],
+        [[0, 3, 1], [5, 2, -1]],
+        [[1, 3, 4], [5, 2, -1]],
+        [[-1, -1, -1], [-1, -1, -1]],
+    ],
+    ids=["one twice", "one left out", "not from 0", "none"],
+)
+def test_damaged_places_are_refused(places: list[list[int]]) -> None:
+    assert "places" in refusal({**little(), "places": np.array(places)})
+
+
+def test_spikes_for_a_place_that_is_not_there_are_refused() -> None:
+    state = little()
+    state["sums"][1, 0, 2] = 3
+    assert "spikes" in refusal(state)
+
+
+def test_spikes_below_0_are_refused() -> None:
+    state = little()
+    state["sums"][0, 0, 0] = -3
+    assert "spikes" in refusal(state)
+
+
+def test_a_stored_threshold_without_reactions_is_refused() -> None:
+    state = little()
+    del state["reactions"]
+    assert "reactions" in refusal(state)
+
+
+def test_a_stored_threshold_below_0_is_refused() -> None:
+    assert "threshold" in refusal({**little(), "threshold": np.array(-1)})
+
+
+@pytest.mark.parametrize("change", [{"height": 3}, {"n_excitatory": 4}])
+def test_another_size_is_refused_with_what_to_give(change: dict[str, int]) -> None:
+    asked = VPRSNN(**{"height": 2, "width": 2, "n_excitatory": 3, **change})
+    assert f"method.{next(iter(change))}" in refusal(little(), asked)
+
+
+def test_bad_arguments_are_refused_before_a_network_is_taken() -> None:
+    with pytest.raises(BadInput, match=r"method\.epochs=0"):
+        method(epochs=0).restore(fitted().state())
+
+
+# --- the layout of the authors ----------------------------------------------------------------------------------
+
+
+def publish(folder: Path, weights: Array, theta: Array, first: int = 0, dense: bool = False) -> None:
+    """Write modules (n_modules, n_inputs, n_neurons) with theta (mV) of five places each as VPRSNN's code does."""
+    for number, (of_module, own) in enumerate(zip(weights, theta, strict=True)):
+        module = folder / f"weights_ne{len(own)}_L5_offset{first + 5 * number}"
+        module.mkdir(parents=True)
+        source, neuron = np.indices(of_module.shape)
+        rows = np.stack([source.ravel(), neuron.ravel(), of_module.ravel()], axis=1)
+        np.save(module / "XeAe.npy", of_module if dense else rows)
+        np.save(module / "theta_A.npy", own / 1000)  # volts
+
+
+@pytest.fixture
+def trained() -> VPRSNN:
+    """A network of ten places to publish."""
+    return fitted(10)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, trained: VPRSNN) -> Path:
+    """The published weights of that network."""
+    publish(tmp_path / "weights", trained.state()["weights"], trained.state()["theta"], first=600)
+    return tmp_path / "weights"
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_published_weights_are_taken_over_unchanged(tmp_path: Path, trained: VPRSNN, dense: bool) -> None:
+    draw = np.random.default_rng(3)
+    weights, theta = draw.random((2, 144, 24)), draw.uniform(20, 40, (2, 24))
+    publish(tmp_path, weights, theta, dense=dense)
+    state = fitted(10, published_weights=str(tmp_path)).state()
+    assert np.array_equal(state["weights"], weights)
+    assert state["theta"] == pytest.approx(theta)
+    assert state["places"].tolist() == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+    assert not np.array_equal(weights, trained.state()["weights"])
+
+
+def test_published_weights_learn_which_place_each_neuron_speaks_for(folder: Path, trained: VPRSNN) -> None:
+    found = fitted(10, published_weights=str(folder), epochs=12)
+    right = np.tile(np.arange(10), 2)
+    assert np.mean(found.query(references(10)[0]).argmax(1) == right) > 0.5
+    assert found.state()["shown"].tolist() == [[24] * 5] * 2  # 12 epochs of 2 images: 120 presentations, all recorded
+    assert found.state()["sums"].sum() > 1000
+
+
+def test_the_assignment_of_published_weights_follows_the_images_and_not_the_order_of_the_modules(
+    folder: Path,
+) -> None:
+    # The same weights for the places in the other order: neurons speak for the images that they learnt.
+    shown, places = references(10)
+    turned = method(published_weights=str(folder), epochs=12).fit(shown, (places // 5) * 5 + 4 - places % 5)
+    right = np.tile((np.arange(10) // 5) * 5 + 4 - np.arange(10) % 5, 2)
+    assert np.mean(turned.query(shown).argmax(1) == right) > 0.5
+
+
+def test_only_the_last_presentations_assign_published_weights(folder: Path) -> None:
+    # Of 60 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place.
+    state = fitted(10, published_weights=str(folder), recorded_presentations=12).state()
+    assert state["shown"].tolist() == [[2, 2, 2, 3, 3]] * 2
+
+
+def test_published_weights_are_stored_and_restored_without_their_folder(folder: Path) -> None:
+    found = fitted(10, published_weights=str(folder))
+    restored = method().restore(found.state())
+    codes = found.encode(QUERIES)
+    assert np.array_equal(restored.match(codes), found.match(codes))
+
+
+@pytest.mark.parametrize(("n_places", "modules"), [(5, 1), (11, 3)])
+def test_another_number_of_modules_than_places_make_is_refused(folder: Path, n_places: int, modules: int) -> None:
+    with pytest.raises(BadInput, match=rf"published_weights holds 2 modules, but the places make {modules}"):
+        fitted(n_places, published_weights=str(folder))
+
+
+@pytest.mark.parametrize("change", [{"n_excitatory": 23}, {"height": 11}])
+def test_published_weights_of_another_size_are_refused_by_the_name_of_their_file(
+    folder: Path, change: dict[str, int]
+) -> None:
+    with pytest.raises(BadInput, match=r"XeAe\.npy"):
+        fitted(10, published_weights=str(folder), **change)
+
+
+def test_the_files_of_published_weights_are_told_and_others_have_none(folder: Path) -> None:
+    files = method(published_weights=str(folder)).files()
+    assert [str(path.relative_to(folder)) for path in files] == [
+        f"weights_ne24_L5_offset{offset}/{name}" for offset in (600, 605) for name in ("XeAe.npy", "theta_A.npy")
+    ]
+    assert method().files() == []
+
+
+def test_a_missing_file_of_published_weights_is_told_before_anything_is_done(folder: Path) -> None:
+    (folder / "weights_ne24_L5_offset605" / "theta_A.npy").unlink()
+    with pytest.raises(NotThere, match=r"offset605/theta_A\.npy"):
+        method(published_weights=str(folder)).files()

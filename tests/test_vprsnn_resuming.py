@@ -1,0 +1,231 @@
+"""An interrupted training of VPRSNN goes on with its own modules, and ends in the same network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from little_vprsnn import SMALL, WORLD, fitted, images, references, same
+
+from vprbench import partial
+from vprbench.interface import HeldOut
+from vprbench.methods.vprsnn import batched, method, training
+from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
+from vprbench.methods.vprsnn.lessons import Lesson
+from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.methods.vprsnn.recipe import Recipe
+from vprbench.methods.vprsnn.threads import Tell
+from vprbench.methods.vprsnn.training import train
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Modules are trained one after the other, unless a test says otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+class Interrupted(Exception):
+    """Somebody ended the training."""
+
+
+# --- interruptions ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trainings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of partial trainings."""
+    monkeypatch.setenv("VPRBENCH_PARTIAL", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def trained(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """The `numbers` of modules in the order they are trained; at the one called `fatal` the training is interrupted."""
+    seen = SimpleNamespace(numbers=[], fatal=None)
+
+    def watched(how: Recipe, shown: Lesson, tell: Tell) -> dict[str, npt.NDArray[Any]]:
+        if len(seen.numbers) == seen.fatal:
+            raise Interrupted
+        seen.numbers.append(shown.number)
+        return train(how, shown, tell)
+
+    monkeypatch.setattr(training, "train", watched)
+    return seen
+
+
+def interrupt(trained: SimpleNamespace, after: int, work: Callable[[], Any]) -> None:
+    """Do the work, interrupted once so many modules are trained, and forget that they were."""
+    trained.fatal = after
+    with pytest.raises(Interrupted):
+        work()
+    assert len(trained.numbers) == after
+    trained.numbers, trained.fatal = [], None
+
+
+def test_an_interrupted_training_trains_only_what_is_missing(trainings: Path, trained: SimpleNamespace) -> None:
+    expected = fitted(20)
+    assert trained.numbers == [0, 1, 2, 3]
+    assert not list(trainings.iterdir())
+    trained.numbers = []
+    interrupt(trained, 2, lambda: fitted(20))
+    assert list(trainings.iterdir())
+    found = fitted(20)
+    assert trained.numbers == [2, 3]
+    assert same(found.state(), expected.state())
+    assert not list(trainings.iterdir())
+
+
+def test_interrupted_again_and_again_a_training_ends(trainings: Path, trained: SimpleNamespace) -> None:
+    for _ in range(3):
+        interrupt(trained, 1, lambda: fitted(20))
+    resumed = fitted(20)
+    assert trained.numbers == [3]
+    assert same(resumed.state(), fitted(20).state())
+
+
+def test_two_threads_go_on_with_what_one_had_trained(trainings: Path, trained: SimpleNamespace) -> None:
+    expected = fitted(20)
+    trained.numbers = []
+    interrupt(trained, 3, lambda: fitted(20))
+    torch.set_num_threads(2)
+    assert same(fitted(20).state(), expected.state())
+    assert trained.numbers == [3]
+
+
+def test_the_batched_engine_trains_only_what_is_missing(trainings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Modules of 10, 10, 8 and 5 images: those with as many are trained together, and the interruption comes before the
+    # last.
+    rows = [*range(18), *range(20, 33), *range(35, 37)]
+    few: dict[str, Any] = {"epochs": 1, "n_excitatory": 8, "presentation_ms": 100.0, "rest_ms": 30.0}
+    learn, at_once = batched.train, []
+
+    def fit() -> VPRSNN:
+        shown = images([WORLD.references[row] for row in rows])
+        return VPRSNN(**{**SMALL, **few, "engine": "batched"}).fit(shown, WORLD.places[rows])
+
+    def watched(weights: npt.NDArray[np.float64], *others: Any) -> batched.Trained:
+        at_once.append(len(weights))
+        return learn(weights, *others)
+
+    def interrupted_after_two(*called: Any) -> batched.Trained:
+        return watched(*called) if len(at_once) < 2 else interrupted()
+
+    expected = fit().state()
+    with monkeypatch.context() as patch:
+        patch.setattr(batched, "train", interrupted_after_two)
+        with pytest.raises(Interrupted):
+            fit()
+    monkeypatch.setattr(batched, "train", watched)
+    assert same(fit().state(), expected)
+    assert at_once == [2, 1, 1]
+    assert not list(trainings.iterdir())
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"epochs": 5}, {"theta_plus_mv": 0.06}, {"fast": True}])
+def test_a_training_does_not_go_on_with_another_ones_modules(
+    trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
+) -> None:
+    interrupt(trained, 2, lambda: fitted(20))
+    fitted(20, **change)
+    assert len(trained.numbers) == 4
+
+
+def test_a_training_does_not_go_on_with_modules_of_other_images(trainings: Path, trained: SimpleNamespace) -> None:
+    interrupt(trained, 1, lambda: fitted(10))
+    _, places = references(10)
+    darker = [image // 2 if row == 15 else image for row, image in enumerate(references(10)[0])]
+    VPRSNN(**SMALL).fit(images(darker), places)
+    assert trained.numbers == [0, 1]
+
+
+def test_a_training_does_not_go_on_with_modules_of_the_same_images_at_other_places(
+    trainings: Path, trained: SimpleNamespace
+) -> None:
+    interrupt(trained, 1, lambda: fitted(10))
+    shown, places = references(10)
+    VPRSNN(**SMALL).fit(shown, places[::-1].copy())
+    assert trained.numbers == [0, 1]
+
+
+def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none_again(
+    trainings: Path, trained: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = fitted(10, hyperactive_threshold=9).state()
+    with monkeypatch.context() as patch:
+        patch.setattr(method, "reactions", interrupted)
+        with pytest.raises(Interrupted):
+            fitted(10, hyperactive_threshold=9)
+    trained.numbers = []
+    assert same(fitted(10, hyperactive_threshold=9).state(), expected)
+    assert trained.numbers == []
+
+
+@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"hyperactive_threshold": 9}])
+def test_a_training_goes_on_under_other_arguments_of_the_query(
+    trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
+) -> None:
+    interrupt(trained, 2, lambda: fitted(20))
+    fitted(20, **change)
+    assert trained.numbers == [2, 3]
+
+
+def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings: Path, trained: SimpleNamespace) -> None:
+    def fit() -> VPRSNN:
+        return VPRSNNEnsemble(**SMALL, seeds=[0, 10]).fit(*references(10))
+
+    expected = fit().state()
+    trained.numbers = []
+    interrupt(trained, 3, fit)
+    assert same(fit().state(), expected)
+    assert trained.numbers == [1]
+
+
+def held_out() -> HeldOut:
+    shown, places = references(10, 10)
+    return HeldOut(shown, places, images(WORLD.references[30:40]), np.arange(10), in_map=False)
+
+
+def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path, trained: SimpleNamespace) -> None:
+    expected = fitted().calibrate(held_out()).state()
+    found = fitted()
+    trained.numbers = []
+    interrupt(trained, 1, lambda: found.calibrate(held_out()))
+    found.calibrate(held_out())
+    assert len(trained.numbers) == 1
+    assert same(found.state(), expected)
+    assert not list(trainings.iterdir())
+
+
+def test_a_calibration_does_not_go_on_with_reactions_of_another_network(
+    trainings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The second traverse shows other images, from which other neurons learn; the first, for which reactions are
+    # counted, is the same.
+    def fit(second: int) -> VPRSNN:
+        rows = [*range(5), *range(second, second + 5)]
+        only_one = {"hyperactive_candidates": [1]}  # certainly chosen, so that reactions of the map are counted
+        return VPRSNN(**SMALL, **only_one).fit(images([WORLD.references[row] for row in rows]), np.tile(range(5), 2))
+
+    expected = fit(20).calibrate(held_out()).state()
+
+    def calibrated_but_interrupted(fitted: VPRSNN) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(partial.Partial, "remove", interrupted)
+            with pytest.raises(Interrupted):
+                fitted.calibrate(held_out())
+
+    calibrated_but_interrupted(fit(10))
+    assert same(fit(20).calibrate(held_out()).state(), expected)
+
+
+def interrupted(*_: Any) -> NoReturn:
+    raise Interrupted

@@ -1,0 +1,277 @@
+"""The compiled simulation of VPRSNN equals the direct one, in spikes exactly; and what a presentation counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from direct_vprsnn import Run, simulate
+from vprsnn_constants import constants
+from vprsnn_modules import Floats, Module, Spikes, silence, spikes_at
+
+NEVER = -(1 << 60)  # the step of a spike that has not come
+BRIEF = {"presentation_ms": 150.0, "rest_ms": 30.0}
+
+
+@dataclass(frozen=True)
+class Given:
+    """A module and what it is shown."""
+
+    weights: Floats  # (n_inputs, n_neurons)
+    delays: npt.NDArray[np.int64]  # (n_inputs, n_neurons) steps
+    images: list[Spikes]
+    values: SimpleNamespace
+    theta: float | Floats = 20.0
+
+    @classmethod
+    def drawn(
+        cls,
+        seed: int,
+        n_neurons: int = 12,
+        n_inputs: int = 40,
+        longest: int = 100,
+        share: float = 0.0125,
+        n_images: int = 4,
+        **changes: float,
+    ) -> Given:
+        """Draw weights, delays and images, whose inputs spike in up to twice `share` of the steps."""
+        random = np.random.default_rng(seed)
+        values = constants(**{**BRIEF, **changes})
+        n_steps = round(values.presentation_ms / values.time_step_ms)
+        return cls(
+            0.8 * random.random((n_inputs, n_neurons)),
+            random.integers(0, longest + 1, (n_inputs, n_neurons)),
+            [random.random((n_steps, n_inputs)) < 2 * share * random.random(n_inputs) for _ in range(n_images)],
+            values,
+        )
+
+
+def agreed(given: Given, learning: bool = True, weight_sum: float | None = None) -> Run:
+    """Show the images to both simulations, insist that they agree, and return the direct one's run."""
+    n = given.weights.shape[1]
+    theta = np.zeros(n) + given.theta
+    run = simulate(given.weights, given.delays, theta, given.images, given.values, learning, weight_sum)
+    module = Module(given.weights, theta, given.delays, learning, given.values)
+    counts = []
+    for image in given.images:
+        if weight_sum is not None:
+            module.normalise(weight_sum)
+        counts.append(module.show(image))
+    np.testing.assert_array_equal(counts, run.counts)
+    state = module.state
+    for fired, spikes in ((state.fired, run.excitatory), (state.fired_i, run.inhibitory)):
+        last = np.where(spikes.any(axis=0), len(spikes) - 1 - spikes[::-1].argmax(axis=0), NEVER)
+        np.testing.assert_array_equal(fired[:n], last)
+    close = {"rtol": 0, "atol": 1e-9}
+    np.testing.assert_allclose(module.weights, run.weights, **close)
+    np.testing.assert_allclose(module.theta, run.theta, **close)
+    np.testing.assert_allclose(module.v, run.potentials[-1], **close)
+    for found, expected in ((state.ge, run.ge), (state.gi, run.gi), (state.ge_i, run.ge_i)):
+        np.testing.assert_allclose(found[:n], expected, rtol=0, atol=1e-12)
+    acted_on = state.ge_i[:n] > 0  # the potential of others is reckoned when they are next acted on
+    np.testing.assert_allclose(state.v_i[:n][acted_on], run.v_i[acted_on], **close)
+    return run
+
+
+# --- The direct simulation as judge -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("seed", "n_neurons"), [(0, 12), (1, 8), (2, 5)])
+def test_a_learning_module_equals_the_direct_simulation(seed, n_neurons):
+    given = Given.drawn(seed, n_neurons)
+    run = agreed(given, weight_sum=16.0)
+    assert run.counts.sum() > 5 * n_neurons
+    scaled = given.weights * (16 / given.weights.sum(axis=0))
+    assert np.abs(run.weights - scaled).max() > 0.01
+
+
+def test_an_asked_module_equals_the_direct_simulation():
+    given = Given.drawn(3, 20)
+    run = agreed(given, learning=False)
+    assert run.counts.sum() > 50
+    assert (run.weights == given.weights).all()
+
+
+def test_published_durations_give_the_same_too():
+    run = agreed(Given.drawn(4, 10, n_images=3, presentation_ms=350.0, rest_ms=150.0), weight_sum=16.0)
+    assert run.counts.sum(axis=1).min() > 20
+
+
+@pytest.mark.parametrize("longest", [0, 1, 7, 127, 128, 300])
+def test_delays_of_every_length_up_to_the_rest_give_the_same(longest):
+    run = agreed(Given.drawn(5, longest=longest, n_images=3), weight_sum=16.0)
+    assert run.counts.sum() > 50
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"excitatory_minimum_interval_ms": 6.95, "pre_rate": 0.01},
+        {"excitatory_minimum_interval_ms": 6.95, "pre_rate": -0.02, "post_rate": 0.1},
+        {"inhibitory_to_excitatory_weight": 0.0},
+        {"excitatory_to_inhibitory_weight": 30.0, "inhibitory_refractory_ms": 40.0},
+        {"excitation_tau_ms": 5.0, "inhibition_tau_ms": 30.0},
+        {"post_trace_tau_ms": 2.0, "pre_trace_tau_ms": 300.0, "slow_post_trace_tau_ms": 500.0},
+        {"theta_plus_mv": 2.0, "theta_tau_ms": 1000.0},
+        {"time_step_ms": 0.2},
+        {"excitatory_reset_mv": -70.0, "excitatory_rest_mv": -60.0, "inhibitory_reset_mv": -80.0},
+        {"rest_ms": 10.0, "presentation_ms": 51.2},
+    ],
+    ids=lambda changes: "-".join(changes),
+)
+def test_other_constants_give_the_same(changes):
+    run = agreed(Given.drawn(6, **changes))
+    assert run.counts.sum() > 10
+
+
+def test_neurons_that_all_fire_in_the_same_step_give_the_same():
+    given = Given.drawn(7, 10)
+    alike = replace(given, weights=np.tile(given.weights[:, :1], 10), delays=np.tile(given.delays[:, :1], 10))
+    run = agreed(alike, weight_sum=16.0)
+    together = run.excitatory.sum(axis=1)
+    assert set(together.tolist()) == {0, 10}
+    assert run.excitatory[:, 0].sum() >= 8
+
+
+@pytest.mark.parametrize("theta", [6.9, 3.0, -40.0])
+def test_thresholds_below_the_rest_give_the_same(theta):
+    run = agreed(replace(Given.drawn(8), theta=theta))
+    assert run.excitatory[0].all()
+
+
+@pytest.mark.parametrize("n_neurons", [1, 2, 9])
+def test_small_modules_give_the_same(n_neurons):
+    assert agreed(Given.drawn(9, n_neurons), weight_sum=16.0).counts.sum() > n_neurons
+
+
+def test_a_single_input_gives_the_same():
+    given = Given.drawn(10, 6, 1, share=0.3, n_images=2)
+    assert agreed(replace(given, weights=np.linspace(0.1, 1.0, 6)[None])).counts.sum() > 5
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0])
+def test_inputs_of_very_high_rates_give_the_same(share):
+    run = agreed(Given.drawn(11, share=share, n_images=2, presentation_ms=60.0))
+    assert run.counts.sum() >= 24
+
+
+def test_weights_of_0_and_of_1_give_the_same():
+    given = Given.drawn(12)
+    extreme = (given.weights > 0.4).astype(float)
+    run = agreed(replace(given, weights=extreme))
+    assert run.counts.sum() > 20
+    assert run.weights.max() == 1
+    assert (run.weights[extreme == 0] > 0).any()
+
+
+def test_silent_images_among_others_give_the_same():
+    given = Given.drawn(13, n_images=6)
+    images = [image if number % 3 == 1 else silence(*image.shape) for number, image in enumerate(given.images)]
+    counts = agreed(replace(given, images=images)).counts.sum(axis=1)
+    assert counts[0] == 0
+    assert counts[[1, 4]].min() > 10
+
+
+def test_thresholds_that_differ_from_neuron_to_neuron_give_the_same():
+    run = agreed(replace(Given.drawn(14, 8), theta=np.linspace(8.0, 45.0, 8)))
+    counts = run.counts.sum(axis=0)
+    assert counts[0] > counts[-1] == 0
+
+
+def test_the_last_step_of_a_presentation_and_of_its_rest_may_bring_a_spike():
+    # Neurons below rest fire in steps 0, 501, 1002: the image ends after step 501, its rest after step 1002.
+    values = constants(presentation_ms=50.2, rest_ms=50.1, theta_plus_mv=0.0)
+    given = Given(np.full((2, 3), 0.3), np.full((2, 3), 5), [spikes_at(502, 2, (480, 0), (501, 1))] * 3, values, 0.0)
+    run = agreed(given)
+    assert np.flatnonzero(run.excitatory[:, 0]).tolist() == [501 * k for k in range(7)]
+    assert run.counts[:, 0].tolist() == [2, 2, 2]
+
+
+# --- What is counted, and when ----------------------------------------------------------------------------------
+
+
+def restless(shown: int, rest: int) -> Module:
+    """A neuron below rest, which fires in steps 0, 501, 1002 and so on."""
+    values = constants(presentation_ms=shown / 10, rest_ms=rest / 10)
+    return Module(np.zeros((1, 1)), 0.0, learning=False, values=values)
+
+
+def test_spikes_in_the_rest_count_for_the_next_image():
+    module = restless(500, 600)
+    # Step 0 | 501, 1002 and 1503 | 2004, 2505 (the image of steps 2200 to 2699)
+    assert [module.show(silence(500, 1)).tolist() for _ in range(3)] == [[1], [3], [2]]
+
+
+@pytest.mark.parametrize(("shown", "counts"), [(501, [1, 2]), (502, [2, 1])])
+def test_the_first_step_of_the_rest_is_none_of_the_presentation(shown, counts):
+    module = restless(shown, 1000 - shown)
+    assert [int(module.show(silence(shown, 1))[0]) for _ in range(2)] == counts
+
+
+def test_without_a_rest_the_simulation_ends_with_the_presentation():
+    module = restless(500, 600)
+    module.show(silence(500, 1), resting=False)
+    assert module.state.fired[0] == 0
+    assert module.state.late[0] == 0
+
+
+def test_a_pause_that_is_skipped_leaves_potentials_as_the_closed_form_has_them():
+    module = Module(np.array([[0.5]]), learning=False)
+    module.state.v[:] = -80.0
+    module.show(silence(3500, 1))
+    assert module.v[0] == pytest.approx(-65 - 15 * (1 - 0.001) ** 5000, abs=1e-12)
+
+
+def test_each_synapse_delivers_after_its_own_delay():
+    delays = np.array([[0, 1, 17, 99, 100]])
+    weights = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]])
+    for until in (11, 12, 27, 28, 109, 110, 111, 130):
+        module = Module(weights, 1000.0, delays, learning=False)
+        module.show(spikes_at(until, 1, (10, 0)), resting=False)
+        since = until - 1 - 10 - delays[0]
+        expected = np.where(since >= 0, weights[0] * 0.9 ** np.maximum(since, 0), 0)
+        assert module.state.ge[:5] == pytest.approx(expected, rel=1e-12)
+
+
+def test_spikes_of_the_last_step_arrive_in_the_rest():
+    module = Module(np.array([[0.5]]), 1000.0, np.array([[100]]), learning=False)
+    module.physics = module.physics._replace(rest=101)
+    module.show(spikes_at(3500, 1, (3499, 0)))
+    assert module.state.ge[0] == pytest.approx(0.5 * 0.9)
+
+
+def test_two_modules_in_turn_are_as_each_alone():
+    values = constants(**BRIEF)
+    first, second = Given.drawn(15), Given.drawn(16)
+    alone = [Module(given.weights, 20.0, given.delays, True, values) for given in (first, second)]
+    turns = [Module(given.weights, 20.0, given.delays, True, values) for given in (first, second)]
+    for given, module in zip((first, second), alone, strict=True):
+        for image in given.images:
+            module.show(image)
+    for images in zip(first.images, second.images, strict=True):
+        for image, module in zip(images, turns, strict=True):
+            module.show(image)
+    for one, other in zip(alone, turns, strict=True):
+        assert (one.weights == other.weights).all()
+        assert (one.counts == other.counts).all()
+
+
+def test_weights_above_the_maximum_are_cut_at_their_next_arrival():  # normalising lifts few inputs past 1
+    agreed(Given.drawn(20), weight_sum=40.0)
+
+
+def test_a_refractory_period_longer_than_the_minimum_interval_gives_the_same():
+    agreed(Given.drawn(21, excitatory_minimum_interval_ms=0.0))
+
+
+def test_a_refractory_period_longer_than_the_minimum_interval_gives_the_same_asking():
+    agreed(Given.drawn(21, excitatory_minimum_interval_ms=2.05), learning=False)
+
+
+def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():
+    values = constants(presentation_ms=20.0, rest_ms=300.0, theta_tau_ms=100.0)
+    given = Given(np.full((1, 1), 0.3), np.zeros((1, 1), int), [silence(200, 1)] * 2, values)
+    assert agreed(given).counts[:, 0].tolist() == [0, 5]
