@@ -19,7 +19,7 @@ import pytest
 import torch
 from stopped_clock import Clock
 
-from vprbench import bench, bench_text, measures, progress
+from vprbench import bench, bench_text, bench_vprsnn, measures, progress
 from vprbench.bench_report import QUICK, Failed, Settings, chosen
 from vprbench.cli import main
 from vprbench.images import Images
@@ -49,7 +49,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
         contextlib.redirect_stdout(printed),
         contextlib.redirect_stderr(io.StringIO()),
     ):
-        patch.setattr(bench, "psutil", enough)  # a size is left out where memory is short
+        for module in (bench, bench_vprsnn):
+            patch.setattr(module, "psutil", enough)  # less is measured where memory is short
         code = main(["bench", "quick=true", "threads=1", f"results={results}"])
     raw = json.loads((results / "bench.json").read_text())
     return Done(code, printed.getvalue(), (results / "bench.md").read_text(), raw)
@@ -79,6 +80,8 @@ def test_the_benchmark_ends_well_and_prints_what_it_writes(done: Done) -> None:
         ("Preprocessing", ["64x32", "64x32", "40x24", "40x24"]),
         ("Queries at", ["sad", *(f"vprtempo{kind} {r}" for kind in ("", "_int8") for r in ("paper", "reference"))]),
         ("Matching beside", ["exact search", "exact search", "exact search, best 100", "sad"]),
+        ("A module of VPRSNN", ["vprsnn", "vprsnn_fast"] * 2),
+        ("Queries to many modules", ["1", "3"]),
         ("Growth with", ["paper"] * 3 + ["reference"] * 3 + ["paper"] * 3 + ["reference"] * 3),
     ],
 )
@@ -302,9 +305,16 @@ def test_what_cannot_be_measured_says_why_in_its_cell() -> None:
 
     report = bench.measure(quick_settings("sizes=[10]"), make)
     text = bench_text.text_of(report)
-    assert len(report.failures) == 2 + 2 + 6 + 1 + 2
+    assert len(report.failures) == 2 + 2 + 6 + 1 + 2 + 2 + 2
     assert not any(isinstance(cell, Failed) for cell in report.preprocessing)
-    for heading in ("A training step", "The fit that users", "Queries at", "Growth with"):
+    for heading in (
+        "A training step",
+        "The fit that users",
+        "Queries at",
+        "Growth with",
+        "A module of",
+        "Queries to many",
+    ):
         assert "MemoryError: only 3 bytes are left" in rows(text, heading)[0]
     assert "MemoryError: only 3 bytes are left" in rows(text, "Matching beside")[-1]
     assert "its network could not be trained, see above" in text

@@ -177,8 +177,8 @@ def test_the_same_seed_draws_the_same_network():
     assert not np.array_equal(weights(3), weights(4))
 
 
-def test_every_method_here_but_vprtempo_is_in_the_benchmark(tmp_path, monkeypatch):
-    for name in ("own/method/new", "own/method/vprtempo_new", "other/method/strange"):
+def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, monkeypatch):
+    for name in ("own/method/new", "own/method/vprtempo_new", "own/method/vprsnn", "other/method/strange"):
         path = tmp_path / f"{name}.yaml"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()

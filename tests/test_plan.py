@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 import yaml
 
+from vprbench import cli, registry
 from vprbench.interface import BadInput
+from vprbench.paper import Asked, Chosen, choose, wanted
 from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
 
 PLAN = Path(__file__).resolve().parents[1] / "conf" / "table.yaml"
@@ -28,6 +30,10 @@ def written(content: Any, folder: Path) -> Path:
     path = folder / "table.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
+
+
+def chosen(**asked: Any) -> Chosen:
+    return choose(Asked(**asked), lambda options: cli._composed(list(options)))
 
 
 def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:
@@ -135,3 +141,78 @@ def test_fewer_places_lower_an_argument_of_the_growth(plan: Plan) -> None:
 def test_the_growth_asks_for_few_queries_and_never_for_more_than_there_are(plan: Plan) -> None:
     options = [plan.growth.column(n).options[-1] for n in (100, 27_000)]
     assert options == ["dataset.query_places=82", "dataset.query_places=300"]
+
+
+def test_rows_name_methods_and_arguments_that_there_are(plan: Plan) -> None:
+    methods = registry.entries("method")
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
+        assert arguments <= {*methods[row.method].options}, row.name
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("vprsnn", ["method=vprsnn"]),
+        ("vprsnn_fast", ["method=vprsnn_fast"]),
+        ("vprsnn_all_neurons", ["method=vprsnn", "method.hyperactive_threshold=0"]),
+        ("vprsnn_ensemble", ["method=vprsnn_ensemble"]),
+    ],
+)
+def test_a_row_of_vprsnn_is_one_run_with_its_arguments(name: str, options: list[str]) -> None:
+    here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"])
+    (run,) = wanted(here, here.columns[0], here.rows[-1:])
+    assert [option for option in run.options() if option.startswith("method")] == options
+
+
+def test_rows_of_vprsnn_run_at_450_places_unless_all_is_to_run_in_full() -> None:
+    rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
+    for full in (False, True):
+        here = chosen(**rows, columns=["railway", "street"], full=full)
+        railway, street = here.columns
+        assert [here.slow(railway, row) for row in here.rows] == [not full] * 4
+        assert [here.slow(street, row) for row in here.rows] == [False] * 4
+        assert here.smaller["railway"].dataset["places"] == 450
+
+
+@pytest.mark.parametrize(
+    ("given", "columns"),
+    [([], ["railway", "street"]), (["nordland", "robotcar"], ["nordland", "oxford_robotcar"])],
+    ids=["rendered", "real"],
+)
+def test_a_column_on_request_is_not_among_those_that_nobody_named(
+    given: list[str], columns: list[str], tmp_path: Path
+) -> None:
+    here = chosen(**dict.fromkeys(given, str(tmp_path)))
+    assert [column.planned.name for column in here.columns] == columns
+
+
+def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all_others() -> None:
+    (rendered,) = chosen(columns=["railway_vprsnn"]).columns
+    dataset = registry.make_dataset(rendered.dataset)
+    assert (dataset.n_places, len(dataset.references), len(dataset.queries)) == (2700, 2 * 2700, 2700)
+    assert dataset.held_out is not None
+    assert (dataset.held_out.n_places, dataset.held_out.in_map) == (600, False)
+
+
+def test_the_protocol_of_vprsnn_on_nordland_differs_from_its_stand_in_by_the_frames_alone(plan: Plan) -> None:
+    stand_in = plan.columns["railway_vprsnn"]
+    real = plan.columns[stand_in.stand_in_for or ""]
+    assert (stand_in.published, stand_in.fits, stand_in.options[1:]) == (real.published, real.fits, real.options[1:])
+
+
+def test_a_column_on_request_takes_the_folder_of_its_frames(tmp_path: Path) -> None:
+    (nordland,) = chosen(columns=["nordland_vprsnn"], nordland=str(tmp_path)).columns
+    assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
+
+
+def test_held_out_places_of_nordland_64x32_are_in_its_map_and_all_others_are_queried() -> None:
+    (column,) = chosen(columns=["nordland_64x32_held_out"]).columns
+    options = ("protocol", "places", "first_query_place", "query_places")
+    assert [column.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]
+
+
+def test_modules_of_vprtempo_are_of_one_size_wherever_vprsnn_is_compared_with_it(plan: Plan) -> None:
+    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_450", 450)):
+        for method in ("vprtempo", "vprtempo_ensemble"):
+            assert places % plan.columns[name].fits[method]["max_module"] == 0

@@ -21,9 +21,12 @@ from vprbench.bench_report import (
     PATCH,
     RULES,
     TRAVERSES,
+    VPRSNN,
+    AskingCell,
     Counted,
     Failed,
     FitCell,
+    ModuleCell,
     PreprocessingCell,
     QueryCell,
     Report,
@@ -32,6 +35,7 @@ from vprbench.bench_report import (
     Settings,
     TrainingCell,
 )
+from vprbench.bench_vprsnn import asking_cell, module_cell
 from vprbench.interface import BadInput, Method
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
 from vprbench.preprocess import Engine, PatchNormalisation
@@ -57,8 +61,10 @@ def measure(settings: Settings, make: Make) -> Report:
     surroundings = environment.capture(settings.device, settings.threads or len(environment.cores()))
     environment.canary_seconds()  # an idle processor needs a while to find its clock
     canary = {"start": environment.canary_seconds()}
-    route = Route.drawn(max(settings.places, settings.max_module, *settings.sizes), *FRAME, settings.seed)
+    places = max(settings.places, settings.max_module, settings.vprsnn_places, *settings.sizes)
+    route = Route.drawn(places, *FRAME, settings.seed)
     networks: dict[str, Method] = {}
+    modules: dict[str, Method] = {}
     sections: dict[str, Callable[[], Iterator[Any]]] = {
         "training": partial(_training, settings, make, route),
         "fits": partial(_fits, settings, make, route, networks),
@@ -66,6 +72,8 @@ def measure(settings: Settings, make: Make) -> Report:
         "queries": partial(_queries, settings, make, route, networks),
         "search": partial(_search, settings, make, route),
         "scaling": partial(_scaling, settings, make, route),
+        "vprsnn_training": partial(_vprsnn_training, settings, make, route, modules),
+        "vprsnn_queries": partial(_vprsnn_queries, settings, make, route, modules),
     }
     cells = {}
     for name, section in sections.items():
@@ -351,3 +359,20 @@ def _check_memory(places: int, smaller: ScalingCell) -> None:
         raise BadInput(
             f"{smaller.places:,} places took {took / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free: not tried"
         )
+
+
+def _vprsnn_training(
+    settings: Settings, make: Make, route: Route, modules: dict[str, Method]
+) -> Iterator[ModuleCell | Failed]:
+    """Yield what trainings of a module took; the trained modules are left in `modules`."""
+    for method in VPRSNN:
+        yield _attempt({"method": method}, partial(module_cell, settings, make, route, modules, method))
+
+
+def _vprsnn_queries(
+    settings: Settings, make: Make, route: Route, modules: dict[str, Method]
+) -> Iterator[AskingCell | Failed]:
+    for wanted in settings.vprsnn_modules:
+        for threads in sorted({1, settings.threads or len(environment.cores())}):
+            what = {"modules": str(wanted), "cores": str(threads)}
+            yield _attempt(what, partial(asking_cell, settings, make, route, modules, wanted, threads))

@@ -17,12 +17,15 @@ from vprbench.stopwatch import Protocol
 
 Given = TypeVar("Given")
 Counted = Literal["network", "matrix", "references"]
+Part = Literal["input", "normalising", "arrivals", "without learning", "with learning"]
 
-SECTIONS = ("training", "fits", "preprocessing", "queries", "search", "scaling")
+SECTIONS = ("training", "fits", "preprocessing", "queries", "search", "scaling", "vprsnn_training", "vprsnn_queries")
 RULES = ("paper", "reference")
+VPRSNN = ("vprsnn", "vprsnn_fast")  # the methods, with and without delays
 ENGINES: tuple[Engine, ...] = ("readable", "fused")
 FRAME = (32, 64)  # height and width of the frames that methods are shown
 TRAVERSES = 2
+LOOKED = 7  # every so many presentations to VPRSNN; coprime to the images of an epoch, so that each has its turn
 
 PATCH = 7  # pixels
 
@@ -45,6 +48,11 @@ class Settings:
     search_references: int = 3300  # descriptors that are searched; 27592 are all of Nordland, for which 2 GB are needed
     search_queries: int = 3300  # of a whole traverse
     search_dimensions: int = 4096
+    vprsnn_places: int = 25  # of a module of VPRSNN
+    vprsnn_epochs: int = 30
+    vprsnn_neurons: int = 400  # excitatory ones of a module
+    vprsnn_rounds: int = 2  # whole trainings of a module, each of many seconds
+    vprsnn_modules: list[int] = field(default_factory=lambda: [18, 111])  # that are asked together
     sections: list[str] = field(default_factory=lambda: list(SECTIONS))
     rounds: int = 3
     minimum_seconds: float = 1.0  # of each rate
@@ -58,13 +66,19 @@ class Settings:
     def __post_init__(self) -> None:
         """Check that something will be measured."""
         counts = ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds")
-        for name in (*counts, "search_references", "search_queries", "search_dimensions"):
+        searched = ("search_references", "search_queries", "search_dimensions")
+        spiking = ("vprsnn_places", "vprsnn_epochs", "vprsnn_neurons", "vprsnn_rounds")
+        for name in (*counts, *searched, *spiking):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
         if not self.sections or not set(self.sections) <= set(SECTIONS):
             raise BadInput(f"sections={self.sections}: give some of {', '.join(SECTIONS)}")
         if not self.sizes or min(self.sizes) < 1:
             raise BadInput(f"sizes={self.sizes}: give numbers of places, as in sizes=[100,300,1000]")
+        if not self.vprsnn_modules or min(self.vprsnn_modules) < 1:
+            raise BadInput(
+                f"vprsnn_modules={self.vprsnn_modules}: give numbers of modules, as in vprsnn_modules=[18,111]"
+            )
         if len(self.frame) != 2 or min(self.frame) < 1:
             raise BadInput(f"frame={self.frame}: give height and width in pixels, as in frame=[360,640]")
         if not self.minimum_seconds < math.inf:
@@ -86,6 +100,12 @@ class Settings:
         seen = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
         return {"rules": rules, "max_module": min(n_places, self.max_module), **seen}
 
+    def vprsnn(self) -> dict[str, Any]:
+        """Return the arguments of VPRSNN, which computes on the CPU by its compiled loops."""
+        seen = {"height": self.pixels, "width": self.pixels, "patch": PATCH, "engine": "compiled"}
+        learnt = {"places_per_module": self.vprsnn_places, "epochs": self.vprsnn_epochs}
+        return {**learnt, "n_excitatory": self.vprsnn_neurons, **seen}
+
 
 QUICK: Mapping[str, Any] = {
     "sizes": [10, 20, 40],
@@ -102,6 +122,10 @@ QUICK: Mapping[str, Any] = {
     "search_references": 300,
     "search_queries": 300,
     "search_dimensions": 16,
+    "vprsnn_places": 2,
+    "vprsnn_epochs": 2,
+    "vprsnn_neurons": 16,
+    "vprsnn_modules": [1, 3],
     "rounds": 2,
     "minimum_seconds": 0.0,
     "minimum_queries": 4,
@@ -179,6 +203,30 @@ class ScalingCell:
 
 
 @dataclass(frozen=True)
+class ModuleCell:
+    """One module of VPRSNN, trained on one core several times, and once more to see where the time goes."""
+
+    method: str
+    presentations: int
+    neurons: int  # excitatory ones
+    fits: list[Fit]
+    input_spikes: int  # of one training
+    excitatory_spikes: int
+    parts: dict[Part, list[float]]  # seconds, one element for each presentation that was looked at
+
+
+@dataclass(frozen=True)
+class AskingCell:
+    """One image after the other by copies of a trained module, with and without delays in turn."""
+
+    modules: int
+    wanted: int  # more than `modules` where memory is short
+    places: int
+    threads: int
+    seconds: dict[str, list[float]]  # per query, by method
+
+
+@dataclass(frozen=True)
 class Failed:
     """A cell that could not be measured, with the reason."""
 
@@ -202,12 +250,13 @@ class Report:
     queries: list[QueryCell | Failed]
     search: list[SearchCell | Failed]
     scaling: list[ScalingCell | Failed]
+    vprsnn_training: list[ModuleCell | Failed]
+    vprsnn_queries: list[AskingCell | Failed]
 
     @property
     def failures(self) -> list[Failed]:
         """The cells that could not be measured."""
-        cells = [*self.training, *self.fits, *self.preprocessing, *self.queries, *self.search, *self.scaling]
-        return [cell for cell in cells if isinstance(cell, Failed)]
+        return [cell for name in SECTIONS for cell in getattr(self, name) if isinstance(cell, Failed)]
 
 
 def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:

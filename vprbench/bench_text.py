@@ -7,13 +7,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from vprbench import bench_vprsnn_text
+from vprbench.bench_cells import figures, megabytes, milliseconds, ratio, table
 from vprbench.bench_report import (
     FRAME,
     RULES,
     TRAVERSES,
-    Failed,
     FitCell,
     PreprocessingCell,
     QueryCell,
@@ -26,8 +27,6 @@ from vprbench.measures import Growth, growth, median
 from vprbench.replacing import replace_text
 from vprbench.summary import StageRates
 from vprbench.tables import markdown
-
-Cell = TypeVar("Cell")
 
 _NOISE = 0.05  # drift of a fixed computation that marks a section as noisy
 _LARGE = 1000  # places from which on the growth is looked at apart: there are about as many modules as places ask for
@@ -73,7 +72,7 @@ def _sections(report: Report) -> list[str]:
             "in turn. A step shows one image to both layers; its time is the training's from its first report to its "
             "last. The floor is a plain pass in place (PyTorch's `mul_`) over as many bytes as excitation and "
             "inhibition of both layers have, with the same threads.",
-            _table(report.training, _training_row),
+            table(report.training, _training_row),
         ],
         "fits": lambda: [
             "## The fit that users ask for",
@@ -81,12 +80,12 @@ def _sections(report: Report) -> list[str]:
             f"{settings.max_module:,} places. A stage begins with its first report of progress, so up to one part in a "
             "hundred of it counts as the stage before. The peak is this process's resident memory, the images and "
             "libraries that were there before included.",
-            _table(report.fits, _fit_row),
+            table(report.fits, _fit_row),
         ],
         "preprocessing": lambda: [
             "## Preprocessing",
             f"Patch normalisation to {settings.pixels}x{settings.pixels} pixels (variant C), engines in turn.",
-            _table(report.preprocessing, _preprocessing_row),
+            table(report.preprocessing, _preprocessing_row),
         ],
         "queries": lambda: [
             f"## Queries at {settings.places:,} places",
@@ -94,7 +93,7 @@ def _sections(report: Report) -> list[str]:
             "fastest batch size (images / time). The floor is one plain read (PyTorch's `sum`) of as many bytes as are "
             "counted, with the same threads. Single queries of the paper's rules leave out the output weights of "
             "silent features, so they may read less than what is counted.",
-            _table(report.queries, _query_row),
+            table(report.queries, _query_row),
         ],
         "search": lambda: [
             "## Matching beside a library",
@@ -102,24 +101,22 @@ def _sections(report: Report) -> list[str]:
             "place; faiss returns the best 100, torch.cdist all distances of floats. Of a whole traverse ours names "
             "the best 100 too, in blocks as a run does. The memory is what a call of ours takes beyond what was "
             "resident; the peak is that of the process, both copies of the references included.",
-            _table(report.search, _search_row),
+            table(report.search, _search_row),
         ],
         "scaling": lambda: [
             "## Growth with the number of places",
             f"1 traverse, {settings.scaling_epochs} epoch{'s' * (settings.scaling_epochs != 1)}, modules of up to "
             f"{settings.max_module:,} places: up to there one module grows, from there on their number.",
-            _table(report.scaling, _scaling_row),
+            table(report.scaling, _scaling_row),
             "The exponent b of t = a * n^b, by least squares on the logarithms, with the 95 % interval of its "
             "residuals:",
             markdown(_growth_rows(report)),
             *_claims(report),
         ],
+        "vprsnn_training": lambda: bench_vprsnn_text.training(report),
+        "vprsnn_queries": lambda: bench_vprsnn_text.queries(report),
     }
     return [part for name, text in texts.items() if name in settings.sections for part in text()]
-
-
-def _table(cells: Sequence[Cell | Failed], row: Callable[[Cell], dict[str, str]]) -> str:
-    return markdown([{**cell.what, "failed": cell.reason} if isinstance(cell, Failed) else row(cell) for cell in cells])
 
 
 def _training_row(cell: TrainingCell) -> dict[str, str]:
@@ -128,12 +125,12 @@ def _training_row(cell: TrainingCell) -> dict[str, str]:
     floor = median(cell.floor_seconds)
     return {
         "rules": cell.rules,
-        **{f"{engine}: fit s": _figures(seconds) for engine, seconds in fits.items()},
-        "fit, readable / fused": _ratio(fits["readable"], fits["fused"]),
-        **{f"{engine}: step ms": _milliseconds(seconds) for engine, seconds in steps.items()},
-        "step, readable / fused": _ratio(steps["readable"], steps["fused"]),
-        f"floor ms ({_figures(cell.floor_bytes / 1e6)} MB)": _milliseconds(floor),
-        **{f"{engine} / floor": _ratio(seconds, floor) for engine, seconds in steps.items()},
+        **{f"{engine}: fit s": figures(seconds) for engine, seconds in fits.items()},
+        "fit, readable / fused": ratio(fits["readable"], fits["fused"]),
+        **{f"{engine}: step ms": milliseconds(seconds) for engine, seconds in steps.items()},
+        "step, readable / fused": ratio(steps["readable"], steps["fused"]),
+        f"floor ms ({figures(cell.floor_bytes / 1e6)} MB)": milliseconds(floor),
+        **{f"{engine} / floor": ratio(seconds, floor) for engine, seconds in steps.items()},
     }
 
 
@@ -141,10 +138,10 @@ def _fit_row(cell: FitCell) -> dict[str, str]:
     fit = cell.fit
     return {
         "rules": cell.rules,
-        "fit s": _figures(fit.seconds),
-        **{f"{stage} s": _figures(seconds) for stage, seconds in fit.stages.items()},
-        "peak MB": _megabytes(fit.peak_memory_bytes),
-        "resident before MB": _megabytes(fit.memory_before_bytes),
+        "fit s": figures(fit.seconds),
+        **{f"{stage} s": figures(seconds) for stage, seconds in fit.stages.items()},
+        "peak MB": megabytes(fit.peak_memory_bytes),
+        "resident before MB": megabytes(fit.memory_before_bytes),
         **_device_memory(fit.peak_device_memory_bytes),
     }
 
@@ -154,8 +151,8 @@ def _preprocessing_row(cell: PreprocessingCell) -> dict[str, str]:
     return {
         "frame": f"{cell.width}x{cell.height}",
         "images a call": str(cell.images_per_call),
-        **{f"{engine}: us an image": _figures(1e6 * seconds) for engine, seconds in each.items()},
-        "readable / fused": _ratio(each["readable"], each["fused"]),
+        **{f"{engine}: us an image": figures(1e6 * seconds) for engine, seconds in each.items()},
+        "readable / fused": ratio(each["readable"], each["fused"]),
     }
 
 
@@ -164,9 +161,9 @@ def _query_row(cell: QueryCell) -> dict[str, str]:
     return {
         "method": cell.method,
         **_rate_columns(cell.rates.streaming, cell.rates.offline, cell.rates.offline_batch, cell.rates.valid),
-        "floor us": _figures(1e6 * floor),
-        "streaming match / floor": _ratio(1 / cell.rates.streaming.match, floor),
-        "floor reads": f"{_figures(cell.floor_bytes / 1e6)} MB: {_COUNTED[cell.counted]}",
+        "floor us": figures(1e6 * floor),
+        "streaming match / floor": ratio(1 / cell.rates.streaming.match, floor),
+        "floor reads": f"{figures(cell.floor_bytes / 1e6)} MB: {_COUNTED[cell.counted]}",
     }
 
 
@@ -176,13 +173,13 @@ def _search_row(cell: SearchCell) -> dict[str, str]:
         "method": cell.method,
         "references": f"{cell.references:,} x {cell.dimensions:,}",
         "images a call": str(cell.images_per_call),
-        "ours: ms": _milliseconds(ours),
-        "ours: Hz": _figures(cell.images_per_call / ours),
-        "library: ms": _milliseconds(library),
-        "ours / library": _ratio(ours, library),
+        "ours: ms": milliseconds(ours),
+        "ours: Hz": figures(cell.images_per_call / ours),
+        "library: ms": milliseconds(library),
+        "ours / library": ratio(ours, library),
         "library": cell.library,
-        "memory MB": _megabytes(cell.memory_bytes),
-        "peak MB": _megabytes(cell.peak_memory_bytes),
+        "memory MB": megabytes(cell.memory_bytes),
+        "peak MB": megabytes(cell.peak_memory_bytes),
     }
 
 
@@ -205,11 +202,11 @@ def _scaling_row(cell: ScalingCell) -> dict[str, str]:
     return {
         "rules": cell.rules,
         "places": f"{cell.places:,}",
-        "fit s": f"{_figures(_fit_seconds(cell))} ({len(cell.fits)})",
+        "fit s": f"{figures(_fit_seconds(cell))} ({len(cell.fits)})",
         "streaming Hz": rates_text(cell.rates.streaming).split(" / ")[-1],
         "offline Hz": f"{rates_text(cell.rates.offline).split(' / ')[-1]} (batch {cell.rates.offline_batch})",
-        "peak MB": _megabytes(fit.peak_memory_bytes),
-        "resident before MB": _megabytes(fit.memory_before_bytes),
+        "peak MB": megabytes(fit.peak_memory_bytes),
+        "resident before MB": megabytes(fit.memory_before_bytes),
         **_device_memory(fit.peak_device_memory_bytes),
     }
 
@@ -272,13 +269,13 @@ def _grown_text(report: Report, rules: str, times: Sequence[str]) -> str | None:
         return None
     first, last = cells[0], cells[-1]
     grown = [
-        f"{time}: {_ratio(seconds(last), seconds(first))}, as n^{_exponent(*_grown(report, rules, time))}"
+        f"{time}: {ratio(seconds(last), seconds(first))}, as n^{_exponent(*_grown(report, rules, time))}"
         for time, seconds in _TIMES.items()
         if time in times
     ]
     return (
-        f"{rules} rules, from {first.places:,} to {last.places:,} places (n grows {_ratio(last.places, first.places)}, "
-        f"log n {_ratio(math.log(last.places), math.log(first.places))}): {', '.join(grown)}"
+        f"{rules} rules, from {first.places:,} to {last.places:,} places (n grows {ratio(last.places, first.places)}, "
+        f"log n {ratio(math.log(last.places), math.log(first.places))}): {', '.join(grown)}"
     )
 
 
@@ -338,22 +335,5 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
-def _figures(value: float) -> str:
-    """Return a number to three figures, a large one to the unit."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def _ratio(first: float, second: float) -> str:
-    return f"{_figures(first / second)}x"
-
-
-def _milliseconds(seconds: float) -> str:
-    return _figures(1e3 * seconds)
-
-
-def _megabytes(n_bytes: int) -> str:
-    return f"{n_bytes / 1e6:,.0f}"
-
-
 def _device_memory(n_bytes: int | None) -> dict[str, str]:
-    return {} if n_bytes is None else {"peak device MB": _megabytes(n_bytes)}
+    return {} if n_bytes is None else {"peak device MB": megabytes(n_bytes)}

@@ -28,9 +28,9 @@ _FEWEST = 3  # calls that a median is taken of
 
 
 def own_methods() -> list[str]:
-    """Return the names of this project's methods but VPRTempo's, whose training and queries `bench` measures."""
+    """Return the names of this project's methods but spiking ones, whose training and queries `bench` measures."""
     own = [name for name, entry in registry.entries("method").items() if entry.provider == "vprbench"]
-    return [name for name in own if not name.startswith("vprtempo")]
+    return [name for name in own if not name.startswith(("vprtempo", "vprsnn"))]
 
 
 def devices_here() -> list[str]:
