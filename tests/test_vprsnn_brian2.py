@@ -23,7 +23,10 @@ from vprbench.methods.vprsnn.training import Lesson
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(importlib.util.find_spec("brian2") is None, reason="Brian2 is missing: pip install brian2"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("brian2") is None and not os.environ.get("VPRBENCH_INSIST_ON_BRIAN2"),
+        reason="Brian2 is missing: pip install brian2",
+    ),
 ]
 
 SHOWN, LENGTH, SILENCE = 3500, 5000, 5000  # steps of input, of a presentation with its rest, of the silence before all

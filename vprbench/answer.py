@@ -78,6 +78,7 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
                 {
                     "method": run.method,
                     "dataset": run.dataset,
+                    "protocol": dict(run.protocol),
                     **tables.numbers(run),
                     "network": run.network,
                     "notes": list(run.notes),

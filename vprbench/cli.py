@@ -95,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        return _complain("interrupted; what was finished before is stored", 128 + signal.SIGINT)
+        reason = "interrupted; what was finished before is kept: give the same command again"
+        return _complain(reason, 128 + signal.SIGINT)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:

@@ -207,8 +207,6 @@ def training(
     run = _running.get()
     _remove_forgotten(root, home)
     kept = Partial(home, clock) if run is None else run.open(home, clock)
-    if kept.found_seconds:
-        logger.info("a training that took %.0f s goes on from %s", kept.found_seconds, home)
     kept.start()
     yield kept
     if run is None:

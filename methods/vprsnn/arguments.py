@@ -166,11 +166,14 @@ class Arguments:
                 f"method.inhibitory_threshold_mv={self.inhibitory_threshold_mv}: inhibitory neurons would fire at "
                 f"rest, {self.inhibitory_rest_mv} mV: give more"
             )
-        if self.calibration_places < 0:
-            raise BadInput(f"method.calibration_places={self.calibration_places}: give 0 or more")
-        thresholds = [*self.hyperactive_candidates, self.hyperactive_threshold or 0]
-        if not self.hyperactive_candidates or min(thresholds) < 0:
+        if self.calibration_places < 0 or (self.calibration_places and self.module_order == "contiguous"):
             raise BadInput(
-                f"method.hyperactive_threshold={self.hyperactive_threshold}, method.hyperactive_candidates="
-                f"{[*self.hyperactive_candidates]}: give numbers of references from 0 on, and at least one candidate"
+                f"method.calibration_places={self.calibration_places}: it tells how many places were set aside before "
+                "the others were shuffled; give 0, or more with method.module_order=shuffled"
+            )
+        if self.hyperactive_threshold is not None and self.hyperactive_threshold < 0:
+            raise BadInput(f"method.hyperactive_threshold={self.hyperactive_threshold}: give 0 references or more")
+        if not self.hyperactive_candidates or min(self.hyperactive_candidates) < 0:
+            raise BadInput(
+                f"method.hyperactive_candidates={[*self.hyperactive_candidates]}: give at least one, 0 or more each"
             )

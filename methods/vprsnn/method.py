@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -193,7 +194,10 @@ class VPRSNN(Arguments, Method):
 
     def files(self) -> Sequence[Path]:
         """Return the published weights, where they are used; raises BadInput where they are missing."""
-        return [] if self.published_weights is None else published.files_of(Path(self.published_weights))
+        if self.published_weights is None:
+            return []
+        with _named("published_weights"):
+            return published.files_of(Path(self.published_weights))
 
     def _members(self) -> list[tuple[Recipe, int | None, tuple[float, float]]]:
         """Return how each network is trained, its threshold, and the part of the progress that it is."""
@@ -244,7 +248,8 @@ class VPRSNN(Arguments, Method):
     def _published(self) -> list[published.PublishedModule] | None:
         if self.published_weights is None:
             return None
-        return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
+        with _named("published_weights"):
+            return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
 
     def _counted(
         self,
@@ -320,6 +325,15 @@ class VPRSNN(Arguments, Method):
             "levels": _digest(levels),
             "places": _digest(places),
         }
+
+
+@contextmanager
+def _named(argument: str) -> Iterator[None]:
+    """Begin the message of what is wrong with the argument that it was given by."""
+    try:
+        yield
+    except BadInput as error:
+        raise type(error)(f"method.{argument}: {error}") from error
 
 
 def _digest(array: npt.NDArray[Any]) -> str:

@@ -51,6 +51,9 @@ def train_all(
     }
     missing = [number for number, module in modules.items() if module is None]
 
+    if len(missing) < len(modules):
+        stage = f"{stage}, {len(modules) - len(missing)} of {len(modules)} modules are there"
+
     def one(index: int, tell: Tell) -> Module:
         number = missing[index]
         shown = lessons[number]
