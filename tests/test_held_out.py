@@ -241,6 +241,14 @@ def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_al
     assert len({key(Lookup(table(6, 4)), held) for held in different}) == 1
 
 
+def test_what_a_method_notes_stands_in_the_record_of_its_run() -> None:
+    class Noting(Lookup):
+        def notes(self) -> list[str]:
+            return ["three neurons are silenced"]
+
+    assert "three neurons are silenced" in run_of(Noting(table(6, 4)), journey(6, 4)).notes
+
+
 # Stored networks
 
 

@@ -143,6 +143,17 @@ def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(
     assert chosen(calibrated(held_out())) == 3
 
 
+def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated: Callable[..., Raw]) -> None:
+    # of the map's seven neurons those fire for 3 images or more that hear the background alone: one
+    (note,) = calibrated(held_out()).notes()
+    assert note == "neurons that fired for 3 references or more (chosen by held-out places) are silenced: 1 of 7"
+    (note,) = calibrated(held_out(), hyperactive_candidates=[0]).notes()
+    assert note.startswith("no neuron is silenced")
+    given = calibrated(held_out())
+    given.hyperactive_threshold = 3
+    assert given.notes() == ["neurons that fired for 3 references or more (given) are silenced: 1 of 7"]
+
+
 def test_of_thresholds_that_recall_as_much_the_first_candidate_is_chosen(calibrated: Callable[..., Raw]) -> None:
     assert chosen(calibrated(held_out(), hyperactive_candidates=[6, 5, 3])) == 5
 
