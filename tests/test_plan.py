@@ -165,14 +165,17 @@ def test_a_row_of_vprsnn_is_one_run_with_its_arguments(name: str, options: list[
     assert [option for option in run.options() if option.startswith("method")] == options
 
 
-def test_rows_of_vprsnn_run_at_450_places_unless_all_is_to_run_in_full() -> None:
+def test_rows_of_vprsnn_run_at_225_places_unless_all_is_to_run_in_full() -> None:
     rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
     for full in (False, True):
         here = chosen(**rows, columns=["railway", "street"], full=full)
         railway, street = here.columns
         assert [here.slow(railway, row) for row in here.rows] == [not full] * 4
-        assert [here.slow(street, row) for row in here.rows] == [False] * 4
-        assert here.smaller["railway"].dataset["places"] == 450
+        assert [here.slow(street, row) for row in here.rows] == [not full] * 4
+        assert {name: smaller.dataset["places"] for name, smaller in here.smaller.items()} == {
+            "railway": 225,
+            "street": 225,
+        }
 
 
 @pytest.mark.parametrize(
@@ -213,6 +216,6 @@ def test_held_out_places_of_nordland_64x32_are_in_its_map_and_all_others_are_que
 
 
 def test_modules_of_vprtempo_are_of_one_size_wherever_vprsnn_is_compared_with_it(plan: Plan) -> None:
-    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_450", 450)):
+    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_225", 225)):
         for method in ("vprtempo", "vprtempo_ensemble"):
             assert places % plan.columns[name].fits[method]["max_module"] == 0

@@ -17,7 +17,7 @@ from vprbench.series import Series
 
 PLAN = read_plan(Path(__file__).parents[1] / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
-NORDLAND, STREET, SMALLER = (PLAN.columns[name] for name in ("nordland", "street", "railway_450"))
+NORDLAND, STREET, SMALLER = (PLAN.columns[name] for name in ("nordland", "street", "railway_225"))
 
 
 def tempo(*runs_of_seeds: float, device: str = "cpu") -> Series:
