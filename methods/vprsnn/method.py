@@ -85,11 +85,11 @@ class VPRSNN(Arguments, Method):
         identity = self._identity(levels, places)
         networks = []
         with partial.training(identity) as kept:
-            for recipe, threshold, half in self._members():
+            for recipe, threshold, part in self._members():
                 lessons = self._lessons(recipe, levels, places, 0)
-                network = train_all(recipe, lessons, kept, "training", self._engine(), self._published(), half)
+                network = train_all(recipe, lessons, kept, "training", self._engine(), self._published(), part)
                 if threshold:
-                    network = self._counted(network, recipe, first_traverse, kept, "counting reactions", half)
+                    network = self._counted(network, recipe, first_traverse, kept, "counting reactions", part)
                 networks.append(replace(network, threshold=threshold or 0))
         self._fitted = (first_traverse, identity)
         return self._take(networks)
@@ -152,7 +152,7 @@ class VPRSNN(Arguments, Method):
                     f"{np.count_nonzero(silenced):,} of {silenced.size:,}"
                 )
             elif member is None:
-                notes.append("no neuron is silenced: there are no held-out places to choose by, or none gained by it")
+                notes.append("no neuron is silenced: no threshold did better on held-out places, or there are none")
         return notes
 
     def spikes(self, codes: Levels) -> list[LayerSpikes]:
