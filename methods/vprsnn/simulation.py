@@ -131,6 +131,57 @@ def _learn(synapses, train, room, physics, pre, now, j, t, since_spike):  # type
 
 
 @compiled()
+def _release(state, room, physics, step, n_waiting):  # type: ignore[no-untyped-def]
+    """Let fire again in `step` those neurons that have waited long enough; returns how many wait on."""
+    m = 0
+    while m < n_waiting:
+        j = room.waiting[m]
+        if step - state.fired[j] < physics.e_interval:
+            m += 1
+        else:
+            room.limits[j] = state.theta[j]
+            n_waiting -= 1
+            room.waiting[m] = room.waiting[n_waiting]
+    return n_waiting
+
+
+@compiled()
+def _inhibit(state, room, physics, now, t, n_inhibiting):  # type: ignore[no-untyped-def]
+    """Take inhibitory neurons through step `t`; those that fire act on all excitatory neurons but their partner.
+
+    Returns on how many of them something still acts, and whether any fired.
+    """
+    fires = False
+    m = 0
+    while m < n_inhibiting:
+        j = room.inhibiting[m]
+        if now + t - state.fired_i[j] >= physics.i_refractory:
+            x = state.v_i[j]
+            x += physics.i_gain * ((physics.i_rest - x) + state.ge_i[j] * (physics.excitation - x))
+            if x > physics.i_threshold:
+                for other in range(len(state.gi)):
+                    if other != j:
+                        state.gi[other] += physics.i_to_e
+                fires = True
+                x = physics.i_reset
+                state.fired_i[j] = now + t
+                if t < physics.shown:
+                    state.counts_i[j] += 1
+                else:
+                    state.late_i[j] += 1
+            state.v_i[j] = x
+        state.ge_i[j] *= physics.ge_keep
+        if state.ge_i[j] < physics.nothing and now + t - state.fired_i[j] >= physics.i_refractory:
+            state.ge_i[j] = 0.0
+            state.left_i[j] = now + t
+            n_inhibiting -= 1
+            room.inhibiting[m] = room.inhibiting[n_inhibiting]
+        else:
+            m += 1
+    return n_inhibiting, fires
+
+
+@compiled()
 def _calm(state, limits, decayed, physics):  # type: ignore[no-untyped-def]
     """Tell whether nothing acts on any neuron, and none reaches its threshold, which will have `decayed`, by itself."""
     if max(state.ge.max(), state.gi.max()) >= physics.nothing or state.ge_i.max() > 0:
@@ -199,15 +250,7 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
                 if room.until[j] == t:
                     _sum_stretch(synapses, train, room, traces.post, now - fired[j], physics, j, t, arriving)
                 next_stretch = min(next_stretch, room.until[j])
-        m = 0
-        while m < n_waiting:
-            j = room.waiting[m]
-            if now + t - fired[j] < physics.e_interval:
-                m += 1
-            else:
-                limits[j] = state.theta[j]
-                n_waiting -= 1
-                room.waiting[m] = room.waiting[n_waiting]
+        n_waiting = _release(state, room, physics, now + t, n_waiting)
 
         # Excitatory neurons: state update and what arrives
         if learning:
@@ -245,33 +288,8 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
                     room.firing[n_firing] = j
                     n_firing += 1
 
-        # Inhibitory neurons
-        m = 0
-        while m < n_inhibiting:
-            j = room.inhibiting[m]
-            if now + t - state.fired_i[j] >= physics.i_refractory:
-                x = state.v_i[j]
-                x += physics.i_gain * ((physics.i_rest - x) + state.ge_i[j] * (physics.excitation - x))
-                if x > physics.i_threshold:
-                    for other in range(n):
-                        if other != j:
-                            gi[other] += physics.i_to_e
-                    inhibited = True
-                    x = physics.i_reset
-                    state.fired_i[j] = now + t
-                    if t < physics.shown:
-                        state.counts_i[j] += 1
-                    else:
-                        state.late_i[j] += 1
-                state.v_i[j] = x
-            state.ge_i[j] *= physics.ge_keep
-            if state.ge_i[j] < physics.nothing and now + t - state.fired_i[j] >= physics.i_refractory:
-                state.ge_i[j] = 0.0
-                state.left_i[j] = now + t
-                n_inhibiting -= 1
-                room.inhibiting[m] = room.inhibiting[n_inhibiting]
-            else:
-                m += 1
+        n_inhibiting, inhibits = _inhibit(state, room, physics, now, t, n_inhibiting)
+        inhibited |= inhibits
 
         # What follows from the spikes of excitatory neurons
         if learning and n_firing > 0:
