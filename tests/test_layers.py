@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # From the bottom up; a file may import only what stands before it.
 ORDER = [
     "compiled",
+    "data_folder",
     "search",
     "interface",
     "spikes",
@@ -86,6 +87,7 @@ ORDER = [
 ]
 FOR_PLUGINS = {
     "compiled",
+    "data_folder",
     "search",
     "interface",
     "images",

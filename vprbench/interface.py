@@ -294,6 +294,16 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class FrameFolder:
+    """A folder that a dataset takes frames from, with what is known of it beforehand."""
+
+    path: Path
+    used: tuple[str, ...]  # file names that the dataset wants of it
+    counts: tuple[int, ...] = ()  # how many images a whole, right copy holds; empty: nothing is known
+    wrong_counts: Mapping[int, str] = field(default_factory=dict)  # what another count is known to mean
+
+
+@dataclass(frozen=True)
 class Dataset:
     """Reference and query traverses with their ground truth.
 
@@ -308,6 +318,8 @@ class Dataset:
     protocol: Mapping[str, Any]  # what was selected and how; part of every record
     n_places: int = field(init=False)
     held_out: HeldOut | None = None  # None: there are no such places
+    folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty where they are no files
+    notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
 
     def __post_init__(self) -> None:
         """Check that the parts fit one another."""

@@ -159,6 +159,7 @@ def run(
             "device_memory_bytes": device_memory_bytes,
         },
         notes=(
+            *dataset.notes,
             *learnt.notes,
             *method.notes(),
             *_cache_notes(dataset, learnt.from_cache, from_cache),
