@@ -82,6 +82,8 @@ ORDER = [
     "paper_table",
     "paper_figures",
     "paper_report",
+    "composing",
+    "commands",
     "cli",
     "__main__",
 ]
@@ -161,7 +163,7 @@ def test_a_plug_in_imports_only_the_contract(path: Path) -> None:
 
 def test_only_registry_and_command_line_know_hydra() -> None:
     knowing = [p.stem for p in (ROOT / "vprbench").glob("*.py") if any(n.startswith("hydra") for n in imported(p))]
-    assert sorted(knowing) == ["cli", "registry"]
+    assert sorted(knowing) == ["cli", "composing", "registry"]
 
 
 def test_runner_and_tables_meet_only_in_records() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from vprbench import cli, registry
+from vprbench import composing, registry
 from vprbench.interface import BadInput
 from vprbench.paper import Asked, Chosen, choose, wanted
 from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
@@ -33,7 +33,7 @@ def written(content: Any, folder: Path) -> Path:
 
 
 def chosen(**asked: Any) -> Chosen:
-    return choose(Asked(**asked), lambda options: cli._composed(list(options)))
+    return choose(Asked(**asked), lambda options: composing.composed(list(options)))
 
 
 def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:

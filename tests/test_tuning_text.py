@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from vprbench import cli, registry
+from vprbench import composing, registry
 from vprbench.intervals import Interval, McNemar
 from vprbench.plan import read_plan
 from vprbench.tuning import text
@@ -212,11 +212,11 @@ def test_the_command_names_rules_other_than_the_papers() -> None:
 def composed(found: Found) -> dict[str, Any]:
     python, _, _, *options = shlex.split(text.command(found))
     assert python == "python"
-    return cli._composed(cli._readable(options))
+    return composing.composed(composing.readable(options))
 
 
 def test_the_command_composes_a_run_whose_method_holds_the_places_of_its_dataset() -> None:
-    street = cli._composed(["method=vprtempo", "dataset=street"])
+    street = composing.composed(["method=vprtempo", "dataset=street"])
     found = a_search(settings=Settings(dataset="street"), method=street["method"], dataset=street["dataset"])
     run = composed(found)
     method, dataset = registry.make_method(run["method"]), registry.make_dataset(run["dataset"])
@@ -229,7 +229,7 @@ def test_the_command_composes_a_run_whose_method_holds_the_places_of_its_dataset
 def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name: str) -> None:
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     (fits,) = (column.fits for column in columns if column.options == (f"dataset={name}",))
-    config = cli._composed(["method=vprtempo", f"dataset={name}"])
+    config = composing.composed(["method=vprtempo", f"dataset={name}"])
     run = composed(a_search(settings=Settings(dataset=name), dataset=config["dataset"]))
     assert run["method"]["max_module"] == fits.get("vprtempo", {}).get("max_module", 1100)
 

@@ -1,0 +1,200 @@
+"""The commands beside a run: each takes its options and returns the exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from vprbench import registry
+from vprbench.composing import check_names, composed, readable
+from vprbench.interface import BadInput, Method
+from vprbench.options import checked_settings, n_threads
+
+if TYPE_CHECKING:
+    from vprbench.paper import Asked, Compose
+
+
+def table(options: list[str]) -> int:
+    """Make what Table II lacks, and write it."""
+    from vprbench.paper_table import make_table
+
+    return make_table(*_asked(options))
+
+
+def figures(options: list[str]) -> int:
+    """Make what the figures lack, and draw them."""
+    from vprbench.paper_figures import make_figures
+
+    return make_figures(*_asked(options))
+
+
+def report(options: list[str]) -> int:
+    """Make what the table lacks, and write the page."""
+    from vprbench.paper_report import make_report
+
+    return make_report(*_asked(options))
+
+
+def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
+    """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
+    from vprbench.bench_report import chosen
+    from vprbench.paper import Asked
+
+    own = [option for option in options if option.partition("=")[0] in Asked.__dataclass_fields__]
+    rest = readable([option for option in options if option not in own])
+    for option in rest:
+        if option.split("=")[0].split(".")[0] in ("method", "dataset", "seed", "device", "output", "save", "load"):
+            raise BadInput(
+                f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
+                "conf/table.yaml has what they are"
+            )
+    asked = chosen(Asked, own, {})
+    checked_settings(composed(readable([*rest, f"results={asked.results}"])))
+    return asked, rest, lambda more: composed(readable(list(more)))
+
+
+def search_parameters(options: list[str]) -> int:
+    """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
+    from vprbench.bench_report import chosen
+    from vprbench.console import progress_shown
+    from vprbench.records import Store
+    from vprbench.tuning import search, text
+
+    settings = chosen(search.Settings, options, search.QUICK)
+    check_names([f"dataset={settings.dataset}"])
+    root = [] if settings.root is None else [f"dataset.root={settings.root}"]
+    config = composed(readable(["method=vprtempo", f"dataset={settings.dataset}", *root]))
+    folder = Path(settings.results).expanduser()
+    Store(folder).prepare()
+    with progress_shown("search"):
+        found = search.search(settings, config["method"], config["dataset"])
+    print(text.write(found, folder), end="")
+    return 0
+
+
+def measure_speed(options: list[str]) -> int:
+    """Measure how fast training, preprocessing and queries are, and write the numbers."""
+    from vprbench import bench, bench_text
+    from vprbench.bench_report import QUICK, Settings, chosen
+
+    settings = chosen(Settings, options, QUICK)
+    with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
+        report = bench.measure(settings, _maker(settings.seed))
+    bench_text.write(report, results)
+    return 1 if report.failures else 0
+
+
+def measure_descriptors(options: list[str]) -> int:
+    """Measure how fast each method describes frames and searches, and write the numbers."""
+    from vprbench import descriptor_bench
+    from vprbench.bench_report import chosen
+
+    settings = chosen(descriptor_bench.Settings, options, descriptor_bench.QUICK)
+    check_names([f"method={','.join(settings.methods)}"])
+    title = "bench-descriptors"
+    with _prepared(title, settings.devices[-1], settings.threads, settings.results, settings.seed) as results:
+        report = descriptor_bench.measure(settings, _maker(settings.seed))
+    descriptor_bench.write(report, results)
+    return 1 if report.failures else 0
+
+
+def compare_gpu(options: list[str]) -> int:
+    """Compare the GPU with the CPU, time it, and write both."""
+    from vprbench import gpu_check
+    from vprbench.bench_report import chosen
+
+    settings = chosen(gpu_check.Settings, options, gpu_check.QUICK)
+    gpu_check.require_gpu(settings.device)
+    with _prepared("gpu-check", settings.device, settings.threads, settings.results, settings.seed) as results:
+        report = gpu_check.measure(settings, _maker(settings.seed))
+    gpu_check.write(report, results)
+    return 0 if report.correct else 1
+
+
+@contextlib.contextmanager
+def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
+    """Check what all commands share, pin the threads and show the progress; yields the results folder."""
+    from vprbench import environment
+    from vprbench.console import progress_shown
+    from vprbench.records import Store
+
+    run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
+    settings = checked_settings(run)
+    folder = Path(settings.results).expanduser()
+    Store(folder).prepare()
+    environment.pin_threads(n_threads(settings))
+    with progress_shown(title):
+        yield folder
+
+
+def _maker(seed: int) -> Callable[..., Method]:
+    """Return what builds a method by its name for a device, with arguments that replace those of its yaml."""
+
+    @functools.cache
+    def config(name: str, device: str) -> dict[str, Any]:
+        return cast(dict[str, Any], composed([f"method={name}", f"device={device}", f"seed={seed}"])["method"])
+
+    def make(name: str, device: str, **arguments: Any) -> Method:
+        return registry.make_method({**config(name, device), **arguments})
+
+    return make
+
+
+def list_plugins(options: list[str]) -> int:
+    """Show the methods and datasets with a line each, broken ones with their reason."""
+    if options:
+        raise BadInput(f"list takes no options, but {' '.join(options)} came")
+    groups: tuple[registry.Group, ...] = ("method", "dataset")
+    for group in groups:
+        print(f"{group}s")
+        known = registry.entries(group)
+        width = max(map(len, known))
+        for name, entry in known.items():
+            try:
+                entry.target()
+                line = entry.description
+            except BadInput as error:
+                line = f"BROKEN: {error}"
+            origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
+            print(f"  {name:<{width}}  {line}{origin}")
+    for provider, reason in registry.broken_plugins().items():
+        print(f"plug-in {provider} BROKEN: {reason}")
+    return 0
+
+
+def check_method(options: list[str]) -> int:
+    """Test a method against the rules of the contract and count them."""
+    from vprbench import conformance, environment
+    from vprbench.console import progress_shown
+
+    if not any(option.startswith("method=") for option in options):
+        raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
+    check_names(options)
+    options = readable(options)
+    config = composed(options)
+    environment.pin_threads(n_threads(checked_settings(config)))
+    asked = {option.split("=")[0].removeprefix("method.") for option in options}
+    with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
+        results = list(conformance.check(config["method"], asked))
+    for result in results:
+        print(result)
+    kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
+    print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
+    return 1 if broken else 0
+
+
+#: What may stand in place of a run's options.
+COMMANDS: dict[str, Callable[[list[str]], int]] = {
+    "list": list_plugins,
+    "check": check_method,
+    "table": table,
+    "figures": figures,
+    "report": report,
+    "search": search_parameters,
+    "bench": measure_speed,
+    "bench-descriptors": measure_descriptors,
+    "gpu-check": compare_gpu,
+}

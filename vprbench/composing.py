@@ -1,0 +1,78 @@
+"""Options of the command line -> the configuration of a run; what Hydra has to say about them, in one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, cast
+
+import hydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from vprbench import registry
+from vprbench.interface import BadInput
+from vprbench.options import KNOWN
+from vprbench.stopwatch import Protocol
+
+
+def composed(options: Sequence[str]) -> dict[str, Any]:
+    """Return the configuration of a run with these options, as plain values."""
+    for option in options:
+        if option.startswith("-"):
+            raise BadInput(f"{option} is no option here: see python -m vprbench --help")
+    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
+        return cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=list(options)), resolve=True))
+
+
+def readable(arguments: Sequence[str]) -> list[str]:
+    """Put quotes around values, such as paths with letters from abroad, that Hydra's grammar cannot read bare."""
+    quoted = []
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if equals and not argument.startswith("-"):
+            try:
+                OverridesParser.create().parse_override(argument)
+            except HydraException:
+                argument = f"{key}='" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+        quoted.append(argument)
+    return quoted
+
+
+def check_names(arguments: Sequence[str]) -> None:
+    """Raise BadInput for a method or dataset that does not exist, with the near names."""
+    groups: tuple[registry.Group, ...] = ("method", "dataset")
+    for group in groups:
+        known = registry.entries(group)
+        for argument in arguments:
+            if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
+                for name in argument.split("=", 1)[1].split(","):
+                    if name not in known:
+                        raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
+
+
+def explained(error: Exception, arguments: Sequence[str]) -> str:
+    """Turn an error of Hydra into one line that names the option and what to do."""
+    text = " ".join(str(error).split())
+    option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
+    if option is None:
+        return text
+    path = option.group(1)
+    group, _, name = path.partition(".")
+    if group in ("method", "dataset") and name:
+        return _unfit("method" if group == "method" else "dataset", name, arguments)
+    if group == "timing" and name:
+        return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
+    return f"option {path} is unknown: {registry.near(path, KNOWN)}"
+
+
+def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
+    """Say which of the chosen methods or datasets lacks an option, and what it has."""
+    given = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), "")
+    entries = registry.entries(group)
+    for chosen in given.strip("'\"").split(",") if given else [{"method": "sad", "dataset": "synthetic"}[group]]:
+        known = entries[chosen].options if chosen in entries else []
+        if option.split(".")[0] not in known:
+            return f"option {group}.{option} is unknown to {chosen}: {registry.near(option, known)}"
+    return f"option {group}.{option} is unknown"
