@@ -2,31 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from vprbench.interface import NotThere
+import vprbench
+from vprbench.data_folder import data_folder
+from vprbench.interface import FrameFolder, NotThere
+
+_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
-def root_folder(name: str, root: str | None, holding: str, layout: str) -> Path:
-    """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do."""
+def root_folder(
+    name: str,
+    root: str | None,
+    holding: str,
+    layout: str,
+    download: str | None = None,
+    default_root: str | None = None,
+) -> Path:
+    """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do.
+
+    A `root` of None is `default_root` (relative to the checkout) where that exists, else the folder that downloads of
+    the dataset lie in; `download` names it where several datasets share one.
+    """
     if root is None:
-        raise NotThere(f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}")
+        default = Path(vprbench.__file__).resolve().parents[1] / (default_root or "")
+        if default_root is not None and default.is_dir():
+            return default
+        kept = data_folder(download or name)
+        if kept.is_dir():
+            return kept
+        raise NotThere(
+            f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, "
+            f"or call that folder {kept}"
+        )
     folder = Path(root).expanduser()
     if not folder.is_dir():
         raise NotThere(f"dataset.root={root} is no folder: {name} needs the one that holds {holding}; {layout}")
     return folder
 
 
-def check_frames(wanted: Mapping[Path, Sequence[str]], layout: str) -> None:
-    """Raise NotThere, with `layout`, for a folder that is missing or lacks some of the file names wanted in it."""
-    for folder, names in wanted.items():
-        if not folder.is_dir():
-            raise NotThere(f"{folder} does not exist: {layout}")
-        present = {entry.name for entry in folder.iterdir()}
-        missing = [name for name in names if name not in present]
+def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: str | None = None) -> None:
+    """Raise NotThere, with `layout`, for a folder that is missing or lacks some of the file names used of it.
+
+    The message tells where so many images are known to be a wrong copy, and where the frames are there under another
+    suffix, which the option `suffix_option` chooses.
+    """
+    for folder in folders:
+        if not folder.path.is_dir():
+            raise NotThere(f"{folder.path} does not exist: {layout}")
+        present = {entry.name for entry in folder.path.iterdir()}
+        missing = [name for name in folder.used if name not in present]
         if missing:
+            told = _what_to_do(folder, missing[0], present, layout, suffix_option)
             raise NotThere(
-                f"{missing[0]} is missing from {folder} ({len(missing)} of {len(names)} expected frames are "
-                f"missing, {len(present)} files are there): {layout}"
+                f"{missing[0]} is missing from {folder.path} ({len(missing)} of {len(folder.used)} expected frames are "
+                f"missing, {len(present)} files are there): {told}"
             )
+
+
+def _what_to_do(
+    folder: FrameFolder, missing: str, present: Collection[str], layout: str, suffix_option: str | None
+) -> str:
+    """Return `layout`, or what is known better of a folder with such files."""
+    alike = [name for suffix in _SUFFIXES if (name := str(Path(missing).with_suffix(suffix))) in present]
+    if alike and suffix_option:
+        return f"{alike[0]} is there: pass {suffix_option}={Path(alike[0]).suffix}"
+    images = sum(Path(name).suffix.lower() in _SUFFIXES for name in present)
+    if meaning := folder.wrong_counts.get(images):
+        return f"{images:,} images are {meaning}; {layout}"
+    return layout

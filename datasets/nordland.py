@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal, get_args
 
-import vprbench
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset
+from vprbench.interface import BadInput, Dataset, FrameFolder
 
-from .frame_folders import check_frames, root_folder
+from .frame_folders import check_folders, root_folder
 from .traverses import Evaluation, check_recorded, dataset_of, recorded_split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
-_SOURCE = "Somayeh-h/Nordland on Hugging Face, one archive of 35,768 frames a season"
+#: Whose evaluation is followed: QVPR/VPRTempo and QVPR/VPRSNN, which query every 8th frame of the list, and those of
+#: Patch-NetVLAD, VPR-datasets-downloader and VPR-Bench, whose maps hold all of it.
+Protocol = Literal["vprtempo", "vprsnn", "patchnetvlad", "27k", "vprbench"]
+Suffix = Literal[".png", ".jpg", ".jpeg"]
+
+_SOURCE = "Somayeh-h/Nordland on Hugging Face, 35,768 frames a season (python -m vprbench fetch nordland)"
+_SEASON_FRAMES = 35_768  # in QVPR's numbering, a frame a second
+_OTHERS = "the partition of Olid et al., which numbers the frames in another way"
+_WRONG_COUNTS = {24_570: f"of {_OTHERS}", 28_865: _OTHERS}
+_PATCH_NETVLAD = (
+    "Patch-NetVLAD names a tolerance of 10 frames; its published positions, frame i at (i, i) and a radius of 10, "
+    "reach 7; right are here frames up to {} away"
+)
 
 
 def nordland(
@@ -29,31 +41,38 @@ def nordland(
     frame_multiple: int = 1,
     default_root: str | None = None,
     source: str = _SOURCE,
-    protocol: Evaluation = "vprtempo",
+    protocol: Protocol = "vprtempo",
+    query_stride: int = 1,
+    suffix: Suffix = ".png",
+    download: str = "nordland",
 ) -> Dataset:
     """Return Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
 
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
-    `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places away. With
-    the protocol of VPRSNN that many places, chosen as its authors do, are in neither map nor queries instead.
-    `frame_multiple` keeps only names whose number it divides. `default_root` (relative to the checkout) stands in
-    for a `root` of None where it exists; `source` says in messages where frames are to be had. Raises NotThere for a
-    missing root or frames, BadInput for other arguments.
+    `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
+    `tolerance` places away. With the protocol of VPRSNN `first_query_place` places, chosen as its authors do, are in
+    neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. A `root` of None is
+    `default_root` (relative to the checkout) where it exists, else the folder of the `download`; `source` says in
+    messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
     """
     seasons = ["spring", "fall"] if references is None else references
     check_recorded("Nordland", "season", SEASONS, seasons, query)
-    names = chosen_names(stride, places, frame_multiple)
-    parts = recorded_split(protocol, places, first_query_place, query_places, tolerance)
+    _check_protocol(protocol, stride, frame_multiple)
+    names = chosen_names(stride, places, frame_multiple, suffix)
+    evaluation: Evaluation = "vprsnn" if protocol == "vprsnn" else "vprtempo"
+    parts = recorded_split(evaluation, places, first_query_place, query_places, tolerance, query_stride)
     layout = f"get the frames from {source}, and set dataset.root so that <root>/{seasons[0]}/{names[0]} is the first"
-    folder = root_folder(name, _beside_checkout(default_root) if root is None else root, "the seasons", layout)
-    asked = [names[place] for place in parts.needed_of_query()]
-    check_frames({folder / query: asked} | {folder / season: names for season in seasons}, layout)
+    top = root_folder(name, root, "the seasons", layout, download, default_root)
+    used = {query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
+    counts = _whole_counts(frame_multiple)
+    folders = {season: FrameFolder(top / season, tuple(used[season]), counts, _WRONG_COUNTS) for season in used}
+    check_folders([*folders.values()], layout, "dataset.suffix")
     return dataset_of(
         name,
         parts,
         seasons,
         query,
-        lambda shown: Images.from_files([folder / season / names[place] for season, place in shown]),
+        lambda shown: Images.from_files([folders[season].path / names[place] for season, place in shown]),
         {
             "protocol": protocol,
             "references": seasons,
@@ -62,17 +81,19 @@ def nordland(
             **parts.record(),
             "frame_multiple": frame_multiple,
         },
+        [*folders.values()],
+        [_PATCH_NETVLAD.format(tolerance)] if protocol == "patchnetvlad" else [],
     )
 
 
-def chosen_names(stride: int, places: int, frame_multiple: int) -> list[str]:
+def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:
     """Return the file names of the places, in order; raises BadInput where the list does not hold that many."""
     if min(stride, places, frame_multiple) < 1:
         raise BadInput(
             f"dataset.stride={stride}, dataset.places={places}, dataset.frame_multiple={frame_multiple}: "
             "all have to be at least 1"
         )
-    names = [f"images-{frame:05d}.png" for frame in published_frames() if frame % frame_multiple == 0]
+    names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
     most = len(range(0, len(names), stride))
     if places > most:
         raise BadInput(f"dataset.places={places}: the list of {len(names)} names at stride {stride} has {most} places")
@@ -86,9 +107,21 @@ def published_frames() -> list[int]:
     return [frame for first, last in bounds for frame in range(first, last + 1)]
 
 
-def _beside_checkout(default_root: str | None) -> str | None:
-    """Return the folder of that path from the checkout, where it exists."""
-    if default_root is None:
-        return None
-    default = Path(vprbench.__file__).resolve().parents[1] / default_root
-    return str(default) if default.is_dir() else None
+def _check_protocol(protocol: Protocol, stride: int, frame_multiple: int) -> None:
+    """Raise BadInput for an unknown protocol, and for places that one with all frames in its map does not have."""
+    known = get_args(Protocol)
+    if protocol not in known:
+        raise BadInput(f"dataset.protocol={protocol}: choose {', '.join(known[:-1])} or {known[-1]}")
+    if protocol not in ("vprtempo", "vprsnn") and (stride, frame_multiple) != (1, 1):
+        raise BadInput(
+            f"dataset.protocol={protocol} with dataset.stride={stride} and dataset.frame_multiple={frame_multiple}: it "
+            f"takes every frame of the list; choose dataset=nordland_{protocol}, or protocol vprtempo or vprsnn"
+        )
+
+
+def _whole_counts(frame_multiple: int) -> tuple[int, ...]:
+    """Return how many images a whole season may hold: all or the listed ones, of every frame or of the multiples."""
+    listed = published_frames()
+    multiples = sum(frame % frame_multiple == 0 for frame in listed)
+    counts = (_SEASON_FRAMES // frame_multiple, multiples, _SEASON_FRAMES, len(listed))
+    return tuple(dict.fromkeys(counts))

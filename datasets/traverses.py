@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, HeldOut
+from vprbench.interface import BadInput, Dataset, FrameFolder, HeldOut
 
 Evaluation = Literal["vprtempo", "vprsnn"]  # whose way to split places
 Numbers = npt.NDArray[np.int64]  # (n,), of places along the journey, ascending
@@ -30,6 +30,7 @@ class Split:
     queried: Numbers
     held_out: Numbers
     tolerance: int  # places along the journey
+    query_stride: int = 1  # places of the map from one query to the next
 
     @property
     def held_out_in_map(self) -> bool:
@@ -51,18 +52,26 @@ class Split:
             "places": len(self.mapped) + (0 if self.held_out_in_map else held_out),
             "query_places": len(self.queried),
             **({"first_query_place": held_out} if self.held_out_in_map else {}),
+            **({"query_stride": self.query_stride} if self.query_stride != 1 else {}),
             "reference_places": len(self.mapped),
             "held_out_places": held_out,
             "tolerance_places": self.tolerance,
         }
 
 
-def split(protocol: Evaluation, places: int, first_query_place: int, query_places: int, tolerance: int) -> Split:
+def split(
+    protocol: Evaluation,
+    places: int,
+    first_query_place: int,
+    query_places: int,
+    tolerance: int,
+    query_stride: int = 1,
+) -> Split:
     """Split the places 0 to `places` - 1 as the authors of VPRTempo or those of VPRSNN do; raises BadInput for others.
 
     vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
-    are queried. vprsnn: as many places as `first_query_place` says are set aside; the others alone are in the map, and
-    the first `query_places` of them are queried.
+    are queried, `query_stride` apart. vprsnn: as many places as `first_query_place` says are set aside; the others
+    alone are in the map, and `query_places` from the first of them on are queried.
     """
     if protocol not in get_args(Evaluation):
         raise BadInput(f"dataset.protocol={protocol}: choose {' or '.join(get_args(Evaluation))}")
@@ -73,7 +82,7 @@ def split(protocol: Evaluation, places: int, first_query_place: int, query_place
     else:
         held_out, first = set_aside(places, first_query_place), 0
         mapped = np.setdiff1d(numbers, held_out)
-    return Split(protocol, mapped, mapped[first : first + query_places], held_out, tolerance)
+    return Split(protocol, mapped, mapped[first::query_stride][:query_places], held_out, tolerance, query_stride)
 
 
 def set_aside(places: int, count: int) -> Numbers:
@@ -88,10 +97,13 @@ def dataset_of(
     query: str,
     frames: Callable[[Sequence[tuple[str, int]]], Images],
     protocol: Mapping[str, Any],
+    folders: Sequence[FrameFolder] = (),
+    notes: Sequence[str] = (),
 ) -> Dataset:
     """Return the dataset of a split of the traverses `references` and `query`.
 
-    `frames` gives the images of (traverse, place), places by their numbers along the journey.
+    `frames` gives the images of (traverse, place), places by their numbers along the journey; `folders` are those that
+    they lie in, and `notes` what a reader of results has to know.
     """
 
     def shown(traverses: Sequence[str], places: Numbers) -> Images:
@@ -116,13 +128,16 @@ def dataset_of(
         positives=right_places(parts.queried, parts.mapped, parts.tolerance),
         protocol=protocol,
         held_out=held_out,
+        folders=tuple(folders),
+        notes=tuple(notes),
     )
 
 
 def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
     """Return for each query which of the mapped places lie at most `tolerance` places away, by their places in it."""
-    first = np.searchsorted(mapped, queried - tolerance, side="left").tolist()
-    last = np.searchsorted(mapped, queried + tolerance, side="right").tolist()
+    reach = min(tolerance, int(max(queried.max(), mapped.max())))  # further than any place; sums stay 64-bit numbers
+    first = np.searchsorted(mapped, queried - reach, side="left").tolist()
+    last = np.searchsorted(mapped, queried + reach, side="right").tolist()
     return tuple(np.arange(low, high, dtype=np.int64) for low, high in zip(first, last, strict=True))
 
 
@@ -144,21 +159,32 @@ def check_recorded(owner: str, kind: str, known: Collection[str], references: Se
 
 
 def recorded_split(
-    protocol: Evaluation, places: int, first_query_place: int, query_places: int, tolerance: int
+    protocol: Evaluation,
+    places: int,
+    first_query_place: int,
+    query_places: int,
+    tolerance: int,
+    query_stride: int = 1,
 ) -> Split:
-    """Split the places of a recording; raises BadInput where none is left to query, and for a negative tolerance."""
-    last = first_query_place + query_places
-    if query_places < 1 or first_query_place < 0 or last > places:
+    """Split the places of a recording; raises BadInput where the queries do not fit, and for a negative tolerance."""
+    if query_stride < 1 or (query_stride > 1 and protocol == "vprsnn"):
+        raise BadInput(
+            f"dataset.query_stride={query_stride} with dataset.protocol={protocol}: give 1 or more places from one "
+            "query to the next, and 1 with vprsnn"
+        )
+    last = first_query_place + (query_places - 1) * query_stride
+    if query_places < 1 or first_query_place < 0 or last >= places:
         asked = f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places}"
         if protocol == "vprsnn":
             raise BadInput(
                 f"{asked} with dataset.protocol=vprsnn: of {places} places the first number is set aside and the "
                 f"second queried; wanted are 0 or more and 1 or more, together at most {places}"
             )
+        apart = "" if query_stride == 1 else f", dataset.query_stride={query_stride} apart,"
         raise BadInput(
-            f"{asked} ask for places {first_query_place} to {last - 1}; "
+            f"{asked}{apart} ask for places {first_query_place} to {last}; "
             f"wanted are one or more of the places 0 to {places - 1}"
         )
     if tolerance < 0:
         raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
-    return split(protocol, places, first_query_place, query_places, tolerance)
+    return split(protocol, places, first_query_place, query_places, tolerance, query_stride)

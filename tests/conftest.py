@@ -1,4 +1,4 @@
-"""No test reaches for the internet or for a person's weights and trainings, and none leaves large files behind."""
+"""No test reaches for the internet or for what a person keeps of runs, and none leaves large files behind."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import pytest
 
 os.environ["VPRBENCH_OFFLINE"] = "1"
 os.environ["VPRBENCH_WEIGHTS"] = tempfile.mkdtemp(prefix="vprbench-no-weights-")
+os.environ["VPRBENCH_DATA"] = tempfile.mkdtemp(prefix="vprbench-no-data-")
+os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = tempfile.mkdtemp(prefix="vprbench-hypothesis-")
 PARTIAL = "VPRBENCH_PARTIAL"
 NUMBERS = count()
 
@@ -29,6 +31,14 @@ def partial_trainings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
 def _own_partial_trainings(partial_trainings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No test goes on with what another has left."""
     monkeypatch.setenv(PARTIAL, str(partial_trainings / str(next(NUMBERS))))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_file_hashes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """No test keeps hashes of files in a person's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VPRBENCH_HASHES", str(tmp_path_factory.mktemp("hashes")))
+        yield
 
 
 @pytest.fixture(scope="module")

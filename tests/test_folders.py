@@ -170,6 +170,12 @@ def test_queries_too_far_from_every_reference_are_kept_as_misses_where_asked(fil
     assert rights(dataset) == [[0], []]
 
 
+def test_queries_too_far_from_every_reference_are_left_out_where_asked(fill):
+    queries = fill("b", at((100, 0), (0, 0)))
+    dataset = folders(references=[fill("a", at((0, 0)))], queries=queries, ground_truth="utm", unmatched="drop")
+    assert (dataset.queries.names, rights(dataset)) == (("@0@0@1@.png",), [[0]])
+
+
 @pytest.mark.parametrize(
     "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@inf@.png"]
 )
@@ -222,6 +228,7 @@ def test_the_protocol_of_an_index_says_everything_that_was_selected(fill):
     dataset = folders("mine", [references], queries, tolerance=1)
     assert dataset.name == "mine"
     assert dict(dataset.protocol) == {
+        "protocol": "folders",
         "references": ["a"],
         "queries": "b",
         "ground_truth": "index",

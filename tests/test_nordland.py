@@ -1,13 +1,12 @@
-"""Nordland: the published list, the places of the paper, and folders in which something is missing."""
+"""Nordland: the places of the paper, what may be asked of it, and folders in which something is missing."""
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench.datasets.nordland import chosen_names, nordland, published_frames
+from vprbench.datasets.nordland import nordland, published_frames
 from vprbench.interface import BadInput, NotThere
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "nordland_64x32"
@@ -16,6 +15,14 @@ needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder sha
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
 TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on
 SEASON_LEVEL = {"spring": 10, "summer": 20, "fall": 30, "winter": 40}
+
+
+@pytest.fixture(autouse=True)
+def no_downloads(tmp_path_factory, monkeypatch):
+    """Where downloads lie: nothing is there yet, whatever lies beside the checkout."""
+    folder = tmp_path_factory.mktemp("downloads")
+    monkeypatch.setenv("VPRBENCH_DATA", str(folder))
+    return folder
 
 
 @pytest.fixture
@@ -50,34 +57,6 @@ def answer(kind=BadInput, **arguments):
 
 def reds(images):
     return [int(image[0, 0, 0]) for image in images]
-
-
-def test_the_list_has_27592_names():
-    assert len(chosen_names(1, 27_592, 1)) == 27_592
-
-
-def test_the_names_are_those_of_the_published_list():
-    # sha256 of the names joined by LF without a final LF; QVPR/VPRTempo 64154e5, nordland-summer.csv.
-    digest = hashlib.sha256("\n".join(chosen_names(1, 27_592, 1)).encode()).hexdigest()
-    assert digest == "5f74d2dc7bb3ad4a452ec722c47482fb9d95ab3e0f15513b6ddf437157f914c2"
-
-
-@pytest.mark.parametrize(
-    ("place", "frame"), [(0, "00202"), (1, "00210"), (2, "00218"), (599, "07021"), (600, "07029"), (3299, "34160")]
-)
-def test_the_places_of_the_paper_are_every_eighth_name(place, frame):
-    assert chosen_names(8, 3300, 1)[place] == f"images-{frame}.png"
-
-
-def test_2761_names_have_a_number_divisible_by_ten():
-    with pytest.raises(BadInput, match="the list of 2761 names at stride 1 has 2761 places"):
-        chosen_names(1, 2762, 10)
-
-
-@needs_real_frames
-def test_the_names_divisible_by_ten_are_those_of_the_public_64x32_frames():
-    listed = (REAL / "frames_clean_qvpr.txt").read_text().split()
-    assert [Path(name).stem for name in chosen_names(1, 2761, 10)] == [Path(name).stem for name in listed]
 
 
 def test_the_paper_asks_2700_queries_of_3300_places_in_two_traverses(paper):
@@ -235,6 +214,24 @@ def test_a_root_that_does_not_exist_is_named(tmp_path):
     assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in answer(NotThere, root=str(tmp_path / "nowhere"))
 
 
+@pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
+def test_without_a_root_the_download_that_all_protocols_share_is_taken(tiny_root, no_downloads, name):
+    (no_downloads / "nordland").symlink_to(tiny_root)
+    assert reds(nordland(name, **TINY).queries) == [22, 23, 24, 25]
+
+
+def test_without_a_root_frames_of_another_size_are_another_download(tiny_root, no_downloads):
+    (no_downloads / "nordland").symlink_to(tiny_root)
+    message = answer(NotThere, name="nordland_64x32", download="nordland_64x32", **TINY)
+    assert message.startswith("dataset.root is not set: nordland_64x32 needs")
+    assert message.endswith(f"or call that folder {no_downloads / 'nordland_64x32'}")
+
+
+def test_a_root_comes_before_the_download(tiny_root, no_downloads):
+    (no_downloads / "nordland").mkdir()
+    assert len(nordland(root=str(tiny_root), **TINY).queries) == 4
+
+
 def test_a_default_root_that_does_not_exist_is_no_root():
     assert "dataset.root is not set" in answer(NotThere, default_root="../no/such/folder")
 
@@ -258,6 +255,48 @@ def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_
     assert f"2 of {n_wanted} expected frames are missing" in message
 
 
+@pytest.mark.parametrize(
+    ("count", "told"),
+    [
+        (24_570, "24,570 images are of the partition of Olid et al., which numbers the frames in another way; get "),
+        (28_865, "28,865 images are the partition of Olid et al., which numbers the frames in another way; get "),
+    ],
+)
+def test_a_season_in_another_numbering_is_known_by_its_count(tiny_root, count, told):
+    (tiny_root / "fall" / "images-00208.png").unlink()
+    for number in range(count - 5):
+        (tiny_root / "fall" / f"{number}.png").touch()
+    (tiny_root / "fall" / "README.md").touch()
+    message = answer(NotThere, root=str(tiny_root), **TINY)
+    assert f"images-00208.png is missing from {tiny_root / 'fall'} (1 of 6 expected frames are missing, " in message
+    assert told in message
+    assert "dataset.root" in message
+
+
+def test_frames_that_were_converted_are_answered_with_the_suffix_to_set(tiny_root):
+    for path in [*tiny_root.rglob("*.png")]:
+        path.rename(path.with_suffix(".jpg"))
+    message = answer(NotThere, root=str(tiny_root), **TINY)
+    assert message.endswith("images-00206.jpg is there: pass dataset.suffix=.jpg")
+    assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
+
+
+def test_each_season_is_a_folder_with_the_names_that_are_wanted_of_it(tiny_root):
+    folders = nordland(root=str(tiny_root), **TINY).folders
+    names = tuple(f"images-{frame:05d}.png" for frame in TINY_FRAMES)
+    assert {folder.path.name: folder.used for folder in folders} == {
+        "summer": names[2:],
+        "spring": names,
+        "fall": names,
+    }
+
+
+def test_a_whole_season_has_35768_frames_and_a_filtered_one_those_of_the_list(tiny_root):
+    for folder in nordland(root=str(tiny_root), **TINY).folders:
+        assert folder.counts == (35_768, 27_592)
+        assert {*folder.wrong_counts} == {24_570, 28_865}
+
+
 def test_missing_frames_are_answered_with_the_option_to_set(tiny_root):
     (tiny_root / "fall" / "images-00208.png").unlink()
     assert "dataset.root" in answer(NotThere, root=str(tiny_root), **TINY)
@@ -277,6 +316,10 @@ def test_missing_frames_are_answered_with_the_option_to_set(tiny_root):
         ({"stride": 0}, "dataset.stride=0"),
         ({"places": 0}, "dataset.places=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
+        ({"query_stride": 0}, "dataset.query_stride=0"),
+        ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo, vprsnn, patchnetvlad, 27k or vprbench"),
+        ({"protocol": "27k"}, "dataset.protocol=27k with dataset.stride=8"),
+        ({"protocol": "vprbench", "stride": 1, "frame_multiple": 10}, "choose dataset=nordland_vprbench"),
     ],
     ids=lambda value: ", ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else "",
 )
@@ -309,4 +352,5 @@ def test_the_frames_beside_the_checkout_are_found_by_their_default_root():
         default_root="../shared/data/nordland_64x32",
     )
     assert (len(dataset.references), dataset.n_places, len(dataset.queries)) == (2761, 2761, 2761)
+    assert all(len([*folder.path.iterdir()]) == 3576 == folder.counts[0] for folder in dataset.folders)
     assert dataset.references[0].shape == dataset.queries[2760].shape == (32, 64, 3)

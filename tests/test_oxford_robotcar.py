@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench.datasets.oxford_robotcar import RECORDINGS, chosen_timestamps, oxford_robotcar, published_timestamps
+from vprbench.datasets.oxford_robotcar import oxford_robotcar
+from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, every, published_timestamps
 from vprbench.interface import BadInput, NotThere
 
 TINY = {"places": 4, "first_query_place": 1, "query_places": 3}
@@ -21,6 +22,11 @@ def write_traverse(folder, traverse, mode="RGB"):
     for place, stamp in enumerate(TINY_STAMPS[traverse]):
         level = LEVEL[traverse] + place
         PillowImage.new(mode, (3, 2), (level, 0, 0) if mode == "RGB" else level).save(folder / f"{stamp}.png")
+
+
+@pytest.fixture(autouse=True)
+def _no_downloads(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path_factory.mktemp("no-downloads")))
 
 
 @pytest.fixture
@@ -88,7 +94,7 @@ def test_every_list_has_3369_rows_of_which_some_repeat_or_lead_back_in_time(trav
     ],
 )
 def test_the_places_of_the_paper_are_every_seventh_row(traverse, stamps):
-    chosen = chosen_timestamps(traverse, 7, 450)
+    chosen = every(published_timestamps(traverse), 7, 450)
     assert (chosen[0], chosen[90], chosen[449]) == stamps
 
 
@@ -116,6 +122,7 @@ def test_the_protocol_says_everything_that_was_selected_and_what_is_odd_about_it
     assert steps["queries"] <= 5
     assert protocol == {
         "protocol": "vprtempo",
+        "image_list": "vprtempo",
         "references": ["sun", "rain"],
         "query": "dusk",
         "stride": 7,
@@ -125,6 +132,7 @@ def test_the_protocol_says_everything_that_was_selected_and_what_is_odd_about_it
         "reference_places": 450,
         "held_out_places": 90,
         "tolerance_places": 0,
+        "also_tolerance_places": [1, 2, 3],
     }
 
 
@@ -183,13 +191,35 @@ def test_a_recordings_own_folder_of_processed_frames_is_found(tmp_path):
     assert reds(dataset.queries) == [31, 32, 33]
 
 
+def test_frames_that_somebody_processed_are_noted(tiny_root):
+    notes = oxford_robotcar(root=str(tiny_root), **TINY).notes
+    assert "frames of sun, rain, dusk: demosaiced and undistorted by somebody else, how is not recorded" in notes
+
+
+def test_the_folders_are_named_with_the_frames_that_are_used(tiny_root):
+    folders = oxford_robotcar(root=str(tiny_root), **TINY).folders
+    assert [folder.path for folder in folders] == [tiny_root / traverse for traverse in ("sun", "rain", "dusk")]
+    assert folders[0].used == tuple(f"{stamp}.png" for stamp in TINY_STAMPS["sun"])
+    assert folders[2].used == tuple(f"{stamp}.png" for stamp in TINY_STAMPS["dusk"][1:])
+
+
 def test_no_root_is_answered_with_the_option_and_where_the_frames_are():
     message = answer(NotThere)
     assert "dataset.root is not set: oxford_robotcar needs" in message
     assert "https://mrgdatashare.robots.ox.ac.uk/register/" in message
     assert "2015-08-12-15-04-18, 2015-10-29-12-18-17, 2014-11-21-16-07-03" in message
-    assert "raw Bayer frames are not accepted yet" in message
-    assert "<root>/sun/1439388276732783.png" in message
+    assert "<root>/2015-08-12-15-04-18/stereo/left holds raw frames" in message
+    assert "https://github.com/ori-mrg/robotcar-dataset-sdk" in message
+    assert "<root>/sun/<timestamp>.png are processed frames" in message
+
+
+@pytest.mark.parametrize("name", ["oxford_robotcar", "mine"])
+def test_without_a_root_the_download_is_taken_whatever_the_dataset_is_called(tiny_root, monkeypatch, name):
+    (tiny_root / "oxford_robotcar").mkdir()
+    for traverse in RECORDINGS:
+        (tiny_root / traverse).rename(tiny_root / "oxford_robotcar" / traverse)
+    monkeypatch.setenv("VPRBENCH_DATA", str(tiny_root))
+    assert reds(oxford_robotcar(name, **TINY).queries) == [31, 32, 33]
 
 
 def test_a_root_that_does_not_exist_is_named(tmp_path):
@@ -213,12 +243,13 @@ def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, traverse, 
 
 
 @pytest.mark.parametrize("traverse", ["rain", "dusk"])
-def test_raw_frames_are_refused_for_what_they_are(tiny_root, traverse):
+def test_raw_frames_among_processed_ones_are_refused_for_what_they_are(tiny_root, traverse):
     (tiny_root / traverse).rename(tiny_root / "aside")
     write_traverse(tiny_root / traverse, traverse, mode="L")
     message = answer(BadInput, root=str(tiny_root), **TINY)
     assert str(tiny_root / traverse) in message
     assert "raw Bayer frames" in message
+    assert "<root>/<recording>/stereo/left" in message
 
 
 def test_a_first_frame_that_is_no_image_is_named(tiny_root):

@@ -1,11 +1,22 @@
+"""Recall at 1 under wider tolerances: of one query, of whole matrices, and of a run whose dataset asks for them."""
+
 from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from little import a_run, unanswerable_run
 
+from vprbench import tables
 from vprbench.interface import BadInput
 from vprbench.metrics import recall_at
 from vprbench.ranking import best_places, outcome
+from vprbench.records import Run, Store
+from vprbench.summary import summarise
 from vprbench.tolerance import hits_within
 
 
@@ -102,3 +113,57 @@ def test_parts_of_different_runs_are_refused() -> None:
         hits_within(top(1), scores(0.5), (*right(1), *right(2)), [0])
     with pytest.raises(ValueError, match="same queries and depth"):
         hits_within(top(1, 2), scores(0.5), right(1), [0])
+
+
+# The tolerances that a dataset asks for beside its own. Of `a_run` the best places are 0, 1, 9 and 7, the right ones
+# 0, 1 or 5, 2 and 3: they lie 0, 0, 7 and 4 places away.
+
+
+def sweep(*also: int, **changes: Any) -> Run:
+    own = changes.pop("own", 0)
+    return a_run(protocol={"query": "dusk", "tolerance_places": own, "also_tolerance_places": [*also]}, **changes)
+
+
+def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for() -> None:
+    assert summarise(sweep(1, 4, 7)).recall_at_1_within == {1: 0.5, 4: 0.75, 7: 1.0}
+
+
+def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own() -> None:
+    # Under a tolerance of 1 the right places of the last two queries are 1 to 3 and 2 to 4, so the best of the last one
+    # lies 3 places beyond those and 4 from the middle.
+    positives = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2, 3]), np.array([2, 3, 4]))
+    assert summarise(sweep(3, 4, own=1, positives=positives)).recall_at_1_within == {3: 0.5, 4: 0.75}
+
+
+def test_tolerances_within_the_datasets_own_are_left_out() -> None:
+    assert set(summarise(sweep(1, 2, 3, own=2)).recall_at_1_within) == {3}
+
+
+def test_a_dataset_that_asks_for_none_and_a_record_from_before_there_were_any_have_none() -> None:
+    assert summarise(a_run()).recall_at_1_within == {}
+    assert tables.tolerance_line(a_run()) is None
+    assert not [name for name in tables.numbers(a_run()) if "within" in name]
+
+
+def test_numbers_name_each_tolerance_and_stay_plain_json() -> None:
+    numbers = tables.numbers(sweep(1, 4))
+    assert (numbers["recall_at_1_within_1_places"], numbers["recall_at_1_within_4_places"]) == (0.5, 0.75)
+    json.dumps(numbers, allow_nan=False)
+
+
+def test_they_are_one_line_for_people() -> None:
+    assert tables.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
+
+
+def test_without_a_right_place_they_are_undefined_and_not_zero() -> None:
+    run = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)
+    assert summarise(run).recall_at_1_within == {1: None, 2: None}
+    assert tables.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
+
+
+def test_a_stored_run_gives_the_same_ones_when_it_is_read(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.prepare()
+    store.save(sweep(1, 4))
+    (read,) = store.runs()
+    assert summarise(read).recall_at_1_within == {1: 0.5, 4: 0.75}

@@ -120,6 +120,43 @@ def test_recordings_refuse_more_queries_than_places_are_left_once_some_are_set_a
     )
 
 
+def test_queries_may_be_some_places_apart():
+    parts = recorded_split("vprtempo", 10, 1, 3, 1, query_stride=4)
+    assert (parts.mapped.tolist(), parts.queried.tolist()) == ([*range(10)], [1, 5, 9])
+    assert parts.record()["query_stride"] == 4
+
+
+def test_queries_a_place_apart_are_recorded_as_they_always_were():
+    assert "query_stride" not in recorded_split("vprtempo", 10, 1, 3, 1).record()
+
+
+@pytest.mark.parametrize(
+    ("protocol", "arguments", "message"),
+    [
+        (
+            "vprtempo",
+            (2, 3),
+            "dataset.first_query_place=2 and dataset.query_places=3, dataset.query_stride=4 apart, ask for places 2 to "
+            "10; wanted are one or more of the places 0 to 9",
+        ),
+        (
+            "vprsnn",
+            (2, 1),
+            "dataset.query_stride=4 with dataset.protocol=vprsnn: give 1 or more places from one query to the next, "
+            "and 1 with vprsnn",
+        ),
+    ],
+)
+def test_recordings_refuse_queries_that_lie_too_far_apart(protocol, arguments, message):
+    assert refusal(recorded_split, protocol, 10, *arguments, 0, query_stride=4) == message
+
+
+def test_a_tolerance_beyond_all_numbers_makes_every_place_right():
+    assert (
+        right([0, 2], [0, 1, 2], tolerance=2**63 - 1) == right([0, 2], [0, 1, 2], tolerance=10**30) == [[0, 1, 2]] * 2
+    )
+
+
 @pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
 @pytest.mark.parametrize(("first", "count"), [(0, 6), (5, 1)])
 def test_recordings_may_be_queried_from_their_first_place_to_their_last(protocol, first, count):

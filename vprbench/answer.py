@@ -11,9 +11,11 @@ from typing import Any
 from vprbench import environment, frames, networks, registry, runner
 from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
+from vprbench.doctor import insist
 from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
+from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run, Store
 from vprbench.weights import content_hash
 
@@ -28,9 +30,9 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     environment.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = registry.make_method(asked["method"])
-    dataset = registry.make_dataset(asked["dataset"])
-    fingerprint = runner.fingerprint(dataset)
-    with progress_shown(name):  # a file may have to be downloaded
+    dataset = _checked(registry.make_dataset(asked["dataset"]))
+    with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
+        fingerprint = runner.fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
     run = None if settings.force else store.find(dataset.name, name, key)
@@ -45,9 +47,11 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
-            cache = DescriptorCache(store.root / "descriptors") if settings.cache else None
+            caches = _caches(store, threads) if settings.cache else (None, None)
             with progress_shown(f"{name} on {dataset.name}"):
-                run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, cache)
+                run = runner.run(
+                    name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
+                )
         try:
             folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
         except BadInput:
@@ -57,6 +61,16 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     if settings.frames:
         _keep_frames(store, fingerprint, dataset)
     return 0
+
+
+def _checked(dataset: Dataset) -> Dataset:
+    """Return a dataset that the cheap checks find no error in; what they warn of is among its notes."""
+    return dataclasses.replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+
+
+def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
+    """Return what keeps descriptors, and what keeps preprocessed frames, beside the runs."""
+    return DescriptorCache(store.root / "descriptors"), Preprocessed(store.root / "preprocessed", threads)
 
 
 def _keep_frames(store: Store, fingerprint: str, dataset: Dataset) -> None:
@@ -79,6 +93,7 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
                     "method": run.method,
                     "dataset": run.dataset,
                     "protocol": dict(run.protocol),
+                    "data": dict(run.data),
                     **tables.numbers(run),
                     "network": run.network,
                     "notes": list(run.notes),
@@ -91,6 +106,8 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
         return
     print(tables.protocol_line(run))
     print(tables.plain_row(tables.readable_row(run)))
+    if (line := tables.tolerance_line(run)) is not None:
+        print(line)
     for note in run.notes:
         print(f"note: {note}")
     if from_store:

@@ -15,7 +15,8 @@ from vprbench.series import Series
 Device = Literal["cpu", "cuda"]
 DEVICES: tuple[Device, ...] = ("cpu", "cuda")
 
-_WHERE = frozenset({"_target_", "root", "default_root", "source"})  # where code and frames lie, not which they are
+#: Arguments of a dataset that say where code and frames lie, not which they are.
+_WHERE = frozenset({"_target_", "root", "default_root", "source", "download", "calibration", "processed", "lists"})
 _OTHER = "of other"
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
 

@@ -43,6 +43,8 @@ python -m vprbench report [option=value ...]                     one page with t
 python -m vprbench search [option=value ...]                     search VPRTempo's parameters on places of no result
 python -m vprbench list                                          show the methods and datasets
 python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
+python -m vprbench fetch [NAME] [parts=[...]] [root=FOLDER]      download a dataset, or say how to get it
+python -m vprbench doctor dataset=NAME [dataset.option=value]    look at every frame, say what is wrong and what to do
 python -m vprbench bench [option=value ...]                      measure the speed here, write bench.md and .json
 python -m vprbench bench-descriptors [option=value ...]          measure how fast descriptors are, write descriptors.md
 python -m vprbench gpu-check [option=value ...]                  compare a GPU with the CPU, write gpu.md

@@ -6,7 +6,7 @@ import contextlib
 import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from vprbench import registry
 from vprbench.composing import check_names, composed, readable
@@ -186,10 +186,47 @@ def check_method(options: list[str]) -> int:
     return 1 if broken else 0
 
 
+def doctor(options: list[str]) -> int:
+    """Examine a dataset and say what is wrong with it and what to do."""
+    from vprbench.console import progress_shown
+    from vprbench.doctor import command
+
+    if not any(option.startswith("dataset=") for option in options):
+        raise BadInput(f"doctor needs dataset=NAME; {registry.near('', registry.entries('dataset'))}")
+    for option in options:
+        if option.partition("=")[0].split(".")[0] not in ("dataset", "output"):
+            raise BadInput(f"{option} is no option of doctor: it takes dataset=, dataset.OPTION= and output=json")
+    check_names(options)
+    config = composed(readable(options))
+    name = config["dataset"].get("name", "dataset")
+    output = registry.checked("output", config["output"], Literal["row", "json"])
+
+    with progress_shown(f"doctor, {name}"):
+        return command(
+            name, lambda: registry.make_dataset(config["dataset"]), print, "json" if output == "json" else "text"
+        )
+
+
+def fetch(options: list[str]) -> int:
+    """Download a dataset, unpack and check it, or say what a person has to do; without a name list what there is."""
+    from vprbench.doctor import quick
+    from vprbench.fetching import fetch_command
+
+    def check(name: str, root: Path) -> list[str]:
+        config = composed(readable([f"dataset={name}", f"dataset.root={root}"]))
+        dataset = registry.make_dataset(config["dataset"])
+        found = [f"{finding.level}: {finding.check}: {finding.text}" for finding in quick(dataset)]
+        return [*found, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]
+
+    return fetch_command(options, check)
+
+
 #: What may stand in place of a run's options.
 COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "list": list_plugins,
     "check": check_method,
+    "doctor": doctor,
+    "fetch": fetch,
     "table": table,
     "figures": figures,
     "report": report,

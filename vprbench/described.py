@@ -68,8 +68,8 @@ class Described:
         return self._cache.keep(key, len(images), blocks(), origin), False
 
 
-def source_hash(method: type[Method]) -> str:
-    """Return the hash of the source behind a method."""
+def source_hash(method: type) -> str:
+    """Return the hash of the source behind a method, or behind a part of one."""
     digest = hashlib.sha256()
     for name, path in sources.behind(method).items():
         digest.update(name.encode() + path.read_bytes())

@@ -79,6 +79,11 @@ def fetch(
     report(stage, 1.0)
 
 
+def kept_bytes(destination: Path) -> int:
+    """Return how much an interrupted download of a file has left, which the next one continues."""
+    return _received_bytes(destination.with_name(f"{destination.name}{_PARTIAL}"))
+
+
 def _transfer(wanted: _Wanted, folder: Path, stage: str) -> None:
     """Bring the whole file into a folder, in several attempts."""
     if urlsplit(wanted.url).scheme not in ("http", "https"):
@@ -139,7 +144,7 @@ def _attempt(wanted: _Wanted, folder: Path, progressed: Callable[[int, int | Non
     except gdown.FileURLRetrievalError as error:
         raise _Refused(f"is not given to programs ({_line(error)}): try again in a day") from error
     except gdown.DownloadError as error:
-        return _line(error)
+        return _line(error).partition(". ")[0]  # then come options of its own command line
     return None
 
 

@@ -6,22 +6,26 @@ import hashlib
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import overload
+from typing import Any, Protocol, overload
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
+from vprbench import png
+from vprbench.file_hashes import FileHash, file_hashes
 from vprbench.interface import BadInput, Image
 
-_CHUNK = 4  # images a reading thread takes at a time
+_CHUNK = 4  # images a reading thread takes at a time, at most
+_AHEAD = 128  # images read ahead, at most
+_AHEAD_BYTES = 1 << 26  # that these have, at most ...
+_FEWEST_AHEAD = 4  # ... unless they are larger than so many of them may be
 _REPORT_EVERY = 50  # images
-_STAMP_BYTES = 4096
 _FINGERPRINT_SAMPLE = 16
-_READERS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_READERS = min(64, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 class ReadingTime:
@@ -30,6 +34,19 @@ class ReadingTime:
     def __init__(self) -> None:
         """Start at zero."""
         self.seconds = 0.0
+
+
+class Keeper(Protocol):
+    """Keeps what is computed of a whole sequence of images, of each image a row."""
+
+    def __call__(
+        self,
+        images: Images,
+        arguments: Mapping[str, Any],
+        n_columns: int,
+        fill: Callable[[npt.NDArray[np.uint8]], None],
+    ) -> npt.NDArray[np.uint8]:
+        """Return what was kept under these arguments, (n_images, n_columns), or let `fill` write it now."""
 
 
 class Images(Sequence[Image]):
@@ -44,20 +61,25 @@ class Images(Sequence[Image]):
         read: Callable[[int], Image],
         names: Sequence[str],
         *,
+        files: Sequence[Path] | None = None,
         stamp: Callable[[int], bytes] | None = None,
         content: Callable[[int], bytes] | None = None,
         in_memory: bool = False,
     ) -> None:
         """Take `read(i)` for the i-th image and one name per image; `read` is called from several threads.
 
-        `stamp(i)` tells cheaply whether an image changed; without it `fingerprint` looks at some of the images.
-        `content(i)` is all that an image is decoded from; without it `content_hash` decodes every image.
+        `files` are what the images are decoded from, one each; `fingerprint` and `content_hash` see their content.
+        `stamp(i)` tells cheaply whether anything else about an image changed, `content(i)` is all else that it is made
+        from. With no files and no stamp `fingerprint` looks at some of the images; with no files and no content
+        `content_hash` decodes every one.
         """
         self._read = read
+        self._files = files
         self._stamp = stamp
         self._content = content
         self._in_memory = in_memory
         self._report: Callable[[int], None] | None = None
+        self.keeper: Keeper | None = None
         self.names = tuple(names)
         self.reading = ReadingTime()
 
@@ -68,8 +90,7 @@ class Images(Sequence[Image]):
         return cls(
             lambda i: read_image(paths[i]),
             [path.name for path in paths],
-            stamp=lambda i: _file_stamp(paths[i]),
-            content=lambda i: _file_content(paths[i]),
+            files=paths,
         )
 
     @classmethod
@@ -98,10 +119,11 @@ class Images(Sequence[Image]):
             self.reading.seconds += time.perf_counter() - started
             return image
         chosen = np.arange(len(self))[index].tolist()
-        stamp, content = self._stamp, self._content
+        files, stamp, content = self._files, self._stamp, self._content
         view = Images(
             lambda i: self._read(chosen[i]),
             [self.names[i] for i in chosen],
+            files=None if files is None else [files[i] for i in chosen],
             stamp=None if stamp is None else lambda i: stamp(chosen[i]),
             content=None if content is None else lambda i: content(chosen[i]),
             in_memory=self._in_memory,
@@ -120,18 +142,29 @@ class Images(Sequence[Image]):
         if self._in_memory or len(self) <= 1:
             yield from (self[i] for i in range(len(self)))
             return
-        starts = iter(range(0, len(self), _CHUNK))
+        start = under_way = 0  # images asked for, and those of them that were not handed out
+        largest = 1 if self._files is None else _decoded_bytes(self._files[0])  # of the images so far
         with ThreadPoolExecutor(_READERS) as readers:
             ahead: deque[Future[list[Image]]] = deque()
             try:
-                for start in starts:
-                    ahead.append(readers.submit(self._read_chunk, start))
-                    if len(ahead) > 2 * _READERS:
-                        yield from self._wait(ahead.popleft())
-                while ahead:
-                    yield from self._wait(ahead.popleft())
+                while ahead or start < len(self):
+                    room = max(_FEWEST_AHEAD, min(_AHEAD, _AHEAD_BYTES // largest))
+                    size = min(_CHUNK, max(1, room // (2 * _READERS)), len(self) - start)
+                    if size and (not ahead or under_way + size <= room):
+                        ahead.append(readers.submit(self._read_chunk, start, size))
+                        start, under_way = start + size, under_way + size
+                        continue
+                    images = self._wait(ahead.popleft())
+                    largest = max(largest, *(image.nbytes for image in images))
+                    under_way -= len(images)
+                    yield from images
             finally:
                 readers.shutdown(cancel_futures=True)
+
+    @property
+    def are_files(self) -> bool:
+        """Whether the images are decoded from files."""
+        return self._files is not None
 
     def blocks(self, size: int) -> Iterator[Images]:
         """Yield consecutive views of up to `size` decoded images each."""
@@ -146,53 +179,73 @@ class Images(Sequence[Image]):
 
     def unnamed(self) -> Images:
         """Return the same images under names that say nothing."""
-        view = self[:]
+        view = self._whole()
         view.names = tuple(f"image {i}" for i in range(len(self)))
         return view
 
     def watched(self, report: Callable[[int], None]) -> Images:
         """Return the same images; `report` is told now and then how many an iteration has handed out."""
-        view = self[:]
+        view = self._whole()
         view._report = report
+        return view
+
+    def kept_by(self, keeper: Keeper) -> Images:
+        """Return the same images; what is computed of all of them alone may be had from `keeper`."""
+        view = self._whole()
+        view.keeper = keeper
+        return view
+
+    def _whole(self) -> Images:
+        view = self[:]
+        view.keeper = self.keeper
         return view
 
     def in_memory(self) -> Images:
         """Return the same images, all decoded now."""
         return self if self._in_memory else Images.from_arrays(list(self), self.names)
 
+    def file_hashes(self) -> list[FileHash] | None:
+        """Return the hash of the file behind each image; None where there are no files."""
+        return None if self._files is None else file_hashes(self._files)
+
     def fingerprint(self) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
-        Of files it sees name, size, first and last bytes (the end of a PNG holds a checksum of its pixels); of
-        other images the pixels of sixteen.
+        Of files it sees name, size and content; of images that are no files, and have no stamp, sixteen.
         """
-        digest = hashlib.sha256("\n".join(self.names).encode())
+        digest = hashlib.sha256("\n".join(self.names).encode(errors="surrogateescape"))
+        files = self.file_hashes()
+        for file in files or ():
+            digest.update(b"%d" % file.size_bytes + file.sha256)
         if self._stamp is not None:
             for i in range(len(self)):
                 digest.update(self._stamp(i))
-        else:
+        elif files is None:
             for i in np.linspace(0, len(self) - 1, min(len(self), _FINGERPRINT_SAMPLE)).astype(int).tolist():
                 image = self._read(i)
                 digest.update(repr(image.shape).encode() + image.tobytes())
         return digest.hexdigest()
 
     def content_hash(self) -> str:
-        """Return a hash of everything that the images are decoded from, whatever their names.
+        """Return a hash of everything that the images are made from, whatever their names.
 
-        It reads every file whole, and decodes what is no file.
+        Of files it sees the content; it decodes what is no file.
         """
         digest = hashlib.sha256()
-        for i in range(len(self)):
-            if self._content is not None:
-                content = self._content(i)
-            else:
+        files = self.file_hashes()
+        for file in files or ():
+            digest.update(file.sha256)
+        if self._content is not None:
+            for i in range(len(self)):
+                digest.update(hashlib.sha256(self._content(i)).digest())
+        elif files is None:
+            for i in range(len(self)):
                 image = self._read(i)
-                content = repr(image.shape).encode() + image.tobytes()
-            digest.update(hashlib.sha256(content).digest())
+                digest.update(hashlib.sha256(repr(image.shape).encode() + image.tobytes()).digest())
         return digest.hexdigest()
 
-    def _read_chunk(self, start: int) -> list[Image]:
-        return [self._read(i) for i in range(start, min(start + _CHUNK, len(self)))]
+    def _read_chunk(self, start: int, size: int) -> list[Image]:
+        return [self._read(i) for i in range(start, start + size)]
 
     def _wait(self, chunk: Future[list[Image]]) -> list[Image]:
         started = time.perf_counter()
@@ -207,9 +260,13 @@ def read_image(path: Path) -> Image:
     Raises BadInput with the path where the file is missing, truncated or no image.
     """
     try:
+        if (pixels := _decoded_png(path)) is not None:
+            return pixels
         with PillowImage.open(path) as image:
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
+            if image.mode == "RGB":
+                return np.asarray(image)
             # A palette with transparency has to become RGBA first.
             return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
     except FileNotFoundError as error:
@@ -219,22 +276,20 @@ def read_image(path: Path) -> Image:
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
 
-def _file_stamp(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            start = file.read(_STAMP_BYTES)
-            file.seek(max(0, size - _STAMP_BYTES))
-            return b"%d" % size + start + file.read()
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error
+def _decoded_png(path: Path) -> Image | None:
+    """Return what is read fastest; None for anything but a plain, whole PNG."""
+    with path.open("rb") as file:
+        start = file.read(len(png.SIGNATURE))
+        return png.decoded(start + file.read()) if start == png.SIGNATURE else None
 
 
-def _file_content(path: Path) -> bytes:
+def _decoded_bytes(path: Path) -> int:
+    """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error
+        with PillowImage.open(path) as image:
+            return max(1, 3 * image.width * image.height)
+    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError):  # said when the image is read
+        return 1
 
 
 def _as_rgb(array: Image) -> Image:

@@ -21,7 +21,9 @@ from vprbench.records import Failure, Run, Store
 Part = TypeVar("Part")
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
 
-_ROOTS = {"nordland": "nordland", "oxford_robotcar": "robotcar"}  # which option of ours gives a dataset's root
+#: Which option of ours gives the root of datasets whose names begin so.
+_ROOTS = {"nordland": "nordland", "oxford_robotcar": "robotcar"}
+_FRAMES_OF_THEIR_OWN = ("nordland_64x32",)
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,8 @@ def _default_columns(plan: Plan, asked: Asked) -> list[str]:
 def _root(column: PlannedColumn, asked: Asked) -> tuple[str, ...]:
     """Return the option that says where the frames of a column lie, where that was asked for."""
     dataset = next(option.partition("=")[2] for option in column.options if option.startswith("dataset="))
-    folder = getattr(asked, _ROOTS[dataset]) if dataset in _ROOTS else None
+    ours = [_ROOTS[name] for name in _ROOTS if dataset.startswith(name) and dataset not in _FRAMES_OF_THEIR_OWN]
+    folder = getattr(asked, ours[0]) if ours else None
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 

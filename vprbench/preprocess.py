@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Literal
 
 import cv2
@@ -22,7 +23,8 @@ Engine = Literal["fused", "readable"]
 
 _LEVELS = np.arange(256, dtype=np.float32)
 
-_BLOCK = 64  # images that are normalised together
+_BLOCK = 64  # images that are normalised together, at most
+_BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
 _SMALL_BYTES = 1 << 16
 
 
@@ -51,17 +53,26 @@ class PatchNormalisation:
             raise BadInput(f"method.height={self.height}, method.width={self.width}: give sizes of at least 1 pixel")
 
     def __call__(self, images: Images) -> npt.NDArray[np.uint8]:
-        """Return (n_images, height * width)."""
-        levels = np.empty((len(images), self.height * self.width), np.uint8)
+        """Return (n_images, height * width); that of images with a keeper may be what an earlier run made."""
+        n_pixels = self.height * self.width
+        if images.keeper is not None:
+            return images.keeper(images, asdict(self), n_pixels, partial(self._fill, images))
+        levels = np.empty((len(images), n_pixels), np.uint8)
+        self._fill(images, levels)
+        return levels
+
+    def _fill(self, images: Images, levels: npt.NDArray[np.uint8]) -> None:
+        """Write the levels of all images, (n_images, height * width)."""
         normalise = self._fused if self.engine == "fused" else self._readable
         threads = torch.get_num_threads() if self.engine == "fused" else 1
+        n_bytes = _BLOCKS_BYTES // (threads + 1)  # as many blocks there are: one being gathered
         if len(images) == 1 or threads == 1:
-            for start, block in _blocks(images):
+            for start, block in _blocks(images, _BLOCK, n_bytes):
                 normalise(block, levels[start : start + len(block)])
-            return levels
+            return
         with ThreadPoolExecutor(threads - 1) as pool:
             others: list[Future[None]] = []
-            for start, block in _blocks(images, -(-len(images) // threads)):
+            for start, block in _blocks(images, min(_BLOCK, -(-len(images) // threads)), n_bytes):
                 own = levels[start : start + len(block)]
                 if sum(not other.done() for other in others) < threads - 1:
                     others.append(pool.submit(normalise, block, own))
@@ -69,7 +80,6 @@ class PatchNormalisation:
                     normalise(block, own)
             for other in others:
                 other.result()
-        return levels
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:
         """Return the grey, gamma-corrected image as (height, width), levels 0..255."""
@@ -125,15 +135,16 @@ class PatchNormalisation:
         return 1 if self.variant == "C" else 0
 
 
-def _blocks(images: Images, largest: int = _BLOCK) -> Iterator[tuple[int, list[Image]]]:
-    """Yield the images, read in order, in lists of a bounded length with the number of the first."""
-    size = min(largest, _BLOCK)
+def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:
+    """Yield the images, read in order, in lists with the number of the first; `size` or `n_bytes` end a list."""
     block: list[Image] = []
+    held = 0
     for number, image in enumerate(images):
         block.append(image)
-        if len(block) == size or number == len(images) - 1:
+        held += image.nbytes
+        if len(block) == size or held >= n_bytes or number == len(images) - 1:
             yield number + 1 - len(block), block
-            block = []
+            block, held = [], 0
 
 
 def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -26,7 +26,7 @@ from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 4
+SCHEMA = 5
 _SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _PARTIAL = ".partial-"
 _DAMAGED = ".damaged"
@@ -69,6 +69,7 @@ class Run:
     top_scores: npt.NDArray[np.float32]  # (n_queries, depth); -inf: no candidate
     scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
     spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
+    data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ class Store:
 
 
 def load(folder: Path) -> Run:
-    """Read a run of this or an earlier layout; what that did not hold yet is None.
+    """Read a run of this or an earlier layout; what that did not hold yet is None, or empty.
 
     Raises DamagedRunError where a part is missing or changed, NewerLayoutError for a layout that is not known yet.
     """
@@ -245,7 +246,7 @@ def load(folder: Path) -> Run:
             raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
         if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
             raise DamagedRunError(f"{_SUMMARY} is not what was written")
-        summary = {**{name: None for name, first in _ADDED.items() if layout < first}, **summary}
+        summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
         _name_protocol(summary)
         for name, digest in summary["sha256"].items():
             if _digest(folder / name) != digest:
@@ -279,11 +280,18 @@ _PLAIN = (
     "harness_seconds",
     "method_seconds",
     "spikes",
+    "data",
 )
 _WITH_PROTOCOLS = frozenset(  # datasets that came to have two
     f"vprbench.datasets.{name}.{name}" for name in ("nordland", "oxford_robotcar", "street", "synthetic")
 )
-_ADDED = {"load_seconds": 2, "network": 2, "search": 3, "spikes": 4}  # the layout that first held it
+_ADDED: Mapping[str, tuple[int, Any]] = {  # the layout that first held it, and what stands for it in earlier ones
+    "load_seconds": (2, None),
+    "network": (2, None),
+    "search": (3, None),
+    "spikes": (4, None),
+    "data": (5, {}),
+}
 
 
 def _name_protocol(content: dict[str, Any]) -> None:

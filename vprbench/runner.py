@@ -15,12 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment, networks, progress, spikes
+from vprbench.data_record import data_record
 from vprbench.described import Described, source_hash
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Scores, calibration, held_together
 from vprbench.learning import learn
 from vprbench.partial import ledger
+from vprbench.preprocessed import Preprocessed
 from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.search import Audit, Search
@@ -107,15 +109,18 @@ def run(
     threads: int,
     files: networks.Files = _NO_FILES,
     cache: DescriptorCache | None = None,
+    preprocessed: Preprocessed | None = None,
 ) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     `config` holds what was asked for (method, dataset, seed, device, depth), the run's also the hash of the code and
     the timing protocol; raises whatever the method raises.
     A network is stored before the first query; whether it can be is seen before it is trained. Descriptors worth
-    keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case.
+    keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case. `preprocessed`
+    keeps the frames of a fit; what an earlier run spent on those that it has already counts as part of the fit.
     """
     device = config["device"]
+    data = data_record(dataset)
     started = time.perf_counter()
     surroundings = environment.capture(device, threads)
     canary = environment.canary_seconds()
@@ -124,7 +129,7 @@ def run(
 
     described = Described.of(cache if files.load is None else None, method, config)
     with ledger() as resumed:
-        learnt = learn(stopwatch, method, dataset, config["method"], key, files, described, resumed)
+        learnt = learn(stopwatch, method, dataset, config["method"], key, files, described, resumed, preprocessed)
 
         before = dataset.queries.reading.seconds
         answers = _Answers(dataset, config["depth"])
@@ -189,6 +194,7 @@ def run(
         top_scores=np.concatenate(answers.top_scores),
         scores=np.concatenate(answers.kept) if answers.kept else None,
         spikes=spiked,
+        data=data,
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vprbench.intervals import block_bootstrap, wilson
 from vprbench.metrics import auc, average_precision, hits_at, pr_curve, recall_at
 from vprbench.records import Run
 from vprbench.stopwatch import best_batch, offline_rate, streaming_rate
+from vprbench.tolerance import hits_within
 
 RECALLS = (1, 5, 10, 25)
 _BLOCK = 10  # consecutive queries, which see nearly the same
@@ -34,6 +36,7 @@ class Summary:
     recall_at_1_answerable: float | None  # of the queries that have a right place
     recall_at_1_pessimistic: float | None  # ties broken against the method
     recall_at_1_optimistic: float | None
+    recall_at_1_within: Mapping[int, float | None]  # so many places, as the dataset asks for; None as in recalls
     hangs_on_ties: bool  # these two differ by more than half a point
     auc_pr: float | None  # PR-A, trapezoid
     average_precision: float | None  # PR-A, step sum
@@ -66,6 +69,7 @@ def summarise(run: Run) -> Summary:
         recall_at_1_answerable=answerable.expected if answerable else None,
         recall_at_1_pessimistic=first.pessimistic if first else None,
         recall_at_1_optimistic=first.optimistic if first else None,
+        recall_at_1_within=recall_at_1_within(run),
         hangs_on_ties=first.hangs_on_ties if first else False,
         auc_pr=auc(curve) if curve else None,
         average_precision=average_precision(curve) if curve else None,
@@ -82,3 +86,18 @@ def summarise(run: Run) -> Summary:
         offline_batch=batch.images_per_call,
         peak_memory_bytes=run.peak_memory_bytes,
     )
+
+
+def recall_at_1_within(run: Run) -> dict[int, float | None]:
+    """Return R@1 within the places that a protocol names in `also_tolerance_places`, where it is not that wide itself.
+
+    They count from the right place along the map, as `tolerance_places` does.
+    """
+    own = int(run.protocol.get("tolerance_places", 0))
+    wider = [int(k) for k in run.protocol.get("also_tolerance_places", ()) if k > own]
+    if not wider:
+        return {}
+    if not run.outcome.answerable.any():
+        return dict.fromkeys(wider)
+    hits = hits_within(run.top_places, run.top_scores, run.positives, [k - own for k in wider])
+    return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from vprbench.records import Failure, Run
-from vprbench.summary import RECALLS, StageRates, Summary, summarise
+from vprbench.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
 
 NOTHING = "-"
+_DIGITS = 12  # of a hash that people compare by eye
 
 
 def label(run: Run | Failure) -> str:
@@ -66,6 +67,7 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "recall_at_1_answerable": summary.recall_at_1_answerable,
         "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
         "recall_at_1_optimistic": summary.recall_at_1_optimistic,
+        **{f"recall_at_1_within_{k}_places": share for k, share in summary.recall_at_1_within.items()},
         "auc_pr_a": summary.auc_pr,
         "average_precision_a": summary.average_precision,
         "fit_seconds": run.fit_seconds,
@@ -95,15 +97,27 @@ def csv(results: Sequence[Run | Failure]) -> str:
         if isinstance(result, Failure):
             line |= {"error": result.error}
         else:
+            frames = {name: result.data.get(name) for name in ("names_sha256", "content_sha256")}
+            line |= {"protocol": result.protocol.get("protocol"), **frames}
             line |= {"error": "", **numbers(result), "network": result.network}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 
 
 def protocol_line(run: Run) -> str:
-    """Return in one line what was asked of which places."""
+    """Return in one line what was asked of which places, and by the first digits of a hash of which frames."""
     chosen = ", ".join(f"{name} {_plain(value)}" for name, value in run.protocol.items())
-    return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen})"
+    frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
+    return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
+
+
+def tolerance_line(run: Run) -> str | None:
+    """Return in one line R@1 under the wider tolerances that the dataset asks for; None where it asks for none."""
+    wider = recall_at_1_within(run)
+    if not wider:
+        return None
+    shares = " / ".join(_percent(share) for share in wider.values())
+    return f"R@1 within {', '.join(map(str, wider))} places: {shares} %"
 
 
 def machine_line(run: Run) -> str:
@@ -148,4 +162,6 @@ def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:
 
 
 def _plain(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "+".join(f"{inner} in {name}" for name, inner in value.items())
     return "+".join(map(str, value)) if isinstance(value, list) else str(value)

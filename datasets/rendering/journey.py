@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
+
+import numpy as np
 
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image
 
 from ..traverses import Evaluation, dataset_of, split
 from .film import HEIGHT, WIDTH
+
+_BEYOND = 100  # places between the last one of the map and the first that has no right answer
 
 
 class Painter(Protocol):
@@ -45,8 +49,14 @@ class Rendered:
         tolerance: int,
         seed: int,
         protocol: Evaluation = "vprtempo",
+        query_shift: int = 0,
+        unanswerable: int = 0,
     ) -> Dataset:
-        """Return the dataset of what was asked for; raises BadInput for what cannot be rendered."""
+        """Return the dataset of what was asked for; raises BadInput for what cannot be rendered.
+
+        Each query shows the place `query_shift` further on than its ground truth says, and `unanswerable` more queries
+        show places that the map lacks and that have no right answer: damage on purpose, whose effect is known.
+        """
         if not self.fewest_places <= places <= self.most_places:
             raise BadInput(
                 f"dataset.places={places} came; {self.journey} has {self.fewest_places} to {self.most_places} places"
@@ -57,9 +67,15 @@ class Rendered:
         if seed < 0:
             raise BadInput(f"dataset.seed={seed} came; a whole number, 0 or more, was wanted")
         self._check_traverses(references, query)
+        if first + query_shift < 0:
+            raise BadInput(
+                f"dataset.query_shift={query_shift} came; the first query, of place {first}, has no such frame"
+            )
+        if unanswerable < 0:
+            raise BadInput(f"dataset.unanswerable={unanswerable} came; a number of queries, 0 or more, was wanted")
         painter = self.painter(seed)
         parts = split(protocol, places, first, count, tolerance)
-        return dataset_of(
+        dataset = dataset_of(
             name,
             parts,
             references,
@@ -74,8 +90,16 @@ class Rendered:
                 "width": WIDTH,
                 "height": HEIGHT,
                 "renderer": self.version,
+                **({"query_shift": query_shift} if query_shift else {}),
+                **({"unanswerable": unanswerable} if unanswerable else {}),
             },
         )
+        if not query_shift and not unanswerable:
+            return dataset
+        beyond = np.arange(unanswerable) + places + _BEYOND + abs(query_shift)
+        shown = [(query, place) for place in (*(parts.queried + query_shift).tolist(), *beyond.tolist())]
+        none = np.array([], dtype=np.int64)
+        return replace(dataset, queries=_frames(painter, shown), positives=(*dataset.positives, *[none] * unanswerable))
 
     def _queries(
         self, places: int, first_query_place: int | None, query_places: int | None, protocol: Evaluation

@@ -33,6 +33,8 @@ def street(
     tolerance: int = 0,
     seed: int = 0,
     protocol: Evaluation = "vprtempo",
+    query_shift: int = 0,
+    unanswerable: int = 0,
 ) -> Dataset:
     """Return traverses of one drive in several weathers, as RGB frames of 160 x 90.
 
@@ -40,11 +42,24 @@ def street(
     `first_query_place` the first fifth of the places is not queried (90 of 450, as the VPRTempo paper does with Oxford
     RobotCar); without `query_places` the queries run to the last place. A query's right places are those within
     `tolerance` places of its own. With the protocol of VPRSNN as many places, chosen as its authors do, are in
-    neither map nor queries instead.
+    neither map nor queries instead. For tests of harnesses and methods, each query can show the place `query_shift`
+    further on than its ground truth says, and `unanswerable` more queries places beyond the map.
 
     Raises BadInput for a traverse that does not exist and for queries outside the drive.
 
     >>> street(places=100).queries.names[0]
     'dusk/place-00020'
     """
-    return _DRIVE.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed, protocol)
+    return _DRIVE.dataset(
+        name,
+        places,
+        references,
+        query,
+        first_query_place,
+        query_places,
+        tolerance,
+        seed,
+        protocol,
+        query_shift,
+        unanswerable,
+    )

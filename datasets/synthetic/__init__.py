@@ -33,6 +33,8 @@ def synthetic(
     tolerance: int = 0,
     seed: int = 0,
     protocol: Evaluation = "vprtempo",
+    query_shift: int = 0,
+    unanswerable: int = 0,
 ) -> Dataset:
     """Return traverses of one journey in several seasons, as RGB frames of 160 x 90.
 
@@ -40,11 +42,24 @@ def synthetic(
     Without `first_query_place` the first 2/11 of the places are not queried (600 of 3300, as in the VPRTempo
     paper); without `query_places` the queries run to the last place. A query's right places are those within
     `tolerance` places of its own. With the protocol of VPRSNN as many places, chosen as its authors do, are in
-    neither map nor queries instead.
+    neither map nor queries instead. For tests of harnesses and methods, each query can show the place `query_shift`
+    further on than its ground truth says, and `unanswerable` more queries places beyond the map.
 
     Raises BadInput for a season that does not exist and for queries outside the journey.
 
     >>> synthetic(places=100, query="winter").queries.names[0]
     'winter/place-00018'
     """
-    return _JOURNEY.dataset(name, places, references, query, first_query_place, query_places, tolerance, seed, protocol)
+    return _JOURNEY.dataset(
+        name,
+        places,
+        references,
+        query,
+        first_query_place,
+        query_places,
+        tolerance,
+        seed,
+        protocol,
+        query_shift,
+        unanswerable,
+    )

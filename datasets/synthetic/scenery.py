@@ -160,7 +160,7 @@ def _trees(slots: _Slots, season: Season, snow: Ints) -> list[Ints]:
     width = np.where(bush, METRE + lean * METRE // 200, np.where(broad, crown_width, height >> 2))
     leafy = (bush | broad)[:, None]
     colour = np.where(leafy, season.leaf, season.conifer) * (200 + (shade >> 1))[:, None] >> 8
-    colour = blend(colour, SNOW, snow[slots.section] * np.where(bush, 150, np.where(broad, 40, 100)) >> 8)
+    colour = blend(colour, SNOW, snow[slots.section] * np.where(bush, 40, np.where(broad, 40, 100)) >> 8)
     crown = SHAPE["crown"] + lean % 2 if season.foliage else SHAPE["twigs"]
     shape = np.where(bush, SHAPE["bush"], np.where(broad, crown, SHAPE["conifer"] + lean % 2))
     at = np.flatnonzero(broad)

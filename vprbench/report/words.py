@@ -53,6 +53,9 @@ _QUERIES = ("query", "queries")
 _TOLERANCES = {"tolerance_places": "place", "tolerance_frames": "frame"}
 _COUNTS = ("places", "query_places")  # told by what was counted
 _PROTOCOLS = {
+    "27k": "all 27,592 frames in the map and as queries, right within 25 m, as VPR-datasets-downloader has it",
+    "patchnetvlad": "all 27,592 frames in the map and as queries, right within 7 frames, as Patch-NetVLAD has it",
+    "vprbench": "all 27,592 frames in the map, every 10th a query, right within a frame, as VPR-Bench has it",
     "vprtempo": "all places are in the map, those before the first query place too",
     "vprsnn": "the places held out, drawn from all over the journey, are in neither the map nor the queries",
 }

@@ -51,6 +51,7 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
     free = np.ones(config["places"], np.bool_)
     for each in reported:
         first, count = (0, len(free)) if _scatters(each) else (each["first_query_place"], each["query_places"])
+        count *= each.get("query_stride", 1)
         free[first:][:count] = False
     longest = _longest(free)
     if not longest:

@@ -1,0 +1,113 @@
+"""The dbStruct .mat files of NetVLAD's authors: names and positions of database and query images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import BadInput, Dataset, NotThere
+
+from .file_dataset import Unmatched, dataset_of_files
+from .frame_folders import root_folder
+from .image_files import check_listed
+from .positions import by_radius
+
+_NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
+
+_LAYOUT = (
+    "the .mat files are in netvlad_v100_datasets.tar.gz (www.di.ens.fr/willow/research/netvlad), for the images of "
+    "Pittsburgh their authors have to be asked; set dataset.root to the folder that the names start from and "
+    "dataset.mat to the file"
+)
+
+
+def dbstruct(
+    name: str = "dbstruct",
+    root: str | None = None,
+    mat: str | None = None,
+    database_folder: str = "",
+    query_folder: str = "",
+    database_suffix: str | None = None,
+    radius_metres: float = 25.0,
+    unmatched: Unmatched = "keep",
+) -> Dataset:
+    """Return the images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
+
+    Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
+    Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included. Raises
+    NotThere for missing files, BadInput for a file without such a structure.
+    """
+    top = root_folder(name, root, "the images that the .mat file names", _LAYOUT)
+    if mat is None:
+        raise NotThere(f"dataset.mat is not set: {_LAYOUT}")
+    file = top / Path(mat).expanduser()
+    fields = _read(file)
+    named = _names(file, fields, _NAMES)
+    database = [top / database_folder / entry for entry in named]
+    if database_suffix is not None:
+        database = [path.with_suffix(database_suffix) for path in database]
+    queries = [top / query_folder / entry for entry in _names(file, fields, _QUERY_NAMES)]
+    check_listed(
+        database, f"the database of {file.name}", "set dataset.root, dataset.database_folder or dataset.database_suffix"
+    )
+    check_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
+    return dataset_of_files(
+        name,
+        database,
+        queries,
+        by_radius(
+            _positions(file, fields, _UTM, len(database)),
+            _positions(file, fields, _QUERY_UTM, len(queries)),
+            radius_metres,
+        ),
+        unmatched,
+        {"protocol": "dbstruct", "mat": file.name, "radius_metres": radius_metres},
+    )
+
+
+def _read(file: Path) -> tuple[Any, ...]:
+    """Return the fields of dbStruct, by position; raises NotThere or BadInput."""
+    from scipy.io import loadmat
+
+    if not file.is_file():
+        raise NotThere(f"dataset.mat: {file} is no file; {_LAYOUT}")
+    try:
+        content = loadmat(file)
+    except NotImplementedError as error:
+        raise BadInput(f"{file} is of MATLAB's version 7.3 (HDF5): save it again with save(..., '-v7')") from error
+    except Exception as error:  # a damaged file fails in many ways
+        reason = (str(error).splitlines() or [""])[0] or type(error).__name__
+        raise BadInput(f"{file} cannot be read as a .mat file ({reason}): get it from its source again") from error
+    structure = content.get("dbStruct")
+    fields = structure.item() if isinstance(structure, np.ndarray) and structure.size == 1 else None
+    if not isinstance(fields, tuple) or len(fields) <= _QUERY_UTM:
+        held = ", ".join(sorted(key for key in content if not key.startswith("__"))) or "nothing"
+        raise BadInput(
+            f"{file} holds {held}, but no dbStruct with names and positions: set dataset.mat to another file"
+        )
+    return fields
+
+
+def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
+    """Return the file names in a field, a cell array of words or a matrix of characters."""
+    entries = [np.asarray(entry) for entry in np.asarray(fields[position]).ravel()]
+    if not entries or not all(entry.size == 1 and entry.dtype.kind == "U" for entry in entries):
+        raise BadInput(
+            f"field {position + 1} of dbStruct in {file} holds no list of file names: is it another structure?"
+        )
+    return [str(entry.item()).rstrip() for entry in entries]
+
+
+def _positions(file: Path, fields: tuple[Any, ...], position: int, count: int) -> npt.NDArray[np.float64]:
+    """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
+    metres = np.asarray(fields[position])
+    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not np.isfinite(metres).all():
+        raise BadInput(
+            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are finite metres, "
+            f"(2, {count}) for {count} names"
+        )
+    return metres.T.astype(np.float64)

@@ -1,0 +1,71 @@
+"""A dataset made of lists of image files and their ground truth: one rule for queries that have no right place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.images import Images
+from vprbench.interface import BadInput, Dataset, FrameFolder, Places
+
+Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Which place each reference shows, and which places are right for each query."""
+
+    places: Places  # (n_references,)
+    positives: Sequence[npt.NDArray[np.int64]]  # per query, ascending
+    lacking: str  # what a query without any lacks, as in "no reference within 25 m"
+
+
+def dataset_of_files(
+    name: str,
+    references: Sequence[Path],
+    queries: Sequence[Path],
+    truth: GroundTruth,
+    unmatched: Unmatched,
+    protocol: Mapping[str, Any],
+    notes: Sequence[str] = (),
+) -> Dataset:
+    """Return the dataset of these files, in their order; how queries without a right place are treated is noted.
+
+    Raises BadInput where `unmatched` is error and there are such queries, or drop and there are no others.
+    """
+    matched = [query for query, right in enumerate(truth.positives) if len(right)]
+    kept = matched if unmatched == "drop" else range(len(queries))
+    without = len(truth.positives) - len(matched)
+    told = f"{without} of {len(queries)} queries have {truth.lacking}"
+    if without and unmatched == "error":
+        first = next(query for query, right in enumerate(truth.positives) if not len(right))
+        raise BadInput(
+            f"{told} (first: {queries[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
+            "or dataset.unmatched=drop to leave them out"
+        )
+    if not kept:
+        raise BadInput(f"{told}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
+    outcome = "are left out" if unmatched == "drop" else "count as misses"
+    return Dataset(
+        name=name,
+        references=Images.from_files(references),
+        places=truth.places,
+        queries=Images.from_files([queries[query] for query in kept]),
+        positives=tuple(truth.positives[query] for query in kept),
+        protocol={**protocol, "unmatched": unmatched},
+        folders=folders_of([*references, *queries]),
+        notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
+    )
+
+
+def folders_of(files: Sequence[Path]) -> tuple[FrameFolder, ...]:
+    """Return the folders that hold the files, in order of appearance, each with the names used of it, each once."""
+    names: dict[Path, dict[str, None]] = {}
+    for path in files:
+        names.setdefault(path.parent, {})[path.name] = None
+    return tuple(FrameFolder(folder, tuple(used)) for folder, used in names.items())

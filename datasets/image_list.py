@@ -1,0 +1,174 @@
+"""Lists of images in CSV files, one row an image, with its place or its position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from vprbench.interface import BadInput, Dataset, NotThere
+
+from .file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .image_files import check_listed
+from .positions import by_radius, earth_centred
+
+Kind = Literal["place", "east_north", "lat_lon"]
+
+_COLUMNS: dict[Kind, tuple[str, ...]] = {
+    "place": ("place",),
+    "east_north": ("east", "north"),
+    "lat_lon": ("lat", "lon"),
+}
+_ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
+_WANTED = "image, and place or east,north or lat,lon"
+
+
+def image_list(
+    name: str = "image_list",
+    references: list[str] | None = None,
+    queries: str | None = None,
+    root: str | None = None,
+    tolerance: int = 0,
+    radius_metres: float = 25.0,
+    unmatched: Unmatched = "error",
+) -> Dataset:
+    """Return the images that CSV files list, in the order of their rows.
+
+    The columns are `image`, a path from `root` (from the folder of the CSV if None), and the first of `place`,
+    `east,north` (metres of one grid) and `lat,lon` (degrees, WGS 84) that all files have. VPRTempo's header
+    `Image name,index` is read as image and place.
+
+    Places are any numbers or words. They are numbered in the order in which the references first name them, several
+    references may show one, and right are places at most `tolerance` away in that numbering. By position every
+    reference is a place, and right is what lies within `radius_metres`, the radius included; the distance between
+    latitudes and longitudes is the straight line through the ellipsoid.
+
+    Raises NotThere for missing files, BadInput for tables that do not fit.
+    """
+    if not references or queries is None:
+        raise NotThere(
+            "dataset.references and dataset.queries are not set: "
+            "pass dataset.references=[/path/to/first.csv,/path/to/second.csv] dataset.queries=/path/to/queries.csv"
+        )
+    files = [*(Path(file).expanduser() for file in references), Path(queries).expanduser()]
+    tables = [_table(file, root) for file in files]
+    kind = _kind_of_all(tables)
+    mapped, asked = tables[:-1], tables[-1]
+    if kind == "place":
+        truth = _by_place([label for table in mapped for label in table.labels()], asked.labels(), tolerance)
+    else:
+        truth = by_radius(np.concatenate([table.metres(kind) for table in mapped]), asked.metres(kind), radius_metres)
+    return dataset_of_files(
+        name,
+        [image for table in mapped for image in table.images],
+        asked.images,
+        truth,
+        unmatched,
+        {
+            "protocol": "image_list",
+            "references": [file.name for file in files[:-1]],
+            "queries": files[-1].name,
+            "ground_truth": kind,
+            **({"tolerance_places": tolerance} if kind == "place" else {"radius_metres": radius_metres}),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The rows of one CSV."""
+
+    file: Path
+    images: list[Path]
+    cells: pd.DataFrame  # of words, columns by our names
+
+    def labels(self) -> list[str | int]:
+        """Return the place of every row, whole numbers as such: 7 and 007 are one place."""
+        words = self._words("place")
+        return [int(word) if len(word) < 20 and word.removeprefix("-").isdecimal() else word for word in words]
+
+    def metres(self, kind: Kind) -> npt.NDArray[np.float64]:
+        """Return the position of every row, (n, 2) or (n, 3)."""
+        first, second = (self._numbers(column) for column in _COLUMNS[kind])
+        if kind == "east_north":
+            return np.stack([first, second], axis=1)
+        for column, degrees, most in (("lat", first, 90), ("lon", second, 180)):
+            if (np.abs(degrees) > most).any():
+                row = int(np.argmax(np.abs(degrees) > most))
+                raise BadInput(
+                    f"{column} {degrees[row]:g} in row {row + 1} of {self.file}: give degrees from -{most} to {most}"
+                )
+        return earth_centred(first, second)
+
+    def _numbers(self, column: str) -> npt.NDArray[np.float64]:
+        numbers = np.empty(len(self.cells))
+        for row, word in enumerate(self._words(column)):
+            try:
+                numbers[row] = float(word)
+            except ValueError:
+                numbers[row] = np.nan
+            if not np.isfinite(numbers[row]):
+                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: a finite number is wanted")
+        return numbers
+
+    def _words(self, column: str) -> list[str]:
+        words = [str(word).strip() for word in self.cells[column]]
+        if "" in words:
+            raise BadInput(f"row {words.index('') + 1} of {self.file} has no {column}: every row needs one")
+        return words
+
+
+def _table(file: Path, root: str | None) -> _Table:
+    """Read a CSV and check that its images are there."""
+    if not file.is_file():
+        raise NotThere(f"{file} is no file: give a CSV with the columns {_WANTED}")
+    try:
+        cells = pd.read_csv(file, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+    except ValueError as error:  # what pandas raises for a table it cannot parse, and for bytes that are no text
+        reason = (str(error).splitlines() or [""])[0]
+        raise BadInput(f"{file} cannot be read as a CSV ({reason}): the columns {_WANTED} are wanted") from error
+    given = ", ".join(map(str, cells.columns))
+    if not isinstance(cells.index, pd.RangeIndex):
+        raise BadInput(f"the rows of {file} have more cells than its header ({given}): give every column a name")
+    plain = [str(column).strip().lower() for column in cells.columns]
+    cells.columns = pd.Index([_ALIASES.get(column, column) for column in plain])
+    if "image" not in cells.columns or not cells.columns.is_unique:
+        raise BadInput(f"{file} has the columns {given}; wanted are {_WANTED}, each once")
+    if not len(cells):
+        raise BadInput(f"{file} lists no image: give it a row for each")
+    names = _Table(file, [], cells)._words("image")
+    images = [(file.parent if root is None else Path(root).expanduser()) / name for name in names]
+    check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
+    return _Table(file, images, cells)
+
+
+def _kind_of_all(tables: Sequence[_Table]) -> Kind:
+    """Return the first kind of ground truth that all tables hold; raises BadInput where there is none."""
+    for kind, columns in _COLUMNS.items():
+        if all({*columns} <= {*table.cells.columns} for table in tables):
+            return kind
+    held = "; ".join(f"{table.file.name} has {', '.join(table.cells.columns)}" for table in tables)
+    raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files")
+
+
+def _by_place(references: list[str | int], queries: list[str | int], tolerance: int) -> GroundTruth:
+    """Number the places as the references first name them; right for a query are the places around its own."""
+    if tolerance < 0:
+        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
+    numbers = {label: number for number, label in enumerate(dict.fromkeys(references))}
+    around = [
+        np.arange(max(0, number - tolerance), min(len(numbers), number + tolerance + 1))
+        if (number := numbers.get(label)) is not None
+        else np.arange(0)
+        for label in queries
+    ]
+    return GroundTruth(
+        places=np.array([numbers[label] for label in references], dtype=np.int64),
+        positives=around,
+        lacking="a place that no reference shows",
+    )

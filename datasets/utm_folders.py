@@ -1,0 +1,92 @@
+"""Folders database/ and queries/ with positions in the file names, as VPR-datasets-downloader makes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vprbench.interface import Dataset, NotThere
+
+from .file_dataset import Unmatched, dataset_of_files
+from .frame_folders import root_folder
+from .image_files import check_listed, images_in
+from .utm_names import Zones, by_names
+
+_LAYOUT = (
+    "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
+    "(MSLS, Pitts30k, Tokyo 24/7); set dataset.root"
+)
+
+
+def utm_folders(
+    name: str = "utm_folders",
+    root: str | None = None,
+    split: str = "test",
+    database: str = "database",
+    queries: str = "queries",
+    radius_metres: float = 25.0,
+    unmatched: Unmatched = "keep",
+    zones: Zones = "error",
+) -> Dataset:
+    """Return the images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
+
+    The two folders lie in `<root>/images/<split>`, in `<root>/<split>` or in `root` itself. Where a file
+    `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
+    reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
+    count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
+    VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
+    place (`zones` apart). Raises NotThere for what is missing, BadInput for names without a position.
+    """
+    layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
+    top = root_folder(name, root, f"{database}/ and {queries}/", layout)
+    found, holding = _holding(top, split, (database, queries), layout)
+    references, asked = _images(holding / database), _images(holding / queries)
+    return dataset_of_files(
+        name,
+        references,
+        asked,
+        by_names(references, asked, radius_metres, zones),
+        unmatched,
+        {
+            "protocol": "utm_folders",
+            "split": found,
+            "database": database,
+            "queries": queries,
+            "lists": [
+                _list_beside(holding / folder).name for folder in (database, queries) if _listed(holding / folder)
+            ],
+            "radius_metres": radius_metres,
+            "zones": zones,
+        },
+    )
+
+
+def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
+    """Return the split, None where the root is not divided, and the folder that holds both wanted folders."""
+    for found, folder in ((split, top / "images" / split), (split, top / split), (None, top)):
+        if all((folder / part).is_dir() for part in wanted):
+            return found, folder
+    raise NotThere(
+        f"{' and '.join(f'{part}/' for part in wanted)} are neither in {top / 'images' / split} nor in {top / split} "
+        f"nor in {top}: {layout}"
+    )
+
+
+def _images(folder: Path) -> list[Path]:
+    """Return the images of a folder: those of the list beside it where there is one, else all, by their paths."""
+    if not _listed(folder):
+        return images_in(folder, "dataset.root", order="plain")
+    beside = _list_beside(folder)
+    named = [line for line in beside.read_text(encoding="utf-8").splitlines() if line.strip()]
+    if not named:
+        raise NotThere(f"{beside} names no image: delete it to use all images of {folder}")
+    files = [folder / line for line in named]
+    check_listed(files, beside.name, f"restore them, or delete {beside} to use all images of the folder")
+    return files
+
+
+def _listed(folder: Path) -> bool:
+    return _list_beside(folder).is_file()
+
+
+def _list_beside(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}_images_paths.txt")

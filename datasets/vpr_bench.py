@@ -1,0 +1,157 @@
+"""Folders of VPR-Bench: query/, ref/ and a ground truth by number, as a pickle that is never run or as a CSV."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from vprbench.interface import BadInput, Dataset, NotThere
+
+from .file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .frame_folders import root_folder
+from .image_files import images_in
+from .pickled_lists import read_lists
+
+OutOfRange = Literal["error", "clip"]
+
+GROUND_TRUTHS = ("ground_truth_new.npy", "ground_truth.csv")
+
+_LAYOUT = (
+    "python -m vprbench fetch corridor gets Corridor, the other sets are linked in the README of "
+    "github.com/MubarizZaffar/VPR-Bench; set dataset.root to a folder with query/, ref/ and "
+    + " or ".join(GROUND_TRUTHS)
+)
+
+
+def vpr_bench(
+    name: str = "vpr_bench",
+    root: str | None = None,
+    ground_truth: str | None = None,
+    out_of_range: OutOfRange = "error",
+    unmatched: Unmatched = "keep",
+    default_root: str | None = None,
+) -> Dataset:
+    """Return the images of `<root>/query` and `<root>/ref`, in natural order (2.jpg before 10.jpg), numbered from 0.
+
+    Every reference is a place. `ground_truth` is a file in `root`, the first of `GROUND_TRUTHS` that is there if None:
+    rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
+    and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
+    `clip`; how many queries that concerns is noted. `default_root` (relative to the checkout) stands in for a `root` of
+    None where it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
+    """
+    top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
+    asked, references = (images_in(top / part, "dataset.root", deep=False) for part in ("query", "ref"))
+    stored = _ground_truth_file(top, ground_truth)
+    rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
+    by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
+    note = (
+        f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows (first: query "
+        f"{corrected[0]}); they are left out (dataset.out_of_range=clip)"
+        if corrected
+        else None
+    )
+    return dataset_of_files(
+        name,
+        references,
+        asked,
+        GroundTruth(
+            places=np.arange(len(references)),
+            positives=[np.array(right, dtype=np.int64) for right in by_query],
+            lacking=f"no right reference in {stored.name}",
+        ),
+        unmatched,
+        {
+            "protocol": "vpr_bench",
+            "ground_truth": stored.name,
+            "out_of_range": out_of_range,
+            "out_of_range_queries": len(corrected),
+        },
+        [note] if note else [],
+    )
+
+
+def in_range(
+    owner: str, rows: list[tuple[int, list[int]]], n_queries: int, n_references: int, out_of_range: OutOfRange
+) -> tuple[list[list[int]], list[int]]:
+    """Return the right references of every query, ascending, and the queries whose rows held numbers without an image.
+
+    Those numbers are left out with `clip`, else BadInput names the first of them. Raises BadInput as well for a query
+    with two rows or none. `owner` is the file that messages name.
+    """
+    by_query: dict[int, list[int]] = {}
+    corrected = []
+    for query, right in rows:
+        wrong = [reference for reference in right if not 0 <= reference < n_references]
+        known = 0 <= query < n_queries
+        if (wrong or not known) and out_of_range == "error":
+            told = (
+                f"names reference {wrong[0]} for query {query}, but ref/ holds {n_references} images, numbered 0 to "
+                f"{n_references - 1}"
+                if known
+                else f"names query {query}, but query/ holds {n_queries} images, numbered 0 to {n_queries - 1}"
+            )
+            raise BadInput(
+                f"{owner} {told}: check that no image is missing, or pass dataset.out_of_range=clip to leave such "
+                "numbers out"
+            )
+        if wrong or not known:
+            corrected.append(query)
+        if not known:
+            continue
+        if query in by_query:
+            raise BadInput(f"{owner} has two rows for query {query}: leave one")
+        by_query[query] = sorted({*right} - {*wrong})
+    without = [query for query in range(n_queries) if query not in by_query]
+    if without:
+        raise BadInput(
+            f"{owner} has no row for {len(without)} of {n_queries} queries (first: query {without[0]}): give each one, "
+            "with an empty list where no reference is right"
+        )
+    return [by_query[query] for query in range(n_queries)], corrected
+
+
+def _ground_truth_file(top: Path, name: str | None) -> Path:
+    wanted = [name] if name else GROUND_TRUTHS
+    for file in wanted:
+        if (top / file).is_file():
+            return top / file
+    raise NotThere(f"{top} holds no {' and no '.join(wanted)}: {_LAYOUT}")
+
+
+def _rows_of_pickle(path: Path) -> list[tuple[int, list[int]]]:
+    """Return query and right references of each row of a ground_truth_new.npy."""
+    advice = "get the file from its source again, or write ground_truth.csv with the columns query,matching_refs"
+    rows = []
+    for number, row in enumerate(read_lists(path, advice)):
+        whole = isinstance(row, list) and len(row) == 2 and isinstance(row[1], list) and _whole([row[0], *row[1]])
+        if not whole:
+            raise BadInput(f"row {number} of {path} is no [query, [references]] of whole numbers: {advice}")
+        rows.append((int(row[0]), [int(reference) for reference in row[1]]))
+    return rows
+
+
+def _whole(numbers: list[Any]) -> bool:
+    return all(isinstance(n, int | float) and not isinstance(n, bool) and n == n // 1 for n in numbers)
+
+
+def _rows_of_csv(path: Path) -> list[tuple[int, list[int]]]:
+    """Return query and right references of each row of a ground_truth.csv."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        table = csv.DictReader(file)
+        if not {"query", "matching_refs"} <= {*(table.fieldnames or ())}:
+            raise BadInput(
+                f"{path} has the columns {', '.join(table.fieldnames or ['none'])}; wanted are query and matching_refs"
+            )
+        rows = []
+        for row in table:
+            try:
+                rows.append((int(row["query"]), [int(reference) for reference in row["matching_refs"].split()]))
+            except (ValueError, TypeError, AttributeError) as error:
+                raise BadInput(
+                    f"line {table.line_num} of {path} is no query and its references: wanted are whole numbers, as in "
+                    "5,3 4 5"
+                ) from error
+    return rows

@@ -1,0 +1,149 @@
+"""Gardens Point, St Lucia (small) and SFU Mountain as VPR_Tutorial has them, with its hard or soft ground truth."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.interface import BadInput, Dataset, NotThere
+
+from .file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .frame_folders import root_folder
+from .image_files import images_in
+
+Strictness = Literal["hard", "soft"]
+
+_SOFT_BAND = 8  # places to either side: 17 rows (stschubert/VPR_Tutorial 2278d7e)
+_MATRICES = {"hard": "GThard", "soft": "GTsoft"}
+
+
+def gardens_point(
+    name: str = "gardens_point",
+    root: str | None = None,
+    references: list[str] | None = None,
+    query: str = "night_right",
+    images: int = 200,
+    ground_truth: Strictness = "hard",
+    tolerance: int | None = None,
+) -> Dataset:
+    """Return the first `images` images of every traverse, in natural order; the i-th of each shows place i.
+
+    `references` are the folders of the map (day_right if None). Right is the place of the same number; with `soft` also
+    the 8 to either side. A `tolerance` in places stands in for both. Raises NotThere for missing folders or images.
+    """
+    traverses = ["day_right"] if references is None else references
+    if not traverses or len({*traverses}) < len(traverses):
+        raise BadInput(f"dataset.references={traverses}: name at least one folder, each once")
+    if images < 1:
+        raise BadInput(f"dataset.images={images}: give 1 or more")
+    reach = (0 if ground_truth == "hard" else _SOFT_BAND) if tolerance is None else tolerance
+    if reach < 0:
+        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
+    layout = (
+        "run python -m vprbench fetch gardens_point, or get GardensPoint_Walking.zip from "
+        "www.tu-chemnitz.de/etit/proaut/datasets (all frames: doi 10.5281/zenodo.4590133) and "
+        f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
+    )
+    top = root_folder(name, root, "the traverses", layout)
+    mapped = [path for traverse in traverses for path in _first(top / traverse, images)]
+    return dataset_of_files(
+        name,
+        mapped,
+        _first(top / query, images),
+        GroundTruth(
+            places=np.tile(np.arange(images), len(traverses)),
+            positives=[np.arange(max(0, i - reach), min(images, i + reach + 1)) for i in range(images)],
+            lacking="no reference",
+        ),
+        "error",
+        {
+            "protocol": "vpr_tutorial",
+            "references": traverses,
+            "query": query,
+            "images": images,
+            "ground_truth": ground_truth if tolerance is None else "tolerance",
+            "tolerance_places": reach,
+        },
+    )
+
+
+def with_matrix(
+    name: str,
+    root: str | None = None,
+    reference: str = "",
+    query: str = "",
+    ground_truth: Strictness = "hard",
+    unmatched: Unmatched = "drop",
+    source: str = "",
+) -> Dataset:
+    """Return two folders of images, in the order of their paths, with the matrix GThard or GTsoft of GT.npz.
+
+    Every reference is a place. The matrix is (n_references, n_queries), true where they show the same place. Queries
+    without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
+    messages where the data are to be had. Raises NotThere for what is missing, BadInput for a matrix that does not fit.
+    """
+    layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
+    top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout)
+    mapped, asked = (
+        images_in(top / folder, "dataset.root", order="plain", deep=False) for folder in (reference, query)
+    )
+    right = _matrix(top / "GT.npz", _MATRICES[ground_truth], (len(mapped), len(asked)), layout)
+    return dataset_of_files(
+        name,
+        mapped,
+        asked,
+        GroundTruth(
+            places=np.arange(len(mapped)),
+            positives=[np.flatnonzero(column) for column in right.T],
+            lacking=f"no right reference in {_MATRICES[ground_truth]}",
+        ),
+        unmatched,
+        {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
+    )
+
+
+def _first(folder: Path, count: int) -> list[Path]:
+    """Return the first images of a folder; raises NotThere where there are fewer."""
+    files = images_in(folder, "dataset.root", deep=False)
+    if len(files) < count:
+        raise NotThere(
+            f"{folder} holds {len(files)} of {count} images: restore the others, or pass dataset.images={len(files)} "
+            "for the first of them"
+        )
+    return files[:count]
+
+
+def _matrix(file: Path, key: str, shape: tuple[int, int], layout: str) -> npt.NDArray[np.bool_]:
+    """Return a matrix of yes and no of that shape from an .npz file, which may hold plain numbers alone."""
+    if not file.is_file():
+        raise NotThere(f"{file} is no file: {layout}")
+    try:
+        with zipfile.ZipFile(file) as members:
+            size = members.getinfo(f"{key}.npy").file_size
+        if size > 8 * shape[0] * shape[1] + (1 << 16):
+            raise BadInput(
+                f"{key} in {file} unpacks to {size} bytes, too many for {shape[0]} references and {shape[1]} queries: "
+                "check that no image is missing"
+            )
+        with np.load(file, allow_pickle=False) as stored:
+            matrix = stored[key]
+    except KeyError as error:
+        raise BadInput(f"{file} holds no {key}: get it from its source again") from error
+    except (ValueError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+        if isinstance(error, BadInput):
+            raise
+        reason = (str(error).splitlines() or [""])[0]
+        raise BadInput(f"{file} cannot be read ({reason}): get it from its source again") from error
+    if matrix.shape != shape:
+        turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
+        raise BadInput(
+            f"{key} in {file} has the shape {matrix.shape}{turned}; wanted is {shape}, references by queries, for "
+            "the images that are there"
+        )
+    if matrix.dtype.kind not in "buif" or not np.isin(matrix, (0, 1)).all():
+        raise BadInput(f"{key} in {file} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
+    return np.asarray(matrix, dtype=np.bool_)

@@ -1,0 +1,95 @@
+"""Little traverses on disk for the doctor: healthy ones, to be damaged by a test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image as PillowImage
+
+from vprbench.doctor import Finding, examine
+from vprbench.images import Images
+from vprbench.interface import Dataset, FrameFolder, Image
+
+PLACES = 60
+NAMES = [f"{place:03d}.png" for place in range(PLACES)]
+
+_STEP = 24  # pixels from place to place; a frame is 64 wide
+
+
+def season(number: int, places: int = PLACES) -> list[Image]:
+    """Return frames of a ride past a made-up landscape; each season has its own light and noise, all are aligned."""
+    width = _STEP * places + 64
+    rough = np.random.default_rng(0).random((6, width // 10), np.float32)
+    land = cv2.resize(rough, (width, 32), interpolation=cv2.INTER_CUBIC)
+    weather = np.random.default_rng(1 + number)
+    light = land * (150 - 20 * number) + 40 + 10 * number
+    seen = np.clip(light + weather.normal(0, 15, light.shape), 30, 255).astype(np.uint8)
+    frames = [seen[:, _STEP * place : _STEP * place + 64] for place in range(places)]
+    return [np.repeat(frame[:, :, None], 3, axis=2) for frame in frames]
+
+
+def save(folder: Path, frames: Sequence[Image], names: Sequence[str] | None = None) -> Path:
+    """Write frames as PNG files; they are named by their number where no names come."""
+    folder.mkdir(parents=True)
+    for number, frame in enumerate(frames):
+        PillowImage.fromarray(frame).save(folder / (names[number] if names else f"{number:03d}.png"))
+    return folder
+
+
+def healthy(tmp_path: Path) -> tuple[Path, Path]:
+    """Write a winter and a summer of the same places; returns both folders."""
+    return save(tmp_path / "winter", season(0)), save(tmp_path / "summer", season(1))
+
+
+def dataset_of(
+    references: Sequence[Path],
+    queries: Path,
+    names: Sequence[str] = NAMES,
+    query_names: Sequence[str] | None = None,
+    right: Sequence[Sequence[int]] | None = None,
+    tolerance: int = 0,
+    counts: tuple[int, ...] = (),
+    wrong_counts: Mapping[int, str] | None = None,
+    protocol: Mapping[str, Any] | None = None,
+) -> Dataset:
+    """Return the dataset of these folders; the i-th query shows the i-th place unless `right` says otherwise."""
+    asked = names if query_names is None else query_names
+    n = len(names)
+    if right is None:
+        right = [range(max(0, i - tolerance), min(n, i + tolerance + 1)) for i in range(len(asked))]
+    return Dataset(
+        name="little",
+        references=Images.from_files([folder / name for folder in references for name in names]),
+        places=np.tile(np.arange(n), len(references)),
+        queries=Images.from_files([queries / name for name in asked]),
+        positives=tuple(np.array(places, np.int64) for places in right),
+        protocol={
+            "references": [folder.name for folder in references],
+            "query": queries.name,
+            "tolerance_places": tolerance,
+            **(protocol or {}),
+        },
+        folders=(
+            *(FrameFolder(folder, tuple(names), counts, wrong_counts or {}) for folder in references),
+            FrameFolder(queries, tuple(asked), counts, wrong_counts or {}),
+        ),
+    )
+
+
+def examined(winter: Path, summer: Path, **changes: Any) -> tuple[Finding, ...]:
+    """Return what is found in winter as the references and summer as the queries."""
+    return examine(dataset_of([winter], summer, **changes))
+
+
+def wrong(found: Sequence[Finding]) -> list[tuple[str, str, str]]:
+    """Return level, check and text of errors and warnings."""
+    return [(finding.level, finding.check, finding.text) for finding in found if finding.level != "note"]
+
+
+def notes(found: Sequence[Finding], check: str) -> list[str]:
+    """Return the texts of a check's notes."""
+    return [finding.text for finding in found if finding.level == "note" and finding.check == check]

@@ -1,0 +1,344 @@
+"""Fetching: a dataset gets into its folder whatever server, archive and disk do, or nothing changes there."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from archive_files import special, tarred, zipped
+from filelock import FileLock
+from little_download import (
+    CHUNK,
+    COMPLETE,
+    NOISE,
+    PATIENCE,
+    SHA256,
+    SPRING,
+    SUMMER,
+    get,
+    little,
+    recorded,
+    spring,
+    visible,
+)
+from served_files import Server, serving
+
+from vprbench import fetching
+from vprbench.fetch_entries import Download, Held, Part
+from vprbench.fetching import Settings, fetch
+from vprbench.interface import BadInput, NotThere
+from vprbench.progress import listening
+from vprbench.unpacking import Wanted
+
+
+@pytest.fixture(autouse=True)
+def _on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Downloads are allowed, and ask the servers of the tests whatever stands between this machine and the net."""
+    monkeypatch.delenv("VPRBENCH_OFFLINE")
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.setenv(name, "*")
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with serving() as server:
+        yield server
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "data" / "little"
+
+
+def test_a_dataset_gets_into_its_folder_with_a_record(
+    server: Server, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = server.serve("/spring", SPRING)
+    assert get(little(parts={"spring": spring(url)}), root) == 0
+    assert visible(root) == COMPLETE
+    assert (root / "spring" / "1.png").read_bytes() == NOISE
+    record = recorded(root)["spring"]
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", record.pop("fetched"))
+    assert record == {"url": url, "bytes": len(SPRING), "sha256": SHA256, "licence": "CC BY 4.0"}
+    printed = capsys.readouterr().out
+    assert f"SHA-256 {SHA256} (none is stated: compare it with what others got)" in printed
+    assert f"{root / 'spring'}: 2 files\n" in printed
+
+
+def test_the_licence_is_shown_before_anything_is_asked_for(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match="does not start with http"):
+        get(little(parts={"spring": spring("ftp://127.0.0.1/spring")}), root)
+    assert "little: a little journey\nLicence: CC BY 4.0\n" in capsys.readouterr().out
+
+
+def test_the_second_time_nothing_is_asked_for(server: Server, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
+    get(entry, root)
+    server.asked.clear()
+    capsys.readouterr()
+    assert get(entry, root) == 0
+    assert server.asked == []
+    assert re.search(
+        r"spring is there already, fetched on \d+-\d+-\d+\.\n.*2 files\nNothing is left", capsys.readouterr().out
+    )
+
+
+def test_archives_are_kept_where_that_is_asked_for(server: Server, root: Path) -> None:
+    get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root, keep_archives=True)
+    assert (root / "archives" / "spring.zip").read_bytes() == SPRING
+
+
+def test_a_dataset_gets_to_where_runs_look_for_it(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "all"))
+    entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
+    assert fetch(entry, Settings(), timeout_seconds=PATIENCE, pause_seconds=0.0) == 0
+    assert visible(tmp_path / "all" / "little") == COMPLETE
+
+
+class TestParts:
+    @pytest.fixture
+    def both(self, server: Server) -> Download:
+        wanted = Wanted(unpacked_bytes=100)
+        summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
+        return little(parts={"spring": spring(server.serve("/spring", SPRING)), "summer": summer})
+
+    def test_all_are_fetched(self, both: Download, root: Path) -> None:
+        get(both, root)
+        assert visible(root) == [*COMPLETE, "summer", "summer/1.png", "summer/2.png"]
+        assert sorted(recorded(root)) == ["spring", "summer"]
+
+    def test_only_those_that_are_named_are_fetched(self, both: Download, root: Path, server: Server) -> None:
+        get(both, root, parts=["summer"])
+        assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
+        assert {path for path, _ in server.asked} == {"/summer"}
+
+    def test_the_usual_ones_are_fetched_where_none_is_named(self, both: Download, root: Path) -> None:
+        get(little(parts=both.parts, default=("summer",)), root)
+        assert sorted(recorded(root)) == ["summer"]
+
+    def test_what_is_there_is_not_fetched_again(self, both: Download, root: Path, server: Server) -> None:
+        get(both, root, parts=["summer"])
+        server.asked.clear()
+        get(both, root)
+        assert {path for path, _ in server.asked} == {"/spring"}
+        assert sorted(recorded(root)) == ["spring", "summer"]
+
+    def test_an_unknown_one_is_named(self, both: Download, root: Path) -> None:
+        with pytest.raises(BadInput, match="parts: little has no sumer: did you mean summer"):
+            get(both, root, parts=["sumer"])
+
+
+class TestAddresses:
+    def test_the_next_is_tried_where_a_file_is_gone(
+        self, server: Server, root: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        gone, url = f"{server.url}/gone", server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(gone, url)}), root)
+        assert recorded(root)["spring"]["url"] == url
+        warned = [line.getMessage() for line in caplog.records if line.levelno == logging.WARNING]
+        assert warned == [f"{gone} answers 404 Not Found: give the address where it is now; the next address follows"]
+
+    def test_the_next_is_tried_where_a_file_is_another_one(self, server: Server, root: Path) -> None:
+        wrong, url = server.serve("/wrong", zipped({"spring/1.png": b"another"})), server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(wrong, url, sha256=SHA256)}), root)
+        assert recorded(root)["spring"]["url"] == url
+        assert visible(root) == COMPLETE
+
+    def test_the_next_is_tried_where_an_archive_is_damaged(self, server: Server, root: Path) -> None:
+        damaged, url = server.serve("/damaged", SPRING[:-CHUNK]), server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(damaged, url)}), root)
+        assert recorded(root)["spring"]["url"] == url
+        assert visible(root) == COMPLETE
+
+    def test_what_a_person_can_do_is_said_where_all_fail(self, server: Server, root: Path) -> None:
+        archive = root / "archives" / "spring.zip"
+        with pytest.raises(NotThere, match=f"/two answers 404 .* get the file by hand and store it as {archive}$"):
+            get(little(parts={"spring": spring(f"{server.url}/one", f"{server.url}/two")}), root)
+        assert [path for path, _ in server.asked] == ["/one", "/two"]
+        assert not (root / "spring").exists()
+
+    def test_a_redirect_is_followed(self, server: Server, root: Path) -> None:
+        old = server.serve("/old", b"", location=server.serve("/spring", SPRING))
+        get(little(parts={"spring": spring(old, sha256=SHA256, size_bytes=len(SPRING))}), root)
+        assert visible(root) == COMPLETE
+
+    def test_a_file_of_another_size_than_stated_is_refused(self, server: Server, root: Path) -> None:
+        url = server.serve("/spring", SPRING)
+        with pytest.raises(NotThere, match=rf"gave {len(SPRING)} bytes, expected 7: it was deleted"):
+            get(little(parts={"spring": spring(url, size_bytes=7)}), root)
+        assert visible(root) == ["archives"]
+
+
+@contextmanager
+def interrupting(title: str) -> Iterator[None]:
+    """As when somebody presses Ctrl-C a third into a download."""
+
+    def interrupt(stage: str, done: float) -> None:
+        if stage.startswith("downloading") and 0.3 < done < 1:
+            raise KeyboardInterrupt
+
+    with listening(interrupt):
+        yield
+
+
+class TestInterruptions:
+    @pytest.mark.parametrize("honours_ranges", [True, False])
+    def test_an_interrupted_download_is_continued_by_the_same_command(
+        self, server: Server, root: Path, monkeypatch: pytest.MonkeyPatch, honours_ranges: bool
+    ) -> None:
+        entry = little(parts={"spring": spring(server.serve("/spring", SPRING, honours_ranges=honours_ranges))})
+        with monkeypatch.context() as patch:
+            patch.setattr(fetching, "progress_shown", interrupting)
+            with pytest.raises(KeyboardInterrupt):
+                get(entry, root)
+        assert not (root / "spring").exists()
+        server.asked.clear()
+        get(entry, root)
+        assert visible(root) == COMPLETE
+        assert {wanted for _, wanted in server.asked} - {None} == {f"bytes={CHUNK}-"}
+
+    def test_a_broken_download_goes_on_where_it_broke(self, server: Server, root: Path) -> None:
+        get(little(parts={"spring": spring(server.serve("/spring", SPRING, breaks_after=CHUNK))}), root)
+        assert visible(root) == COMPLETE
+        assert {f"bytes={CHUNK}-", f"bytes={2 * CHUNK}-"} <= {wanted for _, wanted in server.asked}
+
+    def test_a_server_that_stalls_is_left_for_the_next(self, server: Server, root: Path) -> None:
+        stalling, url = server.serve("/stalling", SPRING, stalls_after=0), server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(stalling, url)}), root, timeout_seconds=0.5)
+        assert recorded(root)["spring"]["url"] == url
+
+    def test_what_a_killed_fetch_had_begun_to_unpack_is_removed(self, server: Server, root: Path) -> None:
+        (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
+        get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root)
+        assert not (root / ".unpacking-12345678").exists()
+
+    def test_two_fetches_do_not_share_a_folder(self, server: Server, root: Path) -> None:
+        entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
+        root.mkdir(parents=True)
+        with FileLock(root / ".fetch.lock"), pytest.raises(BadInput, match="another fetch is under way in"):
+            get(entry, root)
+        assert server.asked == []
+        assert get(entry, root) == 0
+
+
+class TestArchives:
+    def test_a_damaged_one_is_deleted_and_the_next_fetch_is_right(self, server: Server, root: Path) -> None:
+        entry = little(parts={"spring": spring(server.serve("/spring", SPRING[:-CHUNK]))})
+        with pytest.raises(BadInput, match=r"spring.zip is damaged.*it was deleted: give the same command again"):
+            get(entry, root)
+        assert visible(root) == ["archives"]
+        server.serve("/spring", SPRING)
+        assert get(entry, root) == 0
+
+    def test_a_hostile_one_changes_nothing_and_is_kept(self, server: Server, root: Path) -> None:
+        hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
+        with pytest.raises(BadInput, match=r"'spring/2\.png', which is a link: nothing was unpacked"):
+            get(little(parts={"spring": spring(server.serve("/spring", hostile))}), root)
+        assert visible(root) == ["archives", "archives/spring.zip"]
+
+    def test_one_without_the_expected_folder_is_refused(self, server: Server, root: Path) -> None:
+        other = zipped({"Spring/1.png": b"one"})
+        with pytest.raises(BadInput, match="gave no folder spring: it is another archive than expected"):
+            get(little(parts={"spring": spring(server.serve("/spring", other))}), root)
+        assert not (root / "Spring").exists()
+
+    def test_another_number_of_files_is_said(
+        self, server: Server, root: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        url = server.serve("/spring", zipped({"spring/1.png": b"one"}))
+        assert get(little(parts={"spring": spring(url)}), root) == 0
+        assert f"{root / 'spring'}: 1 file, but 2 were expected" in capsys.readouterr().out
+
+    def test_other_files_than_stated_are_refused(self, server: Server, root: Path) -> None:
+        lines = f"{hashlib.sha256(b'one').hexdigest()}  1.png\n{hashlib.sha256(b'two').hexdigest()}  2.png\n"
+        stated = {"spring": Held(sha256=hashlib.sha256(lines.encode()).hexdigest())}
+        url = server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"One"}))
+        part = Part("spring.zip", (url,), Wanted(unpacked_bytes=100), stated)
+        with pytest.raises(BadInput, match="gave other files in spring than expected"):
+            get(little(parts={"spring": part}), root)
+        assert not (root / "spring").exists()
+        shutil.rmtree(root)
+        server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"one"}))
+        assert get(little(parts={"spring": part}), root) == 0
+
+    def test_one_put_there_by_hand_needs_no_net(
+        self, root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
+        archive = root / "archives" / "spring.zip"
+        archive.parent.mkdir(parents=True)
+        archive.write_bytes(SPRING)
+        assert get(little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)}), root) == 0
+        assert visible(root) == COMPLETE
+        assert recorded(root)["spring"]["url"] is None
+        assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
+
+    def test_one_put_there_by_hand_is_compared_with_what_is_stated(self, root: Path) -> None:
+        archive = root / "archives" / "spring.zip"
+        archive.parent.mkdir(parents=True)
+        archive.write_bytes(SUMMER)
+        with pytest.raises(BadInput, match=f"{archive} has SHA-256 .* stated is {SHA256}: remove it and run again"):
+            get(little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)}), root)
+        assert archive.exists()
+
+
+def test_nothing_is_asked_for_where_downloads_are_forbidden(
+    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
+    with pytest.raises(NotThere, match=r"VPRBENCH_OFFLINE forbids downloads: get http.*/spring elsewhere and store it"):
+        get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root)
+    assert server.asked == []
+
+
+class Usage(NamedTuple):
+    total: int
+    used: int
+    free: int
+
+
+def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for(
+    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needed = 4 * CHUNK + 5_000_000  # what is unpacked, and what is downloaded
+    entry = little(parts={"spring": spring(server.serve("/spring", SPRING), about_bytes=5_000_000)})
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(10**12, 0, needed - 1))
+    with pytest.raises(BadInput, match=r"has 7\.1 MB free, but 7\.1 MB may be needed: free some"):
+        get(entry, root)
+    assert server.asked == []
+    assert not root.exists()
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(10**12, 0, needed))
+    assert get(entry, root) == 0
+
+
+def test_what_an_interrupted_download_has_left_is_not_counted_twice(
+    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = server.serve("/spring", SPRING)
+    entry = little(parts={"spring": spring(url, size_bytes=len(SPRING))})
+    with monkeypatch.context() as patch:
+        patch.setattr(fetching, "progress_shown", interrupting)
+        with pytest.raises(KeyboardInterrupt):
+            get(entry, root)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(10**12, 0, 4 * CHUNK + len(SPRING) - CHUNK))
+    assert get(entry, root) == 0
+
+
+def test_folders_that_are_there_in_part_are_not_mixed_with_others(server: Server, root: Path) -> None:
+    url = server.serve("/both", SPRING)
+    part = Part("both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(), "summer": Held()})
+    (root / "summer").mkdir(parents=True)
+    (root / "summer" / "1.png").write_bytes(b"mine")
+    message = f"{root / 'summer'} is there, but not {root / 'spring'}: move it away"
+    with pytest.raises(BadInput, match=message):
+        get(little(parts={"both": part}), root)
+    assert server.asked == []

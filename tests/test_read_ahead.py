@@ -1,0 +1,111 @@
+"""Reading ahead keeps as many threads busy as there are, and holds few bytes however large the frames are."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image as PillowImage
+from stopped_clock import ReadersThatWait
+
+from vprbench import images
+from vprbench.images import Images
+
+PATIENCE = 120  # seconds for what takes none unless something is broken
+FRAME = 300 * 400 * 3  # bytes
+
+
+class Waiting(ReadersThatWait):
+    """Counts the images that were asked for and not yet given; they are read when somebody waits for them."""
+
+    now = most = 0
+
+    def submit(self, call: Any, start: int, size: int) -> SimpleNamespace:  # type: ignore[override]
+        Waiting.now += size
+        Waiting.most = max(Waiting.most, Waiting.now)
+
+        def result() -> list[npt.NDArray[np.uint8]]:
+            Waiting.now -= size
+            found: list[npt.NDArray[np.uint8]] = call(start, size)
+            return found
+
+        return SimpleNamespace(result=result)
+
+
+@pytest.fixture
+def waiting(monkeypatch: pytest.MonkeyPatch) -> type[Waiting]:
+    monkeypatch.setattr(images, "ThreadPoolExecutor", Waiting)
+    monkeypatch.setattr(images, "_READERS", 8)
+    Waiting.now = Waiting.most = 0
+    return Waiting
+
+
+def frames(folder: Path, sizes: list[tuple[int, int]]) -> list[Path]:
+    paths = [folder / f"{number:03}.png" for number in range(len(sizes))]
+    for path, (height, width) in zip(paths, sizes, strict=True):
+        PillowImage.new("RGB", (width, height)).save(path)
+    return paths
+
+
+def test_small_frames_are_bounded_by_their_number(waiting: type[Waiting], tmp_path: Path) -> None:
+    list(Images.from_files(frames(tmp_path, [(3, 4)]) * 400))
+    assert 2 * 8 <= waiting.most <= 128
+
+
+@pytest.mark.parametrize("room", [10, 5])
+def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
+    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    monkeypatch.setattr(images, "_AHEAD_BYTES", room * FRAME + 1)
+    paths = frames(tmp_path, [(300, 400)])
+    assert len(list(Images.from_files(paths * 50))) == 50
+    assert waiting.most == room
+
+
+def test_of_frames_larger_than_all_there_is_room_for_four_are_read_at_a_time(
+    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "_AHEAD_BYTES", FRAME // 2)
+    assert len(list(Images.from_files(frames(tmp_path, [(300, 400)]) * 9))) == 9
+    assert waiting.most == 4
+
+
+def test_frames_that_grow_on_the_way_are_held_in_smaller_numbers(
+    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "_AHEAD_BYTES", 5 * FRAME)
+    small, large = frames(tmp_path, [(3, 4), (300, 400)])
+    iterator = iter(Images.from_files([small] * 200 + [large] * 200))
+    shapes = [next(iterator).shape for _ in range(340)]
+    waiting.most = waiting.now
+    shapes += [image.shape for image in iterator]
+    assert shapes == [(3, 4, 3)] * 200 + [(300, 400, 3)] * 200
+    assert waiting.most <= 5
+
+
+@pytest.mark.parametrize("readers", [1, 2, 8, 32, 64])
+def test_every_reading_thread_has_something_to_do(monkeypatch: pytest.MonkeyPatch, readers: int) -> None:
+    monkeypatch.setattr(images, "_READERS", readers)
+    together = threading.Barrier(readers, timeout=PATIENCE)  # broken unless as many threads read at the same time
+    seen = threading.local()
+
+    def read(i: int) -> npt.NDArray[np.uint8]:
+        if not hasattr(seen, "before"):
+            seen.before = True
+            together.wait()
+        return np.zeros((2, 2, 3), np.uint8)
+
+    assert len(list(Images(read, [str(i) for i in range(1000)]))) == 1000
+
+
+def test_a_first_file_that_cannot_be_read_is_named_when_its_turn_comes(tmp_path: Path) -> None:
+    whole, bad = frames(tmp_path, [(3, 4), (3, 4)])
+    bad.write_text("no image")
+    iterator = iter(Images.from_files([bad, whole]))
+    with pytest.raises(ValueError, match=r"001\.png cannot be read as an image"):
+        next(iterator)

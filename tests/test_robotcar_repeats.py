@@ -1,0 +1,125 @@
+"""Images that a list names for several places: what they leave of recall at 1, and what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vprbench.datasets.oxford_robotcar.lists import every, published_timestamps
+from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
+from vprbench.metrics import recall_at
+from vprbench.ranking import outcome
+
+PUBLISHED = {traverse: every(published_timestamps(traverse), 7, 450) for traverse in ("sun", "rain", "dusk")}
+DIAGONAL = tuple(np.array([place]) for place in range(450))
+
+
+def own(n: int) -> tuple[np.ndarray, ...]:
+    return tuple(np.array([i]) for i in range(n))
+
+
+def best_by_trying(references: Sequence[int], queries: Sequence[int], positives: Sequence[np.ndarray]) -> float:
+    """The best recall at 1 of all answers that images allow: for each query image some groups of places tie as best."""
+    groups, images = sorted(set(references)), sorted(set(queries))
+    answers = [set(some) for size in range(1, len(groups) + 1) for some in combinations(groups, size)]
+    best = 0.0
+    for chosen in product(answers, repeat=len(images)):
+        answer = dict(zip(images, chosen, strict=True))
+        scores = np.array([[float(group in answer[image]) for group in references] for image in queries], np.float32)
+        recall = recall_at(outcome(scores, tuple(positives)), 1)
+        best = max(best, recall.expected if recall else 0.0)
+    return best
+
+
+@st.composite
+def small_lists(draw: st.DrawFn) -> tuple[list[int], list[int], list[np.ndarray]]:
+    references = draw(st.lists(st.integers(0, 2), min_size=1, max_size=5))
+    queries = draw(st.lists(st.integers(0, 2), min_size=1, max_size=4))
+    places = st.sets(st.integers(0, len(references) - 1), max_size=3)
+    positives = draw(st.lists(places, min_size=len(queries), max_size=len(queries)))
+    return references, queries, [np.array(sorted(right), np.int64) for right in positives]
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
+@given(small_lists())
+def test_the_ceiling_is_the_best_of_all_answers_that_images_allow(
+    case: tuple[list[int], list[int], list[np.ndarray]],
+) -> None:
+    assert ceiling(*case) == pytest.approx(best_by_trying(*case))
+
+
+def test_images_of_their_own_put_no_ceiling() -> None:
+    assert ceiling("abcd", "wxyz", own(4)) == 1.0
+
+
+def test_two_places_of_one_image_cost_half_of_two_queries() -> None:
+    assert ceiling("abba", "wxyz", own(4)) == 0.5
+    assert ceiling("abca", "wxyz", own(4)) == 0.75
+
+
+def test_two_queries_of_one_image_cost_one_of_them() -> None:
+    assert ceiling("abcd", "wxyx", own(4)) == 0.75
+
+
+def test_where_places_and_queries_repeat_together_nothing_more_is_lost() -> None:
+    assert ceiling("aab", "wwx", own(3)) == pytest.approx(2 / 3)
+
+
+def test_places_that_differ_in_one_traverse_can_be_told_apart() -> None:
+    assert ceiling([("a", "x"), ("a", "y")], "wz", own(2)) == 1.0
+
+
+# The published list; the counts of distinct images and of steps back are those of the list's description
+
+
+@pytest.mark.parametrize(
+    ("traverse", "distinct", "tested"), [("sun", 445, 356), ("rain", 448, 359), ("dusk", 449, 360)]
+)
+def test_one_published_traverse_as_its_own_map_reaches_its_share_of_distinct_images(
+    traverse: str, distinct: int, tested: int
+) -> None:
+    stamps = PUBLISHED[traverse]
+    assert ceiling(stamps, range(450), DIAGONAL) == pytest.approx(distinct / 450)
+    # Of two places with one image that lies outside the test part only half is lost.
+    outside = len(set(stamps[:90]) & set(stamps[90:]))
+    assert ceiling(stamps, range(360), DIAGONAL[90:]) == pytest.approx((tested - outside / 2) / 360)
+
+
+def test_both_published_reference_traverses_together_leave_one_pair_of_queried_places_alike() -> None:
+    both = [*zip(PUBLISHED["sun"], PUBLISHED["rain"], strict=True)]
+    alike = [(a, b) for a in range(450) for b in range(a) if both[a] == both[b]]
+    queried = [pair for pair in alike if min(pair) >= 90]
+    assert (len(alike), len(queried)) == (2, 1)
+    assert ceiling(both, PUBLISHED["dusk"][90:], DIAGONAL[90:]) == pytest.approx(359 / 360)
+
+
+@pytest.mark.parametrize(("traverse", "steps"), [("sun", 55), ("rain", 59), ("dusk", 5)])
+def test_steps_back_in_time_are_those_of_the_list(traverse: str, steps: int) -> None:
+    assert steps_back(PUBLISHED[traverse]) == steps
+
+
+@pytest.mark.parametrize(("traverse", "places"), [("sun", 10), ("rain", 4), ("dusk", 2)])
+def test_places_that_share_an_image_are_counted_all(traverse: str, places: int) -> None:
+    # 445, 448 and 449 distinct images of 450, and none stands at more than two places.
+    assert sharing(PUBLISHED[traverse]) == places
+
+
+def test_a_reader_is_told_in_two_lines() -> None:
+    maps = {traverse: PUBLISHED[traverse] for traverse in ("sun", "rain")}
+    assert list(remarks(maps, PUBLISHED["dusk"][90:], DIAGONAL[90:], 0)) == [
+        "10 of 450 places in sun, 4 of 450 places in rain and 0 of 360 queries show an image that another one shows "
+        "too: R@1 at tolerance 0 can reach 99.72 % at most",
+        "55 of 449 steps in sun, 59 of 449 steps in rain and 4 of 359 steps in the queries lead back in time: "
+        "neighbours in the list are not always neighbours on the road",
+    ]
+
+
+def test_one_traverse_reads_well_too() -> None:
+    images, steps = remarks({"sun": [3, 2, 3]}, [1], own(3)[:1], 1)
+    assert images.startswith("2 of 3 places in sun and 0 of 1 queries show an image that another one shows too")
+    assert steps.startswith("1 of 2 steps in sun and 0 of 0 steps in the queries lead back in time")

@@ -1,0 +1,351 @@
+"""Unpacking: all of what is wanted gets into its folder or nothing does, and nothing gets anywhere else."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import shutil
+import stat
+import struct
+import tarfile
+import zipfile
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from archive_files import special, tarred, zip_with, zipped
+
+from vprbench import unpacking
+from vprbench.archives import DamagedArchive, Member
+from vprbench.interface import BadInput
+from vprbench.progress import listening
+from vprbench.unpacking import Wanted, unpack
+
+NOISE = np.random.default_rng(0).bytes(100_000)  # that no compression makes smaller
+FILES = {"set/spring/1.png": b"one", "set/spring/2.png": b"two", "set/read.me": NOISE}
+WANTED = Wanted(unpacked_bytes=10**6, only="*.png", strip=1)
+MAKERS: dict[str, Any] = {
+    "zip": zipped,
+    "tar": lambda files: tarred(files, compression=""),
+    "gz": tarred,
+    "bz2": lambda files: tarred(files, compression="bz2"),
+    "xz": lambda files: tarred(files, compression="xz"),
+}
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    return tmp_path / "download"
+
+
+@pytest.fixture
+def to(tmp_path: Path) -> Path:
+    """The destination, with somebody's file in it."""
+    (tmp_path / "data" / "winter").mkdir(parents=True)
+    (tmp_path / "data" / "winter" / "1.png").write_bytes(b"mine")
+    return tmp_path / "data"
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def refused(archive: Path, to: Path, wanted: Wanted, message: str, kind: type[BadInput] = BadInput) -> None:
+    """Unpacking raises, and nothing has changed on the disk, in the destination or around it."""
+    around = archive.parent
+    before = everything(around)
+    with pytest.raises(kind, match=message) as caught:
+        unpack(archive, to, wanted)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, DamagedArchive) == (kind is DamagedArchive)
+    assert everything(around) == before
+    assert [path.name for path in to.iterdir()] == ["winter"]
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_the_wanted_files_come_out_under_their_names(archive: Path, to: Path, maker: str) -> None:
+    archive.write_bytes(MAKERS[maker](FILES))
+    assert unpack(archive, to, WANTED) == 2
+    assert everything(to) == {"spring/1.png": b"one", "spring/2.png": b"two", "winter/1.png": b"mine"}
+    assert sorted(path.name for path in to.iterdir()) == ["spring", "winter"]
+
+
+def test_a_name_says_nothing_about_what_an_archive_is(tmp_path: Path, to: Path) -> None:
+    archive = tmp_path / "frames.tar.gz"
+    archive.write_bytes(zipped(FILES))
+    assert unpack(archive, to, WANTED) == 2
+
+
+def test_all_folders_can_be_left_out_and_one_put_in_front(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({"a/b/1.png": b"one", "2.png": b"two"}))
+    unpack(archive, to, Wanted(unpacked_bytes=100, strip="all", into="fall"))
+    assert sorted(path.name for path in (to / "fall").iterdir()) == ["1.png", "2.png"]
+
+
+def test_what_operating_systems_add_is_left_out(archive: Path, to: Path) -> None:
+    added = {"__MACOSX/set/spring/._1.png": b"x", "set/spring/._1.png": b"x", "set/.hidden/3.png": b"x"}
+    archive.write_bytes(tarred({**added, **FILES}))
+    assert unpack(archive, to, WANTED) == 2
+
+
+def test_an_empty_folder_of_the_same_name_is_no_obstacle(archive: Path, to: Path) -> None:
+    (to / "spring").mkdir()
+    archive.write_bytes(zipped(FILES))
+    assert unpack(archive, to, WANTED) == 2
+
+
+def test_what_is_there_is_never_replaced(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({"set/autumn/1.png": b"one", "set/winter/2.png": b"two"}))
+    refused(archive, to, WANTED, r"winter is there already: nothing was unpacked, move it away")
+
+
+def test_what_is_not_approved_does_not_get_there(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped(FILES))
+    seen = []
+
+    def disapprove(folder: Path) -> None:
+        seen.append(sorted(everything(folder)))
+        raise BadInput("other frames than expected")
+
+    with pytest.raises(BadInput, match="other frames"):
+        unpack(archive, to, WANTED, disapprove)
+    assert seen == [["spring/1.png", "spring/2.png"]]
+    assert [path.name for path in to.iterdir()] == ["winter"]
+
+
+def test_an_interruption_leaves_nothing(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped(FILES))
+
+    def interrupt(stage: str, done: float) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with listening(interrupt), pytest.raises(KeyboardInterrupt):
+        unpack(archive, to, WANTED)
+    assert [path.name for path in to.iterdir()] == ["winter"]
+
+
+def test_progress_rises_to_the_whole(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped(FILES))
+    heard: list[float] = []
+    with listening(lambda stage, done: heard.append(done)):
+        unpack(archive, to, WANTED)
+    assert heard == sorted(heard)
+    assert (heard[0], heard[-1]) == (0.0, 1.0)
+
+
+OUTSIDE = ["../1.png", "set/../../1.png", "/tmp/1.png", "C:/1.png", "set/C:1.png", "..\\1.png", "set\\1.png"]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_path_that_leads_out_is_refused_in_a_zip(archive: Path, to: Path, name: str) -> None:
+    archive.write_bytes(zipped({**FILES, name: b"x"}))
+    refused(archive, to, WANTED, "which leads out of its folder: nothing was unpacked, do not use it")
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_path_that_leads_out_is_refused_in_a_tar(archive: Path, to: Path, name: str) -> None:
+    archive.write_bytes(tarred({**FILES, name: b"x"}))
+    refused(archive, to, WANTED, "which leads out of its folder")
+
+
+def test_a_path_that_leads_out_is_refused_where_it_is_not_wanted_too(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({**FILES, "../read.me": b"x"}))
+    refused(archive, to, WANTED, "which leads out of its folder")
+
+
+def test_a_name_with_control_characters_is_refused(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({**FILES, "set/\x1b[2J.png": b"x"}))
+    refused(archive, to, WANTED, r"'set/\\x1b\[2J.png', which is no name of a file")
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (tarfile.SYMTYPE, "a link"),
+        (tarfile.LNKTYPE, "a link"),
+        (tarfile.CHRTYPE, "no plain file"),
+        (tarfile.BLKTYPE, "no plain file"),
+        (tarfile.FIFOTYPE, "no plain file"),
+        (tarfile.GNUTYPE_SPARSE, "no plain file"),
+    ],
+)
+def test_a_tar_with_more_than_files_is_refused(archive: Path, to: Path, kind: bytes, said: str) -> None:
+    archive.write_bytes(tarred(FILES, [special("set/spring/3.png", kind, "/etc/passwd")]))
+    refused(archive, to, WANTED, f"'set/spring/3.png', which is {said}: nothing was unpacked")
+
+
+def test_a_file_is_not_written_through_a_link_that_the_same_tar_made(archive: Path, to: Path, tmp_path: Path) -> None:
+    target = tmp_path / "elsewhere"
+    target.mkdir()
+    link = special("set/spring", tarfile.SYMTYPE, str(target))
+    memory = io.BytesIO()
+    with tarfile.open(fileobj=memory, mode="w") as made:
+        made.addfile(link)
+        info = tarfile.TarInfo("set/spring/1.png")
+        info.size = 3
+        made.addfile(info, io.BytesIO(b"one"))
+    archive.write_bytes(memory.getvalue())
+    unpack(archive, to, WANTED)  # the link is no *.png, and left out
+    assert not (to / "spring").is_symlink()
+    assert list(target.iterdir()) == []
+
+
+@pytest.mark.parametrize(("mode", "said"), [(stat.S_IFLNK, "a link"), (stat.S_IFCHR, "no plain file")])
+def test_a_zip_with_more_than_files_is_refused(archive: Path, to: Path, mode: int, said: str) -> None:
+    info = zipfile.ZipInfo("set/spring/3.png")
+    info.external_attr = (mode | 0o777) << 16
+    zip_with(archive, (info, b"/etc/passwd"))
+    refused(archive, to, WANTED, f"which is {said}: nothing was unpacked")
+
+
+def test_a_zip_in_a_compression_that_knows_no_bound_is_refused(archive: Path, to: Path) -> None:
+    info = zipfile.ZipInfo("set/spring/3.png")
+    info.compress_type = zipfile.ZIP_BZIP2
+    with zipfile.ZipFile(archive, "w") as made:
+        made.writestr(info, bytes(10_000))
+    refused(archive, to, WANTED, "compressed in a way that may fill the memory")
+
+
+def test_an_encrypted_zip_is_refused(archive: Path, to: Path) -> None:
+    content = bytearray(zipped({"set/spring/1.png": b"one"}))
+    for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        content[content.index(signature) + offset] |= 1  # the flag that says so
+    archive.write_bytes(content)
+    refused(archive, to, WANTED, "which is encrypted")
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_no_more_is_unpacked_than_expected(archive: Path, to: Path, maker: str) -> None:
+    archive.write_bytes(MAKERS[maker]({"set/spring/1.png": bytes(600), "set/spring/2.png": bytes(401)}))
+    refused(archive, to, Wanted(unpacked_bytes=1000), "holds more than 1000 bytes, the most expected")
+    assert unpack(archive, to, Wanted(unpacked_bytes=1001)) == 2
+
+
+def test_a_zip_that_states_less_than_it_holds_is_refused(archive: Path, to: Path) -> None:
+    content = bytearray(zipped({"set/spring/1.png": bytes(1_000_000)}))
+    for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
+        at = content.index(signature) + offset
+        content[at : at + 4] = struct.pack("<I", 10)
+    archive.write_bytes(content)
+    refused(archive, to, Wanted(unpacked_bytes=100), "is damaged, or no archive", DamagedArchive)
+
+
+def test_what_comes_out_is_counted_whatever_an_archive_states(
+    archive: Path, to: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lying = Member("set/1.png", "file", 1, lambda: iter([bytes(60), bytes(41)]))
+    monkeypatch.setattr(unpacking, "members", lambda archive: nullcontext(iter([lying])))
+    archive.touch()
+    refused(archive, to, Wanted(unpacked_bytes=100), "holds more than 100 bytes")
+
+
+def test_a_tar_whose_header_asks_for_the_whole_memory_is_refused(archive: Path, to: Path) -> None:
+    info = tarfile.TarInfo("././@PaxHeader")
+    info.type, info.size = tarfile.XHDTYPE, 1 << 40
+    archive.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(10_000)))
+    refused(archive, to, WANTED, "bytes where so many cannot be", DamagedArchive)
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_no_more_files_are_looked_at_than_expected(archive: Path, to: Path, maker: str) -> None:
+    archive.write_bytes(MAKERS[maker]({f"set/{number}.txt": b"" for number in range(4)}))
+    refused(archive, to, Wanted(unpacked_bytes=9, only="*.png", most_files=3), "holds more than 3 files")
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_file_that_is_there_twice_is_refused(archive: Path, to: Path) -> None:
+    zip_with(archive, (zipfile.ZipInfo("set/1.png"), b"one"), (zipfile.ZipInfo("set/./1.png"), b"two"))
+    refused(archive, to, WANTED, "holds 1.png twice")
+
+
+def test_two_files_that_become_one_without_their_folders_are_refused(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({"a/1.png": b"one", "b/1.png": b"two"}))
+    refused(archive, to, Wanted(unpacked_bytes=9, strip="all"), "holds 1.png twice")
+
+
+def test_a_file_that_is_a_folder_too_is_refused(archive: Path, to: Path) -> None:
+    archive.write_bytes(tarred({"set/a.png": b"one", "set/a.png/1.png": b"two"}))
+    refused(archive, to, WANTED, "twice")
+
+
+def test_an_archive_without_a_wanted_file_is_refused(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({"set/1.jpg": b"one"}))
+    refused(archive, to, WANTED, r"holds no file like \*\.png")
+
+
+def test_a_file_in_fewer_folders_than_are_left_out_is_refused(archive: Path, to: Path) -> None:
+    archive.write_bytes(zipped({"1.png": b"one"}))
+    refused(archive, to, WANTED, "'1.png', expected in 1 folders")
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+def test_an_archive_that_ends_early_is_damaged(archive: Path, to: Path, maker: str, share: float) -> None:
+    content = MAKERS[maker]({"set/spring/1.png": NOISE, "set/spring/2.png": NOISE[::-1]})
+    whole = len(content.rstrip(b"\0")) if maker == "tar" else len(content)  # zeros alone may be missing
+    archive.write_bytes(content[: int(share * whole)])
+    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+
+
+def test_a_tar_that_ends_between_two_files_is_damaged(archive: Path, to: Path) -> None:
+    content = tarred({"set/1.png": bytes(512), "set/2.png": bytes(512)}, compression="")
+    archive.write_bytes(content[:1024])  # a header and a file
+    refused(archive, to, WANTED, "it ends early", DamagedArchive)
+
+
+def test_a_tar_with_a_broken_header_in_its_midst_is_damaged(archive: Path, to: Path) -> None:
+    content = bytearray(tarred({"set/1.png": bytes(512), "set/2.png": bytes(512)}, compression=""))
+    content[1024 + 150] ^= 1  # in the sum of the second header
+    archive.write_bytes(content)
+    refused(archive, to, WANTED, "it ends early", DamagedArchive)
+
+
+@pytest.mark.parametrize("maker", ["zip", "gz", "bz2", "xz"])
+def test_a_changed_byte_is_found(archive: Path, to: Path, maker: str) -> None:
+    content = bytearray(MAKERS[maker]({"set/spring/1.png": NOISE}))
+    content[len(content) // 2] ^= 0xFF
+    archive.write_bytes(content)
+    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+
+
+@pytest.mark.parametrize("content", [b"", b"<!doctype html>", b"\x1f\x8bno", b"PK\x03\x04no", NOISE])
+def test_what_is_no_archive_is_damaged(archive: Path, to: Path, content: bytes) -> None:
+    archive.write_bytes(content)
+    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+
+
+def test_a_full_disk_is_named_and_the_archive_is_kept(archive: Path, to: Path) -> None:
+    resource = pytest.importorskip("resource")
+    archive.write_bytes(zipped({"set/spring/1.png": bytes(50_000)}))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        refused(archive, to, WANTED, r"cannot be unpacked \(.*File too large\), nothing was unpacked: free some space")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_what_was_moved_goes_back_where_the_rest_cannot_be(
+    archive: Path, to: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive.write_bytes(zipped({"set/a/1.png": b"one", "set/b/1.png": b"two"}))
+    rename = Path.rename
+
+    def fails_for_b(path: Path, target: Path) -> Path:
+        if target.name == "b":
+            raise OSError(5, os.strerror(5), str(target))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", fails_for_b)
+    refused(archive, to, WANTED, "nothing was unpacked: mend that")
+
+
+def test_a_destination_that_is_missing_is_made(archive: Path, tmp_path: Path) -> None:
+    archive.write_bytes(zipped(FILES))
+    unpack(archive, tmp_path / "new" / "data", WANTED)
+    assert (tmp_path / "new" / "data" / "spring" / "2.png").read_bytes() == b"two"
+    shutil.rmtree(tmp_path / "new")

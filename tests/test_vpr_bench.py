@@ -1,0 +1,195 @@
+"""Folders of VPR-Bench: natural order, numbers that fit the images, and Corridor with the published recalls."""
+
+import csv
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from image_folders import REAL, answer, fill, lists, needs_real_frames, numbered, reds, rights, used
+
+from vprbench import registry
+from vprbench.datasets.vpr_bench import in_range, vpr_bench
+from vprbench.interface import BadInput, NotThere
+
+quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+
+
+def stored(folder, rows):
+    np.save(folder / "ground_truth_new.npy", rows, allow_pickle=True)
+
+
+@pytest.fixture
+def root(tmp_path):
+    """Eleven queries and as many references; right is the same number and the one after."""
+    for part in ("query", "ref"):
+        fill(tmp_path / part, numbered(11))
+    stored(tmp_path, lists(*([query, min(query + 1, 10)] for query in range(11))))
+    return tmp_path
+
+
+def test_images_are_numbered_in_natural_order(root):
+    dataset = vpr_bench(root=str(root))
+    assert reds(dataset.queries) == reds(dataset.references) == [*range(11)]
+    assert dataset.references.names[2] == "2.jpg"
+    assert rights(dataset) == [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [5, 6], [6, 7], [7, 8], [8, 9], [9, 10], [10]]
+
+
+def test_rows_may_stand_in_any_order(root):
+    rows = lists(*([query] for query in range(11)))[::-1]
+    stored(root, rows)
+    assert rights(vpr_bench(root=str(root))) == [[query] for query in range(11)]
+
+
+def test_a_csv_says_the_same(root):
+    rows = "".join(f"{query},{query} {min(query + 1, 10)}\n" for query in range(11))
+    (root / "ground_truth.csv").write_text(f"query,matching_refs\n{rows}")
+    from_pickle, from_csv = (vpr_bench(root=str(root), ground_truth=name) for name in (None, "ground_truth.csv"))
+    assert rights(from_pickle) == rights(from_csv)
+    assert from_csv.protocol["ground_truth"] == "ground_truth.csv"
+
+
+def test_a_csv_alone_is_found(root):
+    (root / "ground_truth_new.npy").unlink()
+    (root / "ground_truth.csv").write_text("query,matching_refs\n" + "".join(f"{query},\n" for query in range(11)))
+    dataset = vpr_bench(root=str(root))
+    assert rights(dataset) == [[]] * 11
+    assert "11 of 11 queries have no right reference in ground_truth.csv; they count as misses" in dataset.notes[0]
+
+
+def test_a_reference_beyond_the_last_is_named_with_its_query_and_the_range(root):
+    stored(root, lists(*([query, query + 1] for query in range(11))))
+    message = answer(vpr_bench, root=str(root))
+    assert "names reference 11 for query 10, but ref/ holds 11 images, numbered 0 to 10" in message
+    assert "dataset.out_of_range=clip" in message
+
+
+def test_clipped_numbers_are_left_out_and_counted(root):
+    stored(root, lists(*([query - 1, query, query + 1] for query in range(11))))
+    dataset = vpr_bench(root=str(root), out_of_range="clip")
+    assert (rights(dataset)[0], rights(dataset)[10]) == ([0, 1], [9, 10])
+    assert dataset.protocol["out_of_range_queries"] == 2
+    assert "in 2 of 11 rows (first: query 0)" in dataset.notes[0]
+
+
+def test_a_query_beyond_the_last_is_named_with_the_range(root):
+    stored(root, lists(*([0] for _ in range(12))))
+    assert "names query 11, but query/ holds 11 images, numbered 0 to 10" in answer(vpr_bench, root=str(root))
+
+
+@pytest.mark.parametrize("count", [10, 9])
+def test_a_missing_row_is_named(root, count):
+    stored(root, lists(*([query] for query in range(count))))
+    assert f"no row for {11 - count} of 11 queries (first: query {count})" in answer(vpr_bench, root=str(root))
+
+
+def test_two_rows_for_one_query_are_refused(root):
+    rows = lists(*([query] for query in range(11)))
+    rows[4, 0] = 3
+    stored(root, rows)
+    assert "two rows for query 3" in answer(vpr_bench, root=str(root))
+
+
+@pytest.mark.parametrize("bad", [5, [0.5], [True], [[1]], "1"])
+def test_a_row_that_is_no_query_with_its_references_is_refused(root, bad):
+    stored(root, lists(*([query] for query in range(10)), bad))
+    assert str(root / "ground_truth_new.npy") in answer(vpr_bench, root=str(root))
+
+
+@pytest.mark.parametrize("line", ["x,1", "1,a b", "1", "1,2.5"])
+def test_a_bad_line_of_a_csv_is_named(root, line):
+    (root / "ground_truth.csv").write_text(f"query,matching_refs\n0,0\n{line}\n")
+    assert "line 3 of" in answer(vpr_bench, root=str(root), ground_truth="ground_truth.csv")
+
+
+def test_a_csv_of_other_columns_is_answered_with_them(root):
+    (root / "ground_truth.csv").write_text("a,b\n0,0\n")
+    assert "has the columns a, b" in answer(vpr_bench, root=str(root), ground_truth="ground_truth.csv")
+
+
+@pytest.mark.parametrize("part", ["query", "ref"])
+def test_a_folder_without_images_is_named(root, part):
+    for path in (root / part).iterdir():
+        path.unlink()
+    assert str(root / part) in answer(vpr_bench, root=str(root), kind=NotThere)
+
+
+def test_no_ground_truth_is_answered_with_both_names(root):
+    (root / "ground_truth_new.npy").unlink()
+    message = answer(vpr_bench, root=str(root), kind=NotThere)
+    assert "no ground_truth_new.npy and no ground_truth.csv" in message
+
+
+def test_the_protocol_says_everything_that_was_selected(root):
+    dataset = vpr_bench(root=str(root))
+    assert dict(dataset.protocol) == {
+        "protocol": "vpr_bench",
+        "ground_truth": "ground_truth_new.npy",
+        "out_of_range": "error",
+        "out_of_range_queries": 0,
+        "unmatched": "keep",
+    }
+    assert (dataset.notes, len(used(dataset))) == ((), 22)
+
+
+ROWS = st.lists(st.lists(st.integers(-3, 9), max_size=5), min_size=1, max_size=6)
+
+
+@quiet
+@given(ROWS, st.integers(1, 8))
+def test_no_number_out_of_range_passes_and_none_in_range_is_lost(rights_of, n_references):
+    rows = [*enumerate(rights_of)]
+    beyond = [query for query, right in rows if any(not 0 <= number < n_references for number in right)]
+    clipped, corrected = in_range("it", rows, len(rows), n_references, "clip")
+    assert clipped == [[n for n in range(n_references) if n in right] for right in rights_of]
+    assert corrected == beyond
+    if beyond:
+        with pytest.raises(BadInput, match=f"for query {beyond[0]}, "):
+            in_range("it", rows, len(rows), n_references, "error")
+    else:
+        assert in_range("it", rows, len(rows), n_references, "error") == (clipped, [])
+
+
+@quiet
+@given(st.permutations(range(6)), st.integers(0, 7), st.integers(1, 6))
+def test_rows_are_taken_by_their_query_and_never_by_their_place(order, extra, n_queries):
+    rows = [(query, [query]) for query in order] + [(6 + number, [0]) for number in range(extra)]
+    clipped, corrected = in_range("it", rows, n_queries, 6, "clip")
+    assert clipped == [[query] for query in range(n_queries)]
+    assert sorted(corrected) == [*range(n_queries, 6 + extra)]
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    return registry.make_dataset(
+        yaml.safe_load(registry.entries("dataset")["corridor"].path.read_text(encoding="utf-8"))
+    )
+
+
+@needs_real_frames
+def test_the_ground_truth_of_corridor_is_two_places_to_either_side(corridor):
+    assert rights(corridor) == [[n for n in range(query - 2, query + 3) if 0 <= n < 111] for query in range(111)]
+    assert corridor.queries.names[7] == corridor.references.names[7] == "0000007.jpg"
+
+
+@needs_real_frames
+def test_the_matches_that_vpr_bench_stored_of_corridor_give_the_recalls_that_it_published(corridor):
+    with (REAL / "corridor" / "vprbench_r1.csv").open(newline="") as file:
+        published = {row["technique"]: float(row["recall_at_1"]) for row in csv.DictReader(file)}
+    assert len(published) == 10
+    with np.load(REAL / "corridor" / "vprbench_precomputed.npz", allow_pickle=False) as answers:
+        for technique, recall in published.items():
+            matched = answers[f"{technique}__match"]
+            right = [best in right for best, right in zip(matched, corridor.positives, strict=True)]
+            assert np.mean(right) == pytest.approx(recall, abs=1e-6)
+
+
+@needs_real_frames
+def test_corridor_with_a_pickled_ground_truth_is_the_same(corridor, tmp_path):
+    for part in ("query", "ref"):
+        (tmp_path / part).symlink_to(REAL / "corridor" / part, target_is_directory=True)
+    stored(tmp_path, lists(*rights(corridor)))
+    pickled = vpr_bench("corridor", str(tmp_path))
+    assert rights(pickled) == rights(corridor)
+    assert pickled.queries.fingerprint() == corridor.queries.fingerprint()

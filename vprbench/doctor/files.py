@@ -1,0 +1,191 @@
+"""Checks of the folders that frames lie in: what is missing, empty, no image, too many, or not used."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from vprbench.interface import FrameFolder
+
+from .finding import Finding, be, plural, some
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+_FAR_OFF = 4  # times the median size, or a part of it
+_LOOKED_INTO = 200  # files of a folder whose first bytes are read
+_HEAD_BYTES = 64
+#: How files begin that stand in for an image after a download has failed.
+_IMPOSTORS = {
+    b"<": "a web page",
+    b"{": "a message of a server",
+    b"version https://git-lfs": "a Git LFS pointer, not the file it stands for",
+    b"PK\x03\x04": "a zip archive",
+    b"\x1f\x8b": "a gzip archive",
+}
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The files of a folder, by one look into it."""
+
+    folder: FrameFolder
+    sizes: Mapping[str, int]  # bytes by file name
+
+    @cached_property
+    def images(self) -> list[str]:
+        """The names of files that are images by their suffix, sorted."""
+        return sorted(name for name in self.sizes if name.lower().endswith(_SUFFIXES))
+
+    @cached_property
+    def unused(self) -> list[str]:
+        """The names of the images that the dataset does not use, sorted."""
+        return sorted(set(self.images) - set(self.folder.used))
+
+    @cached_property
+    def used(self) -> dict[str, int]:
+        """The sizes in bytes of the files that are used and there."""
+        return {name: self.sizes[name] for name in dict.fromkeys(self.folder.used) if name in self.sizes}
+
+    @cached_property
+    def missing(self) -> list[str]:
+        """The names of files that the dataset wants and the folder lacks."""
+        return [name for name in dict.fromkeys(self.folder.used) if name not in self.sizes]
+
+    @cached_property
+    def empty(self) -> list[str]:
+        """The names of used files without a single byte."""
+        return [name for name, size in self.used.items() if not size]
+
+    @cached_property
+    def impostors(self) -> dict[str, list[str]]:
+        """The names of used files that are no images, by what they are instead.
+
+        Looks into files of unusual size and some others first, and into all where one of these is no image.
+        """
+        path = self.folder.path
+        kinds: dict[str, list[str]] = {}
+        if any(_impostor(path / name) for name in _suspects(self.used)):
+            for name in self.used:
+                if kind := _impostor(path / name):
+                    kinds.setdefault(kind, []).append(name)
+        return kinds
+
+    @property
+    def broken(self) -> set[Path]:
+        """The paths of files that are known to be unreadable without decoding them."""
+        names = [*self.missing, *self.empty, *(name for names in self.impostors.values() for name in names)]
+        return {self.folder.path / name for name in names}
+
+
+def contents(folder: FrameFolder) -> Contents | None:
+    """Return the files of a folder; None where it is no folder."""
+    if not folder.path.is_dir():
+        return None
+    with os.scandir(folder.path) as entries:
+        return Contents(folder, {entry.name: entry.stat().st_size for entry in entries if entry.is_file()})
+
+
+def no_folder(folder: FrameFolder) -> Finding:
+    """Return what is said of a folder that is not there."""
+    return Finding("error", "files", f"{folder.path} is no folder", "put the frames there, or name the right folder")
+
+
+def missing_files(found: Contents) -> list[Finding]:
+    """Find files that the dataset wants and the folder lacks."""
+    if not found.missing:
+        return []
+    wanted = plural(len(set(found.folder.used)), "frame")
+    return [
+        Finding(
+            "error",
+            "files",
+            f"{len(found.missing):,} of {wanted} are missing from {found.folder.path}: {some(found.missing)}",
+            "put them back: a frame that is skipped shifts all that follow against the ground truth",
+        )
+    ]
+
+
+def empty_files(found: Contents) -> list[Finding]:
+    """Find used files without a single byte."""
+    if not found.empty:
+        return []
+    return [
+        Finding(
+            "error",
+            "files",
+            f"{plural(len(found.empty), 'file')} of {found.folder.path} {be(found.empty)} empty (0 bytes): "
+            f"{some(found.empty)}",
+            "copy or download them again; the disk may have been full",
+        )
+    ]
+
+
+def impostors(found: Contents) -> list[Finding]:
+    """Find used files that are something else under the name of an image."""
+    return [
+        Finding(
+            "error",
+            "files",
+            f"{plural(len(names), 'file')} of {found.folder.path} {be(names)} {kind}: {some(names)}",
+            "download them again, and look at how the download answers",
+        )
+        for kind, names in found.impostors.items()
+    ]
+
+
+def count(found: Contents) -> list[Finding]:
+    """Find a number of images that is not that of the right copy."""
+    number, folder = len(found.images), found.folder
+    if meaning := folder.wrong_counts.get(number):
+        advice = "get the copy that the dataset's description names: the same file names show other places in this one"
+        return [Finding("error", "count", f"{folder.path} holds {plural(number, 'image')}: {meaning}", advice)]
+    if not folder.counts or number in folder.counts:
+        return []
+    right = " or ".join(f"{known:,}" for known in folder.counts)
+    return [
+        Finding(
+            "warning" if number > max(folder.counts) else "note",
+            "count",
+            f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
+            "make sure that it is the copy that the dataset's description names",
+        )
+    ]
+
+
+def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> list[Finding]:
+    """Tell how many images of the folder are not used, and how many of those `looked_at` are black."""
+    unused = found.unused
+    if not unused:
+        return []
+    of_these = "of these" if looked_at == len(unused) else f"of {looked_at:,} of these that were looked at"
+    dark = f"; {of_these} {black:,} {'is' if black == 1 else 'are'} black, as in tunnels" if looked_at else ""
+    return [
+        Finding(
+            "note",
+            "unused",
+            f"{found.folder.path.name} holds {plural(len(found.images), 'image')}, of which the dataset uses "
+            f"{len(found.used):,} and leaves {len(unused):,} out{dark}",
+            "",
+        )
+    ]
+
+
+def _suspects(sizes: Mapping[str, int]) -> Iterable[str]:
+    """Return the names of files far from the usual size, and of some spread evenly over the others; no empty ones."""
+    names = [name for name, size in sizes.items() if size]
+    if not names:
+        return []
+    usual = float(np.median([sizes[name] for name in names]))
+    odd = [name for name in names if not usual / _FAR_OFF <= sizes[name] <= usual * _FAR_OFF]
+    spread = np.linspace(0, len(names) - 1, min(len(names), _LOOKED_INTO // 4)).astype(int)
+    return dict.fromkeys([*odd[:_LOOKED_INTO], *(names[number] for number in spread)])
+
+
+def _impostor(path: Path) -> str | None:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
+    return next((kind for start, kind in _IMPOSTORS.items() if head.startswith(start)), None)

@@ -1,0 +1,95 @@
+"""The traverses of a dataset, told apart and named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.images import Images
+from vprbench.interface import Dataset, Places
+
+Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 where there is none
+
+_MOSTLY = 0.9  # of the steps from query to query
+
+
+@dataclass(frozen=True)
+class Traverse:
+    """The images of one traverse."""
+
+    name: str  # as the protocol calls it
+    images: Images
+    places: Places  # (n_images,), what they show; of queries the middle right place, -1 for none
+
+
+def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
+    """Return the reference traverses of a dataset, and the one of its queries.
+
+    References that show the places 0 to n - 1 in this order, again and again, are several traverses; all others are
+    one.
+    """
+    count, rest = divmod(len(dataset.references), dataset.n_places)
+    if rest or not np.array_equal(dataset.places, np.tile(np.arange(dataset.n_places), count)):
+        count = 1
+    size = len(dataset.references) // count
+    names = [*_reference_names(dataset.protocol, count), _query_name(dataset.protocol)]
+    if len(set(names)) < len(names):
+        names = [f"{role} {name}" for role, name in zip([*["reference"] * count, "query"], names, strict=True)]
+    if len(set(names)) < len(names):
+        names = [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+    parts = [slice(number * size, (number + 1) * size) for number in range(count)]
+    references = tuple(
+        Traverse(name, dataset.references[part], dataset.places[part])
+        for name, part in zip(names[:-1], parts, strict=True)
+    )
+    return references, Traverse(names[-1], dataset.queries, middles_of(dataset))
+
+
+def middles_of(dataset: Dataset) -> Middles:
+    """Return the middle right place of every query; -1 where there is none.
+
+    Right places that the first or the last place cuts off are completed to the usual number.
+    """
+    last_place = dataset.n_places - 1
+    positives = [np.sort(right) for right in dataset.positives]
+    inside = [len(right) for right in positives if len(right) and right[0] > 0 and right[-1] < last_place]
+    reach = int(np.median(inside)) // 2 if inside else 0
+    return np.array([_middle(right, reach, last_place) for right in positives], np.int64)
+
+
+def _middle(right: npt.NDArray[np.int64], reach: int, last_place: int) -> int:
+    if not len(right):
+        return -1
+    if right[0] == 0 and len(right) <= 2 * reach:
+        return max(0, int(right[-1]) - reach)
+    if right[-1] == last_place and len(right) <= 2 * reach:
+        return min(last_place, int(right[0]) + reach)
+    return int(right[len(right) // 2])
+
+
+def advances(middles: Middles) -> bool:
+    """Tell whether the right place goes forward along the queries, but for few steps."""
+    steps = np.diff(middles[middles >= 0])
+    return len(steps) > 0 and bool((steps > 0).mean() >= _MOSTLY)
+
+
+def one_by_one(middles: Middles) -> bool:
+    """Tell whether every next query shows the next place."""
+    return len(middles) > 1 and bool((middles >= 0).all() and (np.diff(middles) == 1).all())
+
+
+def _reference_names(protocol: Mapping[str, Any], count: int) -> list[str]:
+    named = protocol.get("references", protocol.get("reference"))
+    listed = [named] if isinstance(named, str) else named if isinstance(named, Sequence) else []
+    if len(listed) == count:
+        return [str(name) for name in listed]
+    return ["references"] if count == 1 else [f"reference traverse {number}" for number in range(1, count + 1)]
+
+
+def _query_name(protocol: Mapping[str, Any]) -> str:
+    named = protocol.get("query", protocol.get("queries"))
+    return named if isinstance(named, str) and named else "queries"

@@ -1,0 +1,98 @@
+"""What can be fetched: the entries of conf/fetch, a yaml for each download."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
+
+from vprbench import registry
+from vprbench.interface import BadInput
+from vprbench.unpacking import Wanted
+
+_FORBID: Any = {"extra": "forbid"}
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a folder holds once it is fetched."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
+    files: int | None = None  # None: the source states no number
+    sha256: str | None = None  # of the lines that `LC_ALL=C sha256sum *` prints in it
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file to download, and what becomes of it."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
+    file: str  # its name among the archives
+    urls: tuple[str, ...]  # tried in turn
+    unpack: Wanted
+    holds: Mapping[str, Held]  # by folder below the dataset's
+    about_bytes: int | None = None  # where the source states its size roughly
+    size_bytes: int | None = None  # where it states it exactly
+    sha256: str | None = None
+
+
+@dataclass(frozen=True)
+class Download:
+    """One entry: a dataset that can be fetched, or what a person has to do to get it."""
+
+    __pydantic_config__: ClassVar[Any] = _FORBID
+
+    name: str
+    description: str
+    licence: str
+    source: str  # where a person reads about it
+    datasets: tuple[str, ...]  # that read it, in conf/dataset; the first is checked after the download
+    folder: str  # below the folder of all data
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    default: tuple[str, ...] | None = None  # the parts that are fetched unless others are named; None: all
+    register: str | None = None  # what a person has to do where no program may download all of it
+    note: str | None = None
+
+    def chosen(self, names: list[str] | None) -> dict[str, Part]:
+        """Return the parts of these names, or those that are usually wanted; raises BadInput for an unknown one."""
+        given = list(self.default or self.parts) if names is None else names
+        for name in given:
+            if name not in self.parts:
+                advice = registry.near(name, self.parts) if self.parts else "leave parts out"
+                raise BadInput(f"parts: {self.name} has no {name}: {advice}")
+        return {name: self.parts[name] for name in given}
+
+
+def downloads() -> dict[str, Download]:
+    """Return what can be fetched, by name; of several with one name this project's own comes first."""
+    found: dict[str, Download] = {}
+    for folder in registry.conf_folders().values():
+        for path in sorted((folder / "fetch").glob("*.yaml")):
+            if path.stem not in found:
+                found[path.stem] = read(path)
+    return dict(sorted(found.items()))
+
+
+def read(path: Path) -> Download:
+    """Return the entry that a yaml holds; raises BadInput where it is none."""
+    text = path.read_text(encoding="utf-8")
+    first = text.partition("\n")[0]
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise BadInput(f"{path} is no yaml ({reason}): mend it") from error
+    if not isinstance(content, dict):
+        raise BadInput(f"{path} holds no entry: give licence, source, and parts or register")
+    entry = {"name": path.stem, "description": first.lstrip("# "), "folder": path.stem, **content}
+    download: Download = registry.checked(str(path), entry, Download)
+    if not download.parts and download.register is None:
+        raise BadInput(f"{path} has neither parts nor register: say what is downloaded, or what a person has to do")
+    if unknown := [name for name in download.default or () if name not in download.parts]:
+        raise BadInput(f"{path}: default names {unknown[0]}, which is none of its parts")
+    return download
