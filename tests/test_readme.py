@@ -87,6 +87,12 @@ def test_every_method_stands_in_the_readme_and_in_the_table_of_methods() -> None
         assert [name for name in registry.entries("method") if f"`{name}`" not in text] == []
 
 
+def test_every_dataset_stands_in_the_readme_and_in_the_table_of_datasets() -> None:
+    for document in ("README.md", "docs/datasets.md"):
+        text = (ROOT / document).read_text(encoding="utf-8")
+        assert [name for name in registry.entries("dataset") if f"`{name}`" not in text] == []
+
+
 def test_the_table_of_methods_names_the_file_that_each_network_takes() -> None:
     text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
     files = {}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gc
 import logging
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import count
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +17,7 @@ import numpy.typing as npt
 import psutil
 
 from vprbench import environment, progress
+from vprbench.bench_reading import frame_files, in_own_process, kept_cell, reading_cell
 from vprbench.bench_report import (
     ENGINES,
     FRAME,
@@ -26,9 +29,11 @@ from vprbench.bench_report import (
     Counted,
     Failed,
     FitCell,
+    KeptCell,
     ModuleCell,
     PreprocessingCell,
     QueryCell,
+    ReadingCell,
     Report,
     ScalingCell,
     SearchCell,
@@ -68,6 +73,7 @@ def measure(settings: Settings, make: Make) -> Report:
     sections: dict[str, Callable[[], Iterator[Any]]] = {
         "training": partial(_training, settings, make, route),
         "fits": partial(_fits, settings, make, route, networks),
+        "reading": partial(_reading, settings),
         "preprocessing": partial(_preprocessing, settings),
         "queries": partial(_queries, settings, make, route, networks),
         "search": partial(_search, settings, make, route),
@@ -147,6 +153,19 @@ def _fits(settings: Settings, make: Make, route: Route, networks: dict[str, Meth
             return FitCell(rules, settings.places, settings.epochs, fit)
 
         yield _attempt({"rules": rules}, measured)
+
+
+def _reading(settings: Settings) -> Iterator[ReadingCell | KeptCell | Failed]:
+    frame = {"frame": f"{settings.frame[1]}x{settings.frame[0]}"}
+    with tempfile.TemporaryDirectory(prefix="vprbench-") as folder:
+        paths = _attempt(frame, partial(frame_files, settings, Path(folder)))
+        if isinstance(paths, Failed):
+            yield paths
+            return
+        progress.report(f"reading {len(paths)} files", 0.0)
+        yield _attempt(frame, partial(in_own_process, reading_cell, settings, paths))
+        progress.report("preprocessing files, and having them again", 0.0)
+        yield _attempt(frame, partial(in_own_process, kept_cell, settings, paths))
 
 
 def _preprocessing(settings: Settings) -> Iterator[PreprocessingCell | Failed]:

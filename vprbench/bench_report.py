@@ -19,7 +19,17 @@ Given = TypeVar("Given")
 Counted = Literal["network", "matrix", "references"]
 Part = Literal["input", "normalising", "arrivals", "without learning", "with learning"]
 
-SECTIONS = ("training", "fits", "preprocessing", "queries", "search", "scaling", "vprsnn_training", "vprsnn_queries")
+SECTIONS = (
+    "training",
+    "fits",
+    "reading",
+    "preprocessing",
+    "queries",
+    "search",
+    "scaling",
+    "vprsnn_training",
+    "vprsnn_queries",
+)
 RULES = ("paper", "reference")
 VPRSNN = ("vprsnn", "vprsnn_fast")  # the methods, with and without delays
 ENGINES: tuple[Engine, ...] = ("readable", "fused")
@@ -41,7 +51,9 @@ class Settings:
     scaling_epochs: int = 4
     members: int = 5  # of the ensemble
     pixels: int = 28  # height and width of what a network reads
-    frame: list[int] = field(default_factory=lambda: [360, 640])  # height and width of a large frame to preprocess
+    frame: list[int] = field(default_factory=lambda: [360, 640])  # height and width of a frame to read or preprocess
+    reading_frames: int = 27_592  # files that are read: all of Nordland
+    reading_files: int = 300  # different ones among them
     batch: int = 128  # images preprocessed together
     batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])  # of offline queries
     sample: int = 128  # different queries
@@ -68,7 +80,7 @@ class Settings:
         counts = ("places", "max_module", "epochs", "scaling_epochs", "members", "pixels", "batch", "rounds")
         searched = ("search_references", "search_queries", "search_dimensions")
         spiking = ("vprsnn_places", "vprsnn_epochs", "vprsnn_neurons", "vprsnn_rounds")
-        for name in (*counts, *searched, *spiking):
+        for name in (*counts, *searched, *spiking, "reading_frames", "reading_files"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
         if not self.sections or not set(self.sections) <= set(SECTIONS):
@@ -116,6 +128,8 @@ QUICK: Mapping[str, Any] = {
     "members": 2,
     "pixels": 12,
     "frame": [24, 40],
+    "reading_frames": 260,
+    "reading_files": 5,
     "batch": 4,
     "batch_sizes": [1, 4],
     "sample": 4,
@@ -152,6 +166,38 @@ class FitCell:
     places: int
     epochs: int
     fit: Fit
+
+
+@dataclass(frozen=True)
+class ReadingCell:
+    """PNG files read by bare loops and by this project, a turn of each after the other; all rates in frames a second.
+
+    A bare loop decodes one file after the other; there is one, and then one in a thread of its own for each core.
+    """
+
+    height: int
+    width: int
+    frames: int
+    files: int  # different ones
+    cores: int
+    one_loop: list[float]
+    loops_at_once: list[float]
+    ahead: list[float]  # of this project: read ahead, in order
+    memory_before_bytes: int  # resident in the process
+    peak_memory_bytes: int  # what was resident before included
+
+
+@dataclass(frozen=True)
+class KeptCell:
+    """A traverse of files preprocessed and kept, and had again from the cache."""
+
+    frames: int
+    pixels: int  # of a preprocessed frame
+    made_seconds: float
+    again_seconds: list[float]  # every pixel looked at
+    kept_bytes: int
+    memory_before_bytes: int
+    peak_memory_bytes: int
 
 
 @dataclass(frozen=True)
@@ -246,6 +292,7 @@ class Report:
     seconds: float
     training: list[TrainingCell | Failed]
     fits: list[FitCell | Failed]
+    reading: list[ReadingCell | KeptCell | Failed]
     preprocessing: list[PreprocessingCell | Failed]
     queries: list[QueryCell | Failed]
     search: list[SearchCell | Failed]

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from vprbench import bench_vprsnn_text
+from vprbench import bench_reading_text, bench_vprsnn_text
 from vprbench.bench_cells import figures, megabytes, milliseconds, ratio, table
 from vprbench.bench_report import (
     FRAME,
@@ -52,8 +52,8 @@ def text_of(report: Report) -> str:
     parts = [
         "# How fast this is here",
         f"Everything below was measured in one run of {report.seconds / 60:.1f} minutes on one machine, from images "
-        f"in memory ({FRAME[1]}x{FRAME[0]} frames, smooth random ones and noisy copies of them). Nothing is "
-        "extrapolated. Times are medians where there are several, ratios those of medians.",
+        f"in memory ({FRAME[1]}x{FRAME[0]} frames, smooth random ones and noisy copies of them) where no files are "
+        "named. Nothing is extrapolated. Times are medians where there are several, ratios those of medians.",
         *_warnings(report),
         *_sections(report),
         "## Machine",
@@ -82,6 +82,7 @@ def _sections(report: Report) -> list[str]:
             "libraries that were there before included.",
             table(report.fits, _fit_row),
         ],
+        "reading": lambda: bench_reading_text.reading(report),
         "preprocessing": lambda: [
             "## Preprocessing",
             f"Patch normalisation to {settings.pixels}x{settings.pixels} pixels (variant C), engines in turn.",

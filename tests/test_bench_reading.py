@@ -1,0 +1,166 @@
+"""The benchmark of reading: every file is read once, bare loops decode what they say, and shares are those of turns."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from stopped_clock import Clock, ReadersThatWait
+
+from vprbench import bench, bench_reading, bench_reading_text, images, preprocessed
+from vprbench.bench_reading import drawn, frame_files, in_own_process, kept_cell, reading_cell
+from vprbench.bench_report import QUICK, Failed, KeptCell, ReadingCell, Settings, chosen
+from vprbench.images import read_image
+from vprbench.interface import BadInput
+
+N_FRAMES, N_FILES = 260, 5  # of quick=true
+
+
+def quick_settings(*options: str) -> Settings:
+    return chosen(Settings, ["quick=true", "threads=1", *options], QUICK)
+
+
+@pytest.fixture
+def paths(tmp_path: Path) -> list[Path]:
+    return frame_files(quick_settings(), tmp_path)
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
+    """Who reads which file, each in 10 ms."""
+    clock = Clock()
+    clock.replaces_those_of([bench_reading, images, preprocessed], monkeypatch)
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    monkeypatch.setattr(bench_reading.environment, "cores", lambda: [0, 1, 2])
+    found: list[tuple[str, Path]] = []
+    for module, who in ((bench_reading, "bare"), (images, "ahead")):
+
+        def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
+            clock.spend(0.01)
+            found.append((who, path))
+            return read_image(path)
+
+        monkeypatch.setattr(module, "read_image", noted)
+    return found
+
+
+def test_as_many_files_as_were_asked_for_hold_as_many_different_frames(paths: list[Path]) -> None:
+    assert len(paths) == len(set(paths)) == N_FRAMES
+    assert len({path.read_bytes() for path in paths}) == N_FILES
+    assert all(path.samefile(paths[number % N_FILES]) for number, path in enumerate(paths))
+    assert {read_image(path).shape for path in paths[:N_FILES]} == {(24, 40, 3)}
+
+
+def test_fewer_frames_than_different_ones_are_all_different(tmp_path: Path) -> None:
+    paths = frame_files(quick_settings("reading_frames=3"), tmp_path)
+    assert len({path.read_bytes() for path in paths}) == 3
+
+
+def test_a_frame_is_drawn_again_from_its_seed_and_needs_as_many_bytes_as_a_photograph(tmp_path: Path) -> None:
+    frame = drawn(360, 640, [0, 1])
+    assert np.array_equal(frame, drawn(360, 640, [0, 1]))
+    assert not np.array_equal(frame, drawn(360, 640, [0, 2]))
+    (path,) = frame_files(quick_settings("frame=[360,640]", "reading_frames=1"), tmp_path)
+    assert 300_000 < path.stat().st_size < 500_000  # of 691,200
+
+
+def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_turn(
+    paths: list[Path], read: list[tuple[str, Path]]
+) -> None:
+    cell = reading_cell(quick_settings(), paths)
+    assert [path for who, path in read if who == "ahead"] == paths
+    turns = 8
+    first = {paths[0]: 1}  # before the first turn
+    assert Counter(path for who, path in read if who == "bare") == Counter(
+        {path: turns * (1 + 3) + first.get(path, 0) for path in paths[:N_FILES]}
+    )
+    assert (cell.frames, cell.files, cell.cores, cell.height, cell.width) == (N_FRAMES, N_FILES, 3, 24, 40)
+    for rates in (cell.one_loop, cell.loops_at_once, cell.ahead):
+        assert rates == pytest.approx([100] * turns)  # on a clock that all threads share
+    assert cell.peak_memory_bytes > 0
+
+
+def test_a_traverse_is_preprocessed_once_and_then_had_from_the_cache(
+    paths: list[Path], read: list[tuple[str, Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_HASHES", "set back after the test")
+    cell = kept_cell(quick_settings(), paths)
+    assert [path for _, path in read] == [paths[0], *paths[:256]]
+    assert cell.made_seconds == pytest.approx(2.56)
+    assert cell.again_seconds == [0.0] * 2
+    assert (cell.frames, cell.pixels, cell.kept_bytes) == (256, 144, 256 * 144)
+
+
+def test_what_is_measured_apart_runs_in_another_process_and_its_errors_come_back() -> None:
+    assert in_own_process(os.getpid) != os.getpid()
+    with pytest.raises(BadInput, match=r"none\.png does not exist"):
+        in_own_process(read_image, Path("none.png"))
+
+
+READ = ReadingCell(
+    360,
+    640,
+    27_592,
+    300,
+    4,
+    [100.0, 120.0, 110.0],
+    [390.0, 400.0, 410.0],
+    [380.0, 480.0, 420.0],
+    300_000_000,
+    4 * 10**8,
+)
+KEPT = KeptCell(3449, 784, 10.0, [0.001, 0.002, 0.004], 2_704_016, 300_000_000, 350_000_000)
+
+
+def told(*cells: ReadingCell | KeptCell | Failed) -> list[str]:
+    report: Any = SimpleNamespace(settings=Settings(), reading=list(cells))
+    return bench_reading_text.reading(report)
+
+
+def cells_of(markdown: str) -> list[str]:
+    return [cell.strip() for cell in markdown.splitlines()[-1].strip("|").split("|")]
+
+
+def test_a_share_is_the_median_of_those_of_the_turns() -> None:
+    # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
+    table = told(READ, KEPT)[2]
+    assert cells_of(table) == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
+
+
+def test_a_kept_traverse_stands_beside_what_making_it_took() -> None:
+    table = told(READ, KEPT)[4]
+    assert cells_of(table) == ["3,449", "10", "345", "2", "1,724,500", "5,000x", "2.7", "300", "350"]
+
+
+def test_what_could_not_be_read_says_why_in_its_row() -> None:
+    heading, _, table = told(Failed({"frame": "640x360"}, "no room on the disk"))
+    assert heading == "## Reading frames from files"
+    assert cells_of(table) == ["640x360", "no room on the disk"]
+
+
+def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fails(*_: object) -> None:
+        raise MemoryError("only 3 bytes are left")
+
+    monkeypatch.setattr(bench, "in_own_process", fails)
+    monkeypatch.setattr(bench.tempfile, "tempdir", str(tmp_path))
+    cells = list(bench._reading(quick_settings()))
+    failed = Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")
+    assert cells == [failed] * 2
+    monkeypatch.setattr(bench, "frame_files", fails)
+    assert list(bench._reading(quick_settings())) == [failed]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", ["reading_frames", "reading_files"])
+def test_at_least_one_frame_is_read(option: str) -> None:
+    with pytest.raises(BadInput, match=f"{option}=0: give at least 1"):
+        quick_settings(f"{option}=0")
