@@ -175,7 +175,7 @@ def test_the_protocol_says_everything_that_was_selected(dataset):
         "seed": 3,
         "width": 160,
         "height": 90,
-        "renderer": 1,
+        "renderer": {street: 1, synthetic: 2}[dataset],
     }
 
 

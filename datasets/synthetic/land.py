@@ -17,7 +17,7 @@ _FOREST_FLOOR = np.array([72, 74, 56])
 _TWIGS = (112, 104, 98)
 
 _BED_TO_HILLS = SIGNS[:, None] * np.append(0, COLUMNS)
-_TOP_X = METRE * (7 + np.arange(TOPS) ** 2 // 2)
+_TOP_X = METRE * 6 + METRE * np.arange(TOPS) ** 2 // 3
 _TOP_COLUMN = np.searchsorted(COLUMNS[:-1], _TOP_X) - 1
 _TOP_REST = ((_TOP_X - COLUMNS[_TOP_COLUMN]) << 8) // (COLUMNS[_TOP_COLUMN + 1] - COLUMNS[_TOP_COLUMN])
 
@@ -49,11 +49,12 @@ def ground_colours(season: Season, view: View, camera: Camera, snow: Ints) -> li
     for other, share in zip((season.field, _FOREST_FLOOR, season.heath, _ROCK), shares, strict=True):
         colour += (np.array(other) - colour) * share >> 8
     colour = colour * (208 + (view.tone >> 4))[..., None] >> 8
-    covered = np.minimum(np.maximum(snow[:, None] * 3 // 2 - (view.rock >> 3), 0), 256) * (snow > 0)[:, None]
+    blown = np.maximum(view.rock - 480, 0) // 2  # off by the wind
+    covered = np.minimum(np.maximum(snow[:, None] * 3 // 2 - blown, 0), 256) * (snow > 0)[:, None]
     colour += (SNOW - colour) * covered[..., None] >> 8
     painted = np.empty((*view.tone.shape, 4), np.int64)
     painted[..., :3] = camera.lit(colour, DEPTHS[:, None], SIGNS)
-    painted[..., 3] = 70 - (covered * 50 >> 8)
+    painted[..., 3] = 54 - (covered * 34 >> 8)
     paints: list[list[Paint]] = painted.tolist()
     return paints
 
@@ -89,22 +90,26 @@ def land_outlines(view: View, camera: Camera) -> tuple[Outlines, Outlines]:
 
 
 def belts(season: Season, view: View, camera: Camera, snow: Ints) -> tuple[Outlines, list[list[Paint]]]:
-    """Return outlines and colours, (BELTS, 2, ...), of the woods that are too far to show single trees."""
+    """Return outlines and colours, (BELTS, 2, ...), of the woods behind the trees that stand alone."""
     heights, depths = view.heights[:BELTS], DEPTHS[:BELTS, None]
     low, high = heights[..., _TOP_COLUMN], heights[..., _TOP_COLUMN + 1]
     foot = low + ((high - low) * _TOP_REST >> 8)
-    tall = np.minimum(np.maximum(view.forest[:BELTS] - 340, 0), 400)[..., None] * 12 * METRE // 400
+    tall = 3 * METRE + np.minimum(np.maximum(view.forest[:BELTS] - 380, 0), 400)[..., None] * 10 * METRE // 400
+    edge = view.clearing[:BELTS, :, None] * 10 * METRE >> 10
+    tall = tall * np.minimum(np.maximum(_TOP_X - 3 * METRE - edge, METRE), 4 * METRE) // (4 * METRE)
     outlines = np.empty((BELTS, 2, 2 * TOPS, 2), np.int32)
     outlines[..., :TOPS, 0] = camera.across(SIGNS[:, None] * _TOP_X, depths[..., None])
     outlines[..., TOPS:, 0] = outlines[..., TOPS - 1 :: -1, 0][..., :TOPS]
-    top = foot + (tall * (260 + view.treetops) >> 10)
+    # Leaves, frost and growth: part of each crown is what another one is in summer.
+    crowns = view.treetops + (np.roll(view.treetops, season.number, axis=-1) - view.treetops) * season.regrown // 256
+    top = foot + (tall * (400 + crowns) >> 10)
     outlines[..., :TOPS, 1] = camera.down(top, depths[..., None])
     outlines[..., TOPS:, 1] = camera.down(foot, depths[..., None])[..., ::-1]
     conifer, leafy = np.array(season.conifer), np.array(season.leaf if season.foliage else _TWIGS)
     share = np.minimum(np.maximum(view.birch[:BELTS] - 300, 0), 512)[..., None]
     colour = conifer + ((leafy - conifer) * share >> 10)
-    colour += (SNOW - colour) * snow[:BELTS, None, None] >> 10
+    colour += (SNOW - colour) * snow[:BELTS, None, None] * 3 >> 10
     painted = np.empty((BELTS, 2, 4), np.int64)
     painted[..., :3] = camera.lit(colour, depths, SIGNS)
-    painted[..., 3] = 90
+    painted[..., 3] = 80
     return outlines, painted.tolist()

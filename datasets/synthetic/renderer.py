@@ -9,22 +9,22 @@ import numpy as np
 
 from vprbench.interface import Image
 
-from ..rendering.chance import FULL, Chance, Ints
+from ..rendering.chance import FULL, Chance
 from ..rendering.film import PIXEL, WIDTH, Canvas, Film, Outlines, Paint, develop, roughen, sky
 from .camera import Camera
 from .land import belts, ground_colours, land_outlines, paint_ridges, water_colours
 from .route import BELTS, DEPTHS, METRE, PLACE_SPACING, Route, View
 from .scenery import Scenery, Things
-from .seasons import SEASONS, Season
+from .seasons import SEASONS, Season, SnowCover
 from .shapes import OUTLINES, UNIT
 from .track import ribbons
 
 #: Raise it whenever a change in this folder, or in what it shares, changes a pixel: it is part of the protocol.
-VERSION = 1
+VERSION = 2
 
 # How many places it takes until the mood of a traverse is another: overcast, haze, camera to the right,
-# camera down, offset along the track, exposure.
-_MOOD_PLACES = np.array([25, 60, 7, 9, 12, 18])
+# camera down, offset along the track, exposure, depth of snow, snow on the line, wet windscreen, side of the sun.
+_MOOD_PLACES = np.array([25, 60, 7, 9, 12, 18, 9, 14, 16, 11])
 _HORIZON = 38 * PIXEL
 _SKY_ROWS = 58
 
@@ -46,20 +46,23 @@ class Renderer:
         mood = self._chance.smooth(
             600 + 10 * season.number + np.arange(len(_MOOD_PLACES)), np.array([place]), _MOOD_PLACES
         ).tolist()
-        position = place * PLACE_SPACING + (mood[4] - FULL // 2) * 6 * METRE // FULL + (luck[0] - 128) // 16
+        position = place * PLACE_SPACING + (mood[4] - FULL // 2) * season.astray * METRE // FULL + (luck[0] - 128) // 16
         view = self._route.view(position)
         overcast = min(max(season.overcast + (mood[0] - FULL // 2) // 4, 0), 256)
         camera = self._camera(season, view, luck, mood, overcast)
-        snow = np.clip(season.snow + (view.altitude - 380) * season.snow_uphill // 500, 0, 256)  # (n,)
+        fallen = season.snow * (700 + mood[6] - FULL // 2) // 700
+        snow = np.clip(fallen + (view.altitude - 380) * season.snow_uphill // 500, 0, 256)  # (n,)
+        line = snow * min(max(mood[7] - 160, 0), 400) // 400
+        cover = SnowCover(snow, line, np.minimum(snow, min(max(fallen - 130, 0), 200)))
 
         canvas = self._sky(season, place, mood, overcast, camera)
         paint_ridges(canvas, season, view, camera, snow)
-        things = _project(self._scenery.things(view, season_name, position, snow), camera)
-        _paint_land(canvas, season, view, camera, snow, things, luck)
+        things = _project(self._scenery.things(view, season_name, position, cover), camera)
+        _paint_land(canvas, season, view, camera, cover, things, luck)
         return self._expose(canvas, season, luck, mood)
 
     def _camera(self, season: Season, view: View, luck: list[int], mood: list[int], overcast: int) -> Camera:
-        sun = season.sunshine * season.sun_side * (256 - overcast) >> 8
+        sun = season.sunshine * (mood[9] - FULL // 2) * (256 - overcast) >> 17
         return Camera(
             centre=WIDTH * PIXEL // 2 + season.shift_x + (mood[2] - 512) // 32 + (luck[1] - 128) // 24,
             horizon=_HORIZON + view.grade + season.shift_y + (mood[3] - 512) // 40 + (luck[2] - 128) // 32,
@@ -73,13 +76,16 @@ class Renderer:
     def _sky(self, season: Season, place: int, mood: list[int], overcast: int, camera: Camera) -> Canvas:
         """Return a canvas with the sky on it."""
         cloud = self._film.clouds(_SKY_ROWS, mood[1], place * 5 + season.number * 171)
-        return sky(cloud, overcast, camera.horizon // PIXEL, season.sky_top, season.sky_low, season.cloud)
+        shape = min(max(256 - ((overcast - 100) * season.stratus >> 6), 0), 256)
+        softened = np.asarray(cv2.LUT(cloud, (128 + ((np.arange(256) - 128) * shape >> 8)).astype(np.uint8)), np.uint8)
+        return sky(softened, overcast, camera.horizon // PIXEL, season.sky_top, season.sky_low, season.cloud)
 
     def _expose(self, canvas: Canvas, season: Season, luck: list[int], mood: list[int]) -> Image:
         """Return the picture the camera takes of the canvas: texture, exposure and sharpness."""
         picture = roughen(canvas, self._film.grain(luck[3:6]), sensor=1)
         gain = season.exposure + (mood[5] - FULL // 2) // 16 + (luck[7] - 128) // 16
-        return develop(picture, 5 if luck[6] < season.softness else 3, gain)
+        smear = (mood[8] * season.softness >> 15) + (luck[6] < season.softness)
+        return develop(picture, 3 + 2 * smear, gain)
 
 
 @dataclass(frozen=True)
@@ -110,14 +116,14 @@ def _project(things: Things, camera: Camera) -> _Painted:
 
 
 def _paint_land(
-    canvas: Canvas, season: Season, view: View, camera: Camera, snow: Ints, things: _Painted, luck: list[int]
+    canvas: Canvas, season: Season, view: View, camera: Camera, snow: SnowCover, things: _Painted, luck: list[int]
 ) -> None:
     """Paint cross-section after cross-section, far to near, each with what stands before it."""
-    ground = ground_colours(season, view, camera, snow)
+    ground = ground_colours(season, view, camera, snow.land)
     water = water_colours(season, camera)
     land, shore = land_outlines(view, camera)
-    woods, wood_colours = belts(season, view, camera, snow)
-    strips = ribbons(view, camera, snow, luck)
+    woods, wood_colours = belts(season, view, camera, snow.woods)
+    strips = ribbons(view, camera, snow.line, luck)
     wet = (view.wet > 0).tolist()
     wooded = (view.forest > 380).tolist()
     for section in range(len(DEPTHS)):

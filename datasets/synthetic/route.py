@@ -9,15 +9,15 @@ import numpy as np
 from ..rendering.chance import FULL, Chance, Ints
 
 METRE = 16  # units of length
-PLACE_SPACING = 40 * METRE
+PLACE_SPACING = 150 * METRE  # what a train covers between two frames of Nordland, some 8 s apart
 
 #: Cross-sections of the land that a view is built from, far to near.
 DEPTHS = METRE * np.array([420, 330, 260, 205, 162, 128, 101, 80, 63, 50, 39, 31, 25, 20, 16, 13, 10, 8])
 #: Where each cross-section is known, to either side of the track.
 COLUMNS = METRE * np.array([3, 5, 8, 12, 18, 27, 41, 62, 95, 150, 240])
-#: Only forests beyond the first so many cross-sections have ragged edges of their own.
-BELTS = 8
-TOPS = 24
+#: Woods stand behind the first so many cross-sections, each with as many treetops to either side.
+BELTS = 14
+TOPS = 28
 #: Far mountain ridges are known every so many pixels.
 RIDGE_X = np.arange(-8, 169, 4)
 WATER_LEVEL = -4 * METRE
@@ -45,6 +45,7 @@ class View:
     settlement: Ints  # (n, 2)
     tone: Ints  # (n, 2), light and dark ground
     rock: Ints  # (n, 2)
+    clearing: Ints  # (n, 2), how far the woods stand back from the line
     altitude: Ints  # (n,)
     station: Ints  # (n,), above 0 beside a platform
     road: Ints  # (n,), above 0 where a road runs along
@@ -72,12 +73,12 @@ _RIDGE_BASIS = _ridge_basis()
 # each: looking all of them up at once is several times faster than one after the other.
 _NOISES: tuple[tuple[str, Ints, Ints, Ints], ...] = (
     (
-        "covers",  # bank, hills, wet, forest, birch, tillage, settlement, tone, rock
-        10 + 2 * np.arange(9)[:, None, None] + _SIDES,
+        "covers",  # bank, hills, wet, forest, birch, tillage, settlement, tone, rock, clearing
+        10 + 2 * np.arange(10)[:, None, None] + _SIDES,
         DEPTHS[:, None],
-        np.array([260, 1300, 900, 420, 700, 350, 1500, 24, 90])[:, None, None],
+        np.array([260, 1300, 900, 700, 700, 350, 1500, 24, 90, 180])[:, None, None],
     ),
-    ("line", np.array([30, 31, 32])[:, None], DEPTHS, np.array([6000, 2200, 2500])[:, None]),
+    ("line", np.array([30, 31, 32])[:, None], DEPTHS, np.array([6000, 1400, 2500])[:, None]),
     ("here", np.arange(40, 46), np.array(0), np.array([330, 800, 9000, 4000, 3000, 3000])),
     ("hills", 100 + 2 * np.arange(11) + _SIDES[:, None], DEPTHS[:, None, None], _HILL_WAVELENGTH),
     ("treetops", 200 + 2 * np.arange(TOPS) + _SIDES[:, None], DEPTHS[:BELTS, None, None], np.array(45)),
@@ -109,31 +110,32 @@ class Route:
             size = int(np.prod(shape))
             noise[name] = flat[start : start + size].reshape(shape)
             start += size
-        bank, hills, wet, forest, birch, tillage, settlement, tone, rock = noise["covers"]
+        bank, hills, wet, forest, birch, tillage, settlement, tone, rock, clearing = noise["covers"]
         altitude, station, road = noise["line"]
         bend, grade, electrified, road_side = (int(value) for value in noise["here"][:4])
         lift = noise["here"][4:, None]
         wet = np.maximum(0, wet - 640)
-        thinned = np.maximum(0, altitude - 600)[:, None] * 2 + (tillage >> 2)
+        thinned = np.maximum(0, altitude - 600)[:, None] * 2 + np.maximum(0, tillage - 600)
         profile = noise["ridges"] @ _RIDGE_BASIS.T >> 8
         return View(
             heights=_heights(bank, hills, noise["hills"], wet),
             wet=wet,
-            forest=forest + (birch >> 3) - thinned,
+            forest=(forest >> 1) + 480 + (birch >> 3) - thinned,
             birch=birch,
             tillage=tillage,
             settlement=settlement,
             tone=tone,
             rock=rock,
+            clearing=clearing,
             altitude=altitude,
-            station=np.maximum(0, station - 760),
+            station=np.maximum(0, station - 800),
             road=np.maximum(0, road - 520),
             road_side=int(road_side > FULL // 2),
             treetops=noise["treetops"],
-            ridges=profile * (lift + 250) // 1100 - np.array([[0], [60]]),
+            ridges=profile * (lift + 150) // 1600 - np.array([[0], [40]]),
             bend=(bend - FULL // 2) * 2,
             grade=(grade - FULL // 2) >> 3,
-            electrified=electrified > FULL // 2,
+            electrified=electrified > 3 * FULL // 4,
         )
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ..rendering.chance import Chance, Ints
 from .route import COLUMNS, DEPTHS, METRE, View
-from .seasons import SEASONS, Season
+from .seasons import SEASONS, Season, SnowCover
 from .shapes import SHAPE
 
 SNOW = np.array([234, 239, 247])
@@ -109,8 +109,8 @@ class Scenery:
         coming_and_going = channels >= _KINDS["visitors"][0]
         self._channels = {name: channels + 10 * season.number * coming_and_going for name, season in SEASONS.items()}
 
-    def things(self, view: View, season_name: str, position: int, snow: Ints) -> Things:
-        """Return all that stands in view; snow is the cover of each cross-section, 0 to 256."""
+    def things(self, view: View, season_name: str, position: int, snow: SnowCover) -> Things:
+        """Return all that stands in view; the houses' roofs carry as much snow as the land."""
         index = position // self._spacing + self._ahead
         depth = index * self._spacing - position
         dice = self._chance.dice(self._channels[season_name], index)
@@ -123,7 +123,7 @@ class Scenery:
 
         season = SEASONS[season_name]
         rows = np.concatenate([
-            *_trees(slots("trees"), season, snow), *_houses(slots("houses"), snow), *_masts(slots("masts")),
+            *_trees(slots("trees"), season, snow.woods), *_houses(slots("houses"), snow.land), *_masts(slots("masts")),
             *_bridges(slots("bridges")), *_visitors(slots("visitors")),
         ])  # fmt: skip
         depth, side, section, shape, lateral, half_width, height = rows[:, :7].T
@@ -160,7 +160,7 @@ def _trees(slots: _Slots, season: Season, snow: Ints) -> list[Ints]:
     width = np.where(bush, METRE + lean * METRE // 200, np.where(broad, crown_width, height >> 2))
     leafy = (bush | broad)[:, None]
     colour = np.where(leafy, season.leaf, season.conifer) * (200 + (shade >> 1))[:, None] >> 8
-    colour = blend(colour, SNOW, snow[slots.section] * np.where(bush, 40, np.where(broad, 40, 100)) >> 8)
+    colour = blend(colour, SNOW, snow[slots.section] * np.where(bush, 90, np.where(broad, 40, 180)) >> 8)
     crown = SHAPE["crown"] + lean % 2 if season.foliage else SHAPE["twigs"]
     shape = np.where(bush, SHAPE["bush"], np.where(broad, crown, SHAPE["conifer"] + lean % 2))
     at = np.flatnonzero(broad)

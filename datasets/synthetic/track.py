@@ -28,10 +28,10 @@ class _Ribbon:
 
 
 _RIBBONS = (
-    _Ribbon((-34, 0), (34, 0), "everywhere", (124, 116, 108), 200, 70),  # ballast
-    _Ribbon((-20, 1), (20, 1), "everywhere", (84, 76, 70), 150, 50),  # sleepers
-    _Ribbon((-13, 2), (-11, 2), "near", (150, 142, 138), 0, 0),  # rails
-    _Ribbon((11, 2), (13, 2), "near", (150, 142, 138), 0, 0),
+    _Ribbon((-34, 0), (34, 0), "everywhere", (92, 86, 80), 240, 60),  # ballast
+    _Ribbon((-20, 1), (20, 1), "everywhere", (96, 88, 82), 215, 50),  # sleepers
+    _Ribbon((-13, 2), (-11, 2), "near", (74, 66, 62), 0, 0),  # rails
+    _Ribbon((11, 2), (13, 2), "near", (74, 66, 62), 0, 0),
     _Ribbon((42, 0), (104, 0), "station", (124, 116, 108), 200, 60),  # a second track
     _Ribbon((60, 2), (62, 2), "near station", (150, 142, 138), 0, 0),
     _Ribbon((84, 2), (86, 2), "near station", (150, 142, 138), 0, 0),
