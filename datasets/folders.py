@@ -13,6 +13,8 @@ from .file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .image_files import images_in
 from .utm_names import by_names
 
+_ADVICE = "give a folder of images"
+
 
 def folders(
     name: str = "folders",
@@ -36,9 +38,9 @@ def folders(
             "dataset.references and dataset.queries are not set: "
             "pass dataset.references=[/path/to/first,/path/to/second] dataset.queries=/path/to/queries"
         )
-    traverses = [images_in(folder, "dataset.references") for folder in references]
+    traverses = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     mapped = [path for files in traverses for path in files]
-    asked = images_in(queries, "dataset.queries")
+    asked = images_in(queries, "dataset.queries", _ADVICE)
     if ground_truth == "index":
         truth = _by_index(traverses, references, len(asked), tolerance)
     else:

@@ -21,7 +21,7 @@ Suffix = Literal[".png", ".jpg", ".jpeg"]
 _SOURCE = "Somayeh-h/Nordland on Hugging Face, 35,768 frames a season (python -m vprbench fetch nordland)"
 _SEASON_FRAMES = 35_768  # in QVPR's numbering, a frame a second
 _OTHERS = "the partition of Olid et al., which numbers the frames in another way"
-_WRONG_COUNTS = {24_570: f"of {_OTHERS}", 28_865: _OTHERS}
+_WRONG_COUNTS = {24_570: f"a part of {_OTHERS}", 28_865: _OTHERS}
 _PATCH_NETVLAD = (
     "Patch-NetVLAD names a tolerance of 10 frames; its published positions, frame i at (i, i) and a radius of 10, "
     "reach 7; right are here frames up to {} away"

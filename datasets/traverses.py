@@ -128,6 +128,7 @@ def dataset_of(
         positives=right_places(parts.queried, parts.mapped, parts.tolerance),
         protocol=protocol,
         held_out=held_out,
+        place_numbers=None if parts.held_out_in_map else parts.mapped,
         folders=tuple(folders),
         notes=tuple(notes),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vprbench.interface import Dataset, NotThere
+from vprbench.interface import BadInput, Dataset, NotThere
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder
@@ -34,12 +34,14 @@ def utm_folders(
     reference is a place; right is what lies within `radius_metres`, the radius included. Queries without a right place
     count as misses (`keep`, as in gmberton/VPR-methods-evaluation), are left out (`drop`, as in VPRTempo and
     VPR_Tutorial) or are an error. So are names of several UTM zones, unless images of different zones never show one
-    place (`zones` apart). Raises NotThere for what is missing, BadInput for names without a position.
+    place (`zones` apart). Raises NotThere for what is missing, BadInput for names without a position and for a
+    list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
     top = root_folder(name, root, f"{database}/ and {queries}/", layout)
     found, holding = _holding(top, split, (database, queries), layout)
-    references, asked = _images(holding / database), _images(holding / queries)
+    lists = [_list_beside(holding / folder).name for folder in (database, queries) if _listed(holding / folder)]
+    references, asked = _images(holding / database, layout), _images(holding / queries, layout)
     return dataset_of_files(
         name,
         references,
@@ -51,9 +53,7 @@ def utm_folders(
             "split": found,
             "database": database,
             "queries": queries,
-            "lists": [
-                _list_beside(holding / folder).name for folder in (database, queries) if _listed(holding / folder)
-            ],
+            **({"lists": lists} if lists else {}),
             "radius_metres": radius_metres,
             "zones": zones,
         },
@@ -71,12 +71,15 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
     )
 
 
-def _images(folder: Path) -> list[Path]:
+def _images(folder: Path, layout: str) -> list[Path]:
     """Return the images of a folder: those of the list beside it where there is one, else all, by their paths."""
     if not _listed(folder):
-        return images_in(folder, "dataset.root", order="plain")
+        return images_in(folder, "dataset.root", layout, order="plain")
     beside = _list_beside(folder)
-    named = [line for line in beside.read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        named = [line for line in beside.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:
         raise NotThere(f"{beside} names no image: delete it to use all images of {folder}")
     files = [folder / line for line in named]

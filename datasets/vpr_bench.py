@@ -43,7 +43,7 @@ def vpr_bench(
     None where it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
-    asked, references = (images_in(top / part, "dataset.root", deep=False) for part in ("query", "ref"))
+    asked, references = (images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref"))
     stored = _ground_truth_file(top, ground_truth)
     rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
     by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
@@ -139,19 +139,21 @@ def _whole(numbers: list[Any]) -> bool:
 
 def _rows_of_csv(path: Path) -> list[tuple[int, list[int]]]:
     """Return query and right references of each row of a ground_truth.csv."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        table = csv.DictReader(file)
-        if not {"query", "matching_refs"} <= {*(table.fieldnames or ())}:
+    wanted = "query and matching_refs"
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file)
+            numbered = [(table.line_num, row) for row in table]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{path} cannot be read as a CSV ({error}): wanted are the columns {wanted}") from error
+    if not {"query", "matching_refs"} <= {*(table.fieldnames or ())}:
+        raise BadInput(f"{path} has the columns {', '.join(table.fieldnames or ['none'])}; wanted are {wanted}")
+    rows = []
+    for line, row in numbered:
+        try:
+            rows.append((int(row["query"]), [int(reference) for reference in row["matching_refs"].split()]))
+        except (ValueError, TypeError, AttributeError) as error:
             raise BadInput(
-                f"{path} has the columns {', '.join(table.fieldnames or ['none'])}; wanted are query and matching_refs"
-            )
-        rows = []
-        for row in table:
-            try:
-                rows.append((int(row["query"]), [int(reference) for reference in row["matching_refs"].split()]))
-            except (ValueError, TypeError, AttributeError) as error:
-                raise BadInput(
-                    f"line {table.line_num} of {path} is no query and its references: wanted are whole numbers, as in "
-                    "5,3 4 5"
-                ) from error
+                f"line {line} of {path} is no query and its references: wanted are whole numbers, as in 5,3 4 5"
+            ) from error
     return rows

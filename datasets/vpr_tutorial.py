@@ -49,11 +49,11 @@ def gardens_point(
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
     top = root_folder(name, root, "the traverses", layout)
-    mapped = [path for traverse in traverses for path in _first(top / traverse, images)]
+    mapped = [path for traverse in traverses for path in _first(top / traverse, images, layout)]
     return dataset_of_files(
         name,
         mapped,
-        _first(top / query, images),
+        _first(top / query, images, layout),
         GroundTruth(
             places=np.tile(np.arange(images), len(traverses)),
             positives=[np.arange(max(0, i - reach), min(images, i + reach + 1)) for i in range(images)],
@@ -89,7 +89,7 @@ def with_matrix(
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
     top = root_folder(name, root, f"{reference}, {query} and GT.npz", layout)
     mapped, asked = (
-        images_in(top / folder, "dataset.root", order="plain", deep=False) for folder in (reference, query)
+        images_in(top / folder, "dataset.root", layout, order="plain", deep=False) for folder in (reference, query)
     )
     right = _matrix(top / "GT.npz", _MATRICES[ground_truth], (len(mapped), len(asked)), layout)
     return dataset_of_files(
@@ -106,9 +106,9 @@ def with_matrix(
     )
 
 
-def _first(folder: Path, count: int) -> list[Path]:
+def _first(folder: Path, count: int, layout: str) -> list[Path]:
     """Return the first images of a folder; raises NotThere where there are fewer."""
-    files = images_in(folder, "dataset.root", deep=False)
+    files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:
         raise NotThere(
             f"{folder} holds {len(files)} of {count} images: restore the others, or pass dataset.images={len(files)} "

@@ -239,6 +239,16 @@ class TestArchives:
         server.serve("/spring", SPRING)
         assert get(entry, root) == 0
 
+    def test_a_damaged_one_that_somebody_put_there_is_said_to_be_deleted(
+        self, server: Server, root: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
+        (root / "archives").mkdir(parents=True)
+        (root / "archives" / "spring.zip").write_bytes(SPRING[:-CHUNK])
+        assert get(entry, root) == 0
+        assert "spring.zip is damaged" in caplog.text
+        assert "(it was deleted); the next address follows" in caplog.text
+
     def test_a_hostile_one_changes_nothing_and_is_kept(self, server: Server, root: Path) -> None:
         hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
         with pytest.raises(BadInput, match=r"'spring/2\.png', which is a link: nothing was unpacked"):

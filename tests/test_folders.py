@@ -1,5 +1,6 @@
 """Your own folders: natural order, matching by number or by position, and what is said where that fails."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -57,10 +58,49 @@ def test_sub_folders_are_included_in_natural_order(fill):
 @pytest.mark.parametrize("backwards", [False, True])
 def test_names_that_differ_in_leading_zeros_alone_do_not_depend_on_the_file_system(fill, monkeypatch, backwards):
     references, queries = fill("a", ["1.png", "01.png", "001.png"]), fill("b", numbered(1))
-    listed = Path.rglob
-    monkeypatch.setattr(Path, "rglob", lambda *arguments: sorted(listed(*arguments), reverse=backwards))
+    walk = os.walk
+
+    def ordered(top, **options):
+        return [(folder, inner, sorted(names, reverse=backwards)) for folder, inner, names in walk(top, **options)]
+
+    monkeypatch.setattr(os, "walk", ordered)
     dataset = folders(references=[references], queries=queries)
     assert dataset.references.names == ("001.png", "01.png", "1.png")
+
+
+def test_hidden_files_and_folders_are_no_images(fill):
+    references = fill("a", ["1.png", "._1.png", ".thumbnails/2.png"])
+    assert folders(references=[references], queries=fill("b", numbered(1))).references.names == ("1.png",)
+
+
+def test_linked_sub_folders_are_included_and_one_that_leads_back_ends(fill, tmp_path):
+    references = Path(fill("a", ["1.png"]))
+    (references / "2").symlink_to(fill("elsewhere", ["5.png"]))
+    (references / "again").symlink_to(tmp_path / "a")
+    names = folders(references=[str(references)], queries=fill("b", numbered(1))).references.names
+    assert names == ("1.png", "5.png")
+
+
+def test_a_link_to_an_image_that_is_gone_keeps_its_place(fill, tmp_path):
+    references = Path(fill("a", ["1.png", "3.png"]))
+    (references / "2.png").symlink_to(tmp_path / "gone.png")
+    dataset = folders(references=[str(references)], queries=fill("b", numbered(3)))
+    assert dataset.references.names == ("1.png", "2.png", "3.png")
+    assert dataset.folders[0].used == ("1.png", "2.png", "3.png")
+
+
+def test_a_sub_folder_that_cannot_be_read_is_refused_by_name(fill, monkeypatch):
+    references = fill("a", ["1.png", "closed/2.png"])
+    listed = os.scandir
+
+    def scandir(folder):
+        if Path(folder).name == "closed":
+            raise PermissionError(13, "Permission denied", str(folder))
+        return listed(folder)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    message = answer(references=[references], queries=fill("b", numbered(1)))
+    assert f"{Path(references) / 'closed'} cannot be read (Permission denied)" in message
 
 
 def test_files_that_are_no_images_are_left_out(fill):

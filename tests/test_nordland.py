@@ -258,7 +258,10 @@ def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_
 @pytest.mark.parametrize(
     ("count", "told"),
     [
-        (24_570, "24,570 images are of the partition of Olid et al., which numbers the frames in another way; get "),
+        (
+            24_570,
+            "24,570 images are a part of the partition of Olid et al., which numbers the frames in another way; get ",
+        ),
         (28_865, "28,865 images are the partition of Olid et al., which numbers the frames in another way; get "),
     ],
 )

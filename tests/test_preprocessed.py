@@ -309,6 +309,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     clock.replaces_those_of([runner, images, preprocessed], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    monkeypatch.setattr(preprocess.torch, "get_num_threads", lambda: 1)  # or normalising goes on while one reads
     reading, normalising = images.read_image, PatchNormalisation._fused
 
     def read(path: Path) -> npt.NDArray[np.uint8]:

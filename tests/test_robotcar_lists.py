@@ -148,9 +148,17 @@ def test_the_protocol_names_the_list_so_that_two_lists_are_never_taken_for_one(r
 
 
 def test_no_place_shares_an_image_so_the_ceiling_is_100(root: Path) -> None:
-    (told,) = [note for note in asked(root=str(root)).notes if "R@1" in note]
+    (told,) = [note for note in asked(root=str(root)).notes if "R@1 at" in note]
     assert told.startswith("0 of 375 places in sun, 0 of 375 places in rain and 0 of 375 queries show an image")
     assert told.endswith("R@1 at tolerance 0 can reach 100.00 % at most")
+
+
+def test_the_list_can_be_chosen_by_its_option_too(root: Path) -> None:
+    config = yaml.safe_load(registry.entries("dataset")["oxford_robotcar"].path.read_text("utf-8"))
+    lists = {"image_list": "vprsnn", "stride": 8, "lists": str(root / "lists")}
+    assert {*lists} <= {*config}
+    dataset = registry.make_dataset({**config, **lists, "root": str(root)})
+    assert dataset.queries.names[0] == f"{stamps('dusk')[8 * 90]}.png"
 
 
 def test_lists_that_are_named_come_before_those_of_the_root(root: Path, tmp_path: Path) -> None:

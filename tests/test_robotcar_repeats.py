@@ -123,3 +123,8 @@ def test_one_traverse_reads_well_too() -> None:
     images, steps = remarks({"sun": [3, 2, 3]}, [1], own(3)[:1], 1)
     assert images.startswith("2 of 3 places in sun and 0 of 1 queries show an image that another one shows too")
     assert steps.startswith("1 of 2 steps in sun and 0 of 0 steps in the queries lead back in time")
+
+
+def test_steps_that_all_lead_on_say_nothing_of_neighbours() -> None:
+    _, steps = remarks({"sun": [1, 2, 3]}, [1, 2], own(3)[:2], 0)
+    assert steps == "0 of 2 steps in sun and 0 of 1 steps in the queries lead back in time"

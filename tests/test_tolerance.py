@@ -12,8 +12,9 @@ import pytest
 from little import a_run, unanswerable_run
 
 from vprbench import tables
+from vprbench.datasets.synthetic import synthetic
 from vprbench.interface import BadInput
-from vprbench.metrics import recall_at
+from vprbench.metrics import hits_at, recall_at
 from vprbench.ranking import best_places, outcome
 from vprbench.records import Run, Store
 from vprbench.summary import summarise
@@ -53,6 +54,25 @@ def coarse_matrix(seed: int, n_queries: int, n_places: int) -> tuple[np.ndarray,
 def test_a_best_place_is_right_from_the_tolerance_on_that_reaches_it() -> None:
     hits = hits_within(top(4, 2), scores(0.9, 0.8), right(2), [0, 1, 2, 3])
     assert hits.tolist() == [[0], [0], [1], [1]]
+
+
+def test_places_that_the_map_lacks_count_as_well() -> None:
+    numbers = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
+    assert hits_within(top(3), scores(0.5), right(2), [1, 2, 3], numbers).tolist() == [[0], [0], [1]]
+    assert hits_within(top(4), scores(0.5), right(3), [1], numbers).tolist() == [[1]]
+
+
+@pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
+def test_within_so_many_places_is_what_a_dataset_of_that_tolerance_finds(protocol: str) -> None:
+    exact, *wider = (
+        synthetic(places=60, first_query_place=20, query_places=40, protocol=protocol, tolerance=k)
+        for k in (0, 1, 2, 5)
+    )
+    matrix = np.random.default_rng(3).random((40, exact.n_places), np.float32)
+    found = hits_within(*ranked(matrix, 5), exact.positives, [1, 2, 5], exact.place_numbers)
+    expected = [hits_at(outcome(matrix, dataset.positives), 1) for dataset in wider]
+    assert found.tolist() == [hits.tolist() for hits in expected]
+    assert (exact.place_numbers is None) == (protocol == "vprtempo")
 
 
 def test_the_nearest_of_several_right_places_counts() -> None:
@@ -167,3 +187,19 @@ def test_a_stored_run_gives_the_same_ones_when_it_is_read(tmp_path: Path) -> Non
     store.save(sweep(1, 4))
     (read,) = store.runs()
     assert summarise(read).recall_at_1_within == {1: 0.5, 4: 0.75}
+
+
+def test_the_numbers_of_places_are_stored_too(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.prepare()
+    store.save(replace(sweep(4), place_numbers=np.arange(10) * 3))
+    (read,) = store.runs()
+    assert read.place_numbers is not None
+    assert read.place_numbers.tolist() == [0, 3, 6, 9, 12, 15, 18, 21, 24, 27]
+    assert summarise(read).recall_at_1_within == {4: 0.5}  # along the map the third query is within 4
+
+
+def test_a_ground_truth_wider_than_one_place_of_a_map_with_gaps_has_no_wider_ones() -> None:
+    run = replace(sweep(4), protocol={"tolerance_places": 1, "also_tolerance_places": [2]})
+    assert [*summarise(run).recall_at_1_within] == [2]
+    assert summarise(replace(run, place_numbers=np.arange(10))).recall_at_1_within == {}

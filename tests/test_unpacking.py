@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import gzip
 import io
+import lzma
 import os
 import shutil
 import stat
 import struct
 import tarfile
+import tracemalloc
 import zipfile
 from contextlib import nullcontext
 from pathlib import Path
@@ -248,6 +250,35 @@ def test_a_tar_whose_header_asks_for_the_whole_memory_is_refused(archive: Path, 
     info.type, info.size = tarfile.XHDTYPE, 1 << 40
     archive.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(10_000)))
     refused(archive, to, WANTED, "bytes where so many cannot be", DamagedArchive)
+
+
+def test_an_xz_whose_header_asks_for_the_whole_memory_is_refused(archive: Path, to: Path) -> None:
+    greedy = [{"id": lzma.FILTER_LZMA2, "preset": 0, "dict_size": 1 << 30}]
+    archive.write_bytes(lzma.compress(tarred(FILES, compression=""), filters=greedy))
+    refused(archive, to, WANTED, "Memory usage limit", DamagedArchive)
+
+
+def test_headers_for_all_files_that_follow_do_not_pile_up(archive: Path, to: Path) -> None:
+    files = []
+    for number in range(40):
+        info = tarfile.TarInfo(f"set/spring/{number}.png")
+        header = tarfile.TarInfo.create_pax_global_header({f"comment{number}": "x" * 500_000})
+        files.append(header + info.tobuf(tarfile.PAX_FORMAT))
+    archive.write_bytes(gzip.compress(b"".join(files) + bytes(1024)))
+    tracemalloc.start()
+    try:
+        assert unpack(archive, to, WANTED) == 40
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000  # of the 20 MB that they are together
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_streams_of_an_xz_are_one_archive(archive: Path, to: Path) -> None:
+    content = tarred(FILES, compression="")
+    streams = [lzma.compress(content[:700]), bytes(8), lzma.compress(content[700:]), bytes(4)]
+    archive.write_bytes(b"".join(streams))
+    assert unpack(archive, to, WANTED) == 2
+    assert everything(to) == {"spring/1.png": b"one", "spring/2.png": b"two", "winter/1.png": b"mine"}
 
 
 @pytest.mark.parametrize("maker", MAKERS)

@@ -92,6 +92,17 @@ def test_a_list_beside_the_folder_says_which_images_and_in_which_order(root):
     assert dataset.protocol["lists"] == ["database_images_paths.txt"]
 
 
+def test_a_list_may_begin_with_a_byte_order_mark(root):
+    (root / "images" / "test" / "database_images_paths.txt").write_text(f"\ufeff{at((0, 0))[0]}\n", "utf-8")
+    assert reds(utm_folders(root=str(root)).references) == [0]
+
+
+def test_a_list_that_is_no_text_is_refused_by_name(root):
+    path = root / "images" / "test" / "database_images_paths.txt"
+    path.write_text("@20@0@.jpg\n", "utf-16")
+    assert f"{path} is no text in UTF-8" in answer(utm_folders, root=str(root))
+
+
 def test_an_image_that_the_list_names_and_nobody_has_is_named(root):
     (root / "images" / "test" / "queries_images_paths.txt").write_text("@0@5@.jpg\n")
     message = answer(utm_folders, root=str(root), kind=NotThere)
@@ -124,7 +135,6 @@ def test_the_protocol_says_everything_that_was_selected(root):
         "split": "test",
         "database": "database",
         "queries": "queries",
-        "lists": [],
         "radius_metres": 25.0,
         "zones": "error",
         "unmatched": "keep",

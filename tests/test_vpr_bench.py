@@ -108,6 +108,21 @@ def test_a_csv_of_other_columns_is_answered_with_them(root):
     assert "has the columns a, b" in answer(vpr_bench, root=str(root), ground_truth="ground_truth.csv")
 
 
+def test_a_csv_that_is_no_text_or_has_an_endless_cell_is_named(root):
+    file = root / "ground_truth.csv"
+    for content in ("query,matching_refs\n0,1\n".encode("utf-16"), b"query,matching_refs\n0," + b"1 " * 70_000):
+        file.write_bytes(content)
+        assert f"{file} cannot be read as a CSV" in answer(vpr_bench, root=str(root), ground_truth=file.name)
+
+
+@pytest.mark.parametrize("part", ["query", "ref"])
+def test_a_root_without_a_folder_is_answered_with_what_it_should_hold(root, part):
+    (root / part).rename(root / "away")
+    message = answer(vpr_bench, root=str(root), kind=NotThere)
+    assert f"{root / part} is no folder" in message
+    assert "set dataset.root to a folder with query/, ref/ and ground_truth_new.npy" in message
+
+
 @pytest.mark.parametrize("part", ["query", "ref"])
 def test_a_folder_without_images_is_named(root, part):
     for path in (root / part).iterdir():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import io
 import lzma
 import stat
 import struct
@@ -14,13 +15,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, Any, BinaryIO, cast
 
 from vprbench.interface import BadInput
 
 _CHUNK = 1 << 20  # bytes read at once
 _HEADER_BYTES = 1 << 20  # of one member in a tar, far more than any honest one has
 _PADDING_BYTES = 1 << 25  # after the last member of a tar, at most
+_XZ_BYTES = 1 << 27  # of memory; what the strongest preset of xz made takes half of them
 _ZIP, _GZIP, _BZIP2, _XZ = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0"
 _DAMAGE = (
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, struct.error),
@@ -103,7 +105,7 @@ def _decompressed(raw: BinaryIO, start: bytes) -> Iterator[IO[bytes]]:
         with bz2.BZ2File(raw) as stream:
             yield stream
     elif start.startswith(_XZ):
-        with lzma.LZMAFile(raw) as stream:
+        with io.BufferedReader(_Xz(raw)) as stream:
             yield stream
     else:
         yield raw
@@ -145,13 +147,46 @@ def _in_tar(archive: Path, stream: _Forward) -> Iterator[Member]:
 
             stream.allow(info.size)
             yield Member(info.name, kind, info.size, chunks)
-            opened.members.clear()  # type: ignore[attr-defined]  # it would keep them all
+            opened.members.clear()  # type: ignore[attr-defined]  # it would keep them all ...
+            opened.pax_headers.clear()  # type: ignore[attr-defined]  # ... and each header for all that follow
             stream.allow(_HEADER_BYTES)
     if stream.last != bytes(tarfile.BLOCKSIZE):  # tarfile takes the first header that it cannot read for the end
         raise tarfile.ReadError("it ends early")
     stream.allow(_PADDING_BYTES)
     while stream.read(_CHUNK):  # gzip compares its checksum at the very end
         pass
+
+
+class _Xz(io.RawIOBase):
+    """An xz file decompressed in bounded memory: its header may ask for gigabytes."""
+
+    def __init__(self, raw: BinaryIO) -> None:
+        self._raw = raw
+        self._stream = _xz_stream()
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Write what comes next to a buffer; returns how many bytes, 0 at the end."""
+        while True:
+            content = b""
+            if self._stream.eof:
+                content = self._stream.unused_data.lstrip(b"\0") or self._raw.read(_CHUNK).lstrip(b"\0")
+                if not content:
+                    return 0
+                self._stream = _xz_stream()  # several may follow one another
+            elif self._stream.needs_input:
+                content = self._raw.read(_CHUNK)
+                if not content:
+                    raise EOFError("it ends early")
+            if found := self._stream.decompress(content, len(buffer)):
+                buffer[: len(found)] = found
+                return len(found)
+
+
+def _xz_stream() -> lzma.LZMADecompressor:
+    return lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_BYTES)
 
 
 class _Forward:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from vprbench import download, registry
 from vprbench.archives import DamagedArchive
-from vprbench.bench_report import chosen
 from vprbench.console import progress_shown
 from vprbench.data_folder import data_folder
 from vprbench.fetch_entries import Download, Part, downloads
@@ -64,6 +63,8 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
     name, *options = arguments
     if name not in known:
         raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
+    from vprbench.bench_report import chosen  # which takes seconds to import
+
     return fetch(known[name], chosen(Settings, options, {}), check)
 
 
@@ -224,12 +225,14 @@ def _bring(entry: Download, name: str, part: Part, place: _Place) -> None:
                 came = insist_on_stated(part, archive)
                 unpack(archive, place.root, part.unpack, lambda folder: approve(part, archive, folder))
         except (NotThere, DamagedArchive) as error:
-            if isinstance(error, DamagedArchive):
+            damaged = isinstance(error, DamagedArchive)
+            if damaged:
                 archive.unlink()
             if url == sources[-1]:
-                deleted = " (it was deleted: give the same command again)" if not archive.exists() else ""
-                raise type(error)(f"{error}{deleted if isinstance(error, DamagedArchive) else ''}") from error
-            logger.warning("%s; the next address follows", _short(url, error))
+                deleted = " (it was deleted: give the same command again)" if damaged else ""
+                raise type(error)(f"{error}{deleted}") from error
+            deleted = " (it was deleted)" if damaged else ""
+            logger.warning("%s%s; the next address follows", _short(url, error), deleted)
             continue
         break
     today = datetime.now(UTC).date().isoformat()

@@ -272,7 +272,7 @@ def read_image(path: Path) -> Image:
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
     except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError) as error:
-        reason = str(error).replace(str(path), "it").splitlines()[0]
+        reason = str(error).replace(f" {str(path)!r}", "").replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
 

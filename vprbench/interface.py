@@ -318,6 +318,7 @@ class Dataset:
     protocol: Mapping[str, Any]  # what was selected and how; part of every record
     n_places: int = field(init=False)
     held_out: HeldOut | None = None  # None: there are no such places
+    place_numbers: Places | None = None  # (n_places,), along the whole journey, where the map lacks some of its places
     folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty where they are no files
     notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
 
@@ -326,6 +327,8 @@ class Dataset:
         if re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"dataset.name={self.name}: give letters, digits, '.', '_' and '-', for it names a folder")
         object.__setattr__(self, "n_places", _number_of_places(f"dataset {self.name}", self.references, self.places))
+        if self.place_numbers is not None and len(self.place_numbers) != self.n_places:
+            raise BadInput(f"dataset {self.name}: {len(self.place_numbers)} numbers for {self.n_places} places")
         if not len(self.queries):
             raise BadInput(f"dataset {self.name} has no query images: ask for at least one")
         if len(self.positives) != len(self.queries):

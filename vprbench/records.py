@@ -69,6 +69,7 @@ class Run:
     top_scores: npt.NDArray[np.float32]  # (n_queries, depth); -inf: no candidate
     scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
     spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
+    place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
 
 
@@ -321,6 +322,8 @@ def _write(run: Run, folder: Path) -> None:
         "positives": np.concatenate([np.empty(0, np.int64), *run.positives]),
         "positives_per_query": np.array([len(right) for right in run.positives]),
     }
+    if run.place_numbers is not None:
+        arrays["place_numbers"] = run.place_numbers
     np.savez_compressed(folder / _ARRAYS, allow_pickle=False, **arrays)
     if run.scores is not None:
         np.save(folder / _SCORES, run.scores, allow_pickle=False)
@@ -364,6 +367,7 @@ def _from_parts(
         top_places=arrays["top_places"],
         top_scores=arrays["top_scores"],
         scores=scores,
+        place_numbers=arrays.get("place_numbers"),
     )
 
 

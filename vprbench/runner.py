@@ -190,6 +190,7 @@ def run(
         timing=timing,
         outcome=result,
         positives=dataset.positives,
+        place_numbers=dataset.place_numbers,
         top_places=np.concatenate(answers.top_places),
         top_scores=np.concatenate(answers.top_scores),
         scores=np.concatenate(answers.kept) if answers.kept else None,

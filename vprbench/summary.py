@@ -91,13 +91,15 @@ def summarise(run: Run) -> Summary:
 def recall_at_1_within(run: Run) -> dict[int, float | None]:
     """Return R@1 within the places that a protocol names in `also_tolerance_places`, where it is not that wide itself.
 
-    They count from the right place along the map, as `tolerance_places` does.
+    They count from the right place along the whole journey, as `tolerance_places` does. None are given where that is
+    not 0 and the map lacks places: which place is in the middle is not stored.
     """
     own = int(run.protocol.get("tolerance_places", 0))
     wider = [int(k) for k in run.protocol.get("also_tolerance_places", ()) if k > own]
-    if not wider:
+    if not wider or (own and run.place_numbers is not None):
         return {}
     if not run.outcome.answerable.any():
         return dict.fromkeys(wider)
-    hits = hits_within(run.top_places, run.top_scores, run.positives, [k - own for k in wider])
+    more = [k - own for k in wider]
+    hits = hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}

@@ -15,7 +15,11 @@ _FAR = np.iinfo(np.int64).max  # of a query without a right place
 
 
 def hits_within(
-    top_places: npt.NDArray[np.integer], top_scores: Scores, positives: PlacesPerQuery, tolerances: Sequence[int]
+    top_places: npt.NDArray[np.integer],
+    top_scores: Scores,
+    positives: PlacesPerQuery,
+    tolerances: Sequence[int],
+    place_numbers: npt.NDArray[np.int64] | None = None,
 ) -> Values:
     """Return the chance that the best place lies so many places from a right one, (n_tolerances, n_queries).
 
@@ -23,7 +27,8 @@ def hits_within(
     of the traverse there is none. `top_places` and `top_scores` (n_queries, depth) are the best places of each
     query, best first. Where several share the highest score, the hit is the share of right ones among them, as
     in recall at 1; of more than `depth` such places only those that are stored count. A query without a right
-    place or without any candidate is a miss. Raises BadInput for a tolerance below 0, ValueError for shapes that
+    place or without any candidate is a miss. Places are counted along the journey by their `place_numbers`
+    (n_places,), without these along the map. Raises BadInput for a tolerance below 0, ValueError for shapes that
     do not fit.
     """
     if top_places.shape != top_scores.shape or top_places.ndim != 2 or len(positives) != len(top_places):
@@ -37,7 +42,10 @@ def hits_within(
     best = top_scores[:, :1]
     tied = (top_scores == best) & (best > -np.inf)
     rows, columns = np.nonzero(tied)
-    distances = _distances(rows, top_places[rows, columns].astype(np.int64), positives)
+    places = top_places[rows, columns].astype(np.int64)
+    if place_numbers is not None:
+        places, positives = place_numbers[places], [place_numbers[right] for right in positives]
+    distances = _distances(rows, places, positives)
     n_tied = np.maximum(tied.sum(axis=1), 1)
     return np.stack([np.bincount(rows[distances <= k], minlength=len(tied)) / n_tied for k in tolerances])
 

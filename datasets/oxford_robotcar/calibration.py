@@ -111,7 +111,7 @@ def check_raw(path: Path, camera: Camera) -> None:
         with PillowImage.open(path) as image:
             _insist_on_raw(path, image, camera)
     except (OSError, SyntaxError) as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
@@ -121,7 +121,7 @@ def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
             _insist_on_raw(path, image, camera)
             return np.asarray(image)
     except (OSError, SyntaxError) as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def processed(raw: npt.NDArray[np.uint8], calibration: Calibration) -> Image:
@@ -164,6 +164,7 @@ def _insist_on_raw(path: Path, image: PillowImage.Image, camera: Camera) -> None
         )
 
 
-def _unreadable(path: Path, error: Exception) -> BadInput:
+def unreadable(path: Path, error: Exception) -> BadInput:
+    """Return what to raise for a frame that is no image."""
     reason = str(error).replace(str(path), "it").splitlines()[0]
     return BadInput(f"{path} cannot be read as an image ({reason}): restore the file; none is skipped")

@@ -12,7 +12,7 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, FrameFolder
 
 from ..frame_folders import check_folders
-from .calibration import Camera, check_raw, find_calibration, read_calibration
+from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable
 from .kept import KeptFrames, is_made_with, recorded_calibration
 from .lists import RECORDINGS
 
@@ -137,8 +137,8 @@ def _check_processed(path: Path) -> None:
     try:
         with PillowImage.open(path) as image:
             mode = image.mode
-    except OSError as error:
-        raise BadInput(f"{path} is no image that can be read: {error}") from error
+    except (OSError, SyntaxError) as error:
+        raise unreadable(path, error) from error
     if mode in _BAYER_MODES:
         raise BadInput(
             f"{path} is grey, as raw Bayer frames are, and not demosaiced: put raw frames at "

@@ -55,7 +55,8 @@ def remarks(
     )
     back = {f"{len(stamps) - 1} steps in {name}": steps_back(stamps) for name, stamps in references.items()}
     back[f"{len(queries) - 1} steps in the queries"] = steps_back(queries)
-    yield f"{_counted(back)} lead back in time: neighbours in the list are not always neighbours on the road"
+    meaning = ": neighbours in the list are not always neighbours on the road" if any(back.values()) else ""
+    yield f"{_counted(back)} lead back in time{meaning}"
 
 
 def _counted(shares: Mapping[str, int]) -> str:

@@ -121,7 +121,10 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
     tolerances = range(LARGEST_TOLERANCE + 1)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     _draw_recalls(
-        axes, series, tolerances, lambda each: hits_within(each.top_places, each.top_scores, each.positives, tolerances)
+        axes,
+        series,
+        tolerances,
+        lambda each: hits_within(each.top_places, each.top_scores, each.positives, tolerances, each.place_numbers),
     )
     axes.set(xlabel="Tolerance (places to either side)", ylabel="Recall at 1 (%)", xticks=tolerances[::2])
     _finish(figure, axes)
