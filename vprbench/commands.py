@@ -208,17 +208,23 @@ def doctor(options: list[str]) -> int:
 
 
 def fetch(options: list[str]) -> int:
-    """Download a dataset, unpack and check it, or say what a person has to do; without a name list what there is."""
-    from vprbench.doctor import quick
+    """Download a dataset, unpack and check it, or say what a person has to do; without a name list what there is.
+
+    Returns 1 where the frames that came are not right.
+    """
+    from vprbench.doctor import Finding, quick
     from vprbench.fetching import fetch_command
 
     def check(name: str, root: Path) -> list[str]:
         config = composed(readable([f"dataset={name}", f"dataset.root={root}"]))
         dataset = registry.make_dataset(config["dataset"])
-        found = [f"{finding.level}: {finding.check}: {finding.text}" for finding in quick(dataset)]
-        return [*found, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]
+        found = quick(dataset)
+        wrong.extend(finding for finding in found if finding.level == "error")
+        lines = [f"{finding.level}: {finding.check}: {finding.text}" for finding in found]
+        return [*lines, f"python -m vprbench doctor dataset={name} dataset.root={root} looks at every frame"]
 
-    return fetch_command(options, check)
+    wrong: list[Finding] = []
+    return fetch_command(options, check) or int(bool(wrong))
 
 
 #: What may stand in place of a run's options.

@@ -1,0 +1,109 @@
+"""The commands about data: what they print, and the exit code that a script sees."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from vprbench import fetching
+from vprbench.cli import main
+
+N_FRAMES = 24
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Path:
+    """Two drives of the same places, the second a little lighter."""
+    pixels = np.random.default_rng(5).integers(0, 200, (N_FRAMES, 16, 32, 3), dtype=np.uint8)
+    for name, light in (("monday", 0), ("friday", 20)):
+        (tmp_path / name).mkdir()
+        for number, frame in enumerate(pixels):
+            PillowImage.fromarray(frame + np.uint8(light)).save(tmp_path / name / f"{number:03}.png")
+    return tmp_path
+
+
+def options(drives: Path) -> list[str]:
+    return ["dataset=folders", f"dataset.references=[{drives / 'monday'}]", f"dataset.queries={drives / 'friday'}"]
+
+
+def test_the_doctor_of_sound_frames_exits_with_0(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", *options(drives)]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("folders\n")
+    assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
+
+
+def test_the_doctor_of_a_damaged_frame_names_it_and_exits_with_1(
+    drives: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = drives / "friday" / "007.png"
+    frame.write_bytes(frame.read_bytes()[:-40])
+    assert main(["doctor", *options(drives), "output=json"]) == 1
+    found = [each for each in json.loads(capsys.readouterr().out) if each["level"] == "error"]
+    assert [(each["check"], "007.png" in each["text"]) for each in found] == [("decoding", True)]
+
+
+def test_the_doctor_of_a_dataset_that_is_not_there_says_how_to_get_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "dataset=nordland"]) == 1
+    assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["doctor"], "doctor needs dataset=NAME"),
+        (["doctor", "dataset=nowhere"], "dataset=nowhere is unknown"),
+        (["doctor", "dataset=synthetic", "seed=3"], "seed=3 is no option of doctor"),
+        (["fetch", "nowhere"], "fetch nowhere: nothing of that name can be fetched"),
+        (["fetch", "nordland", "colour=red"], "colour"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line_and_exit_code_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_fetch_without_a_name_lists_what_there_is_with_licences(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fetch"]) == 0
+    told = capsys.readouterr().out
+    assert "nordland: Nordland" in told
+    assert told.count("licence: ") == len(list(fetching.downloads()))
+
+
+@pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
+def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
+    empty: bool, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder in ("query", "ref"):
+        (tmp_path / folder).mkdir()
+        for number in range(3):
+            PillowImage.new("RGB", (4, 4), (number, 0, 0)).save(tmp_path / folder / f"{number}.jpg")
+    (tmp_path / "ground_truth.csv").write_text("query,matching_refs\n0,0\n1,1\n2,2\n")
+    if empty:
+        (tmp_path / "ref" / "1.jpg").write_bytes(b"")
+
+    def fetched(arguments: list[str], check: fetching.Check) -> int:
+        print("\n".join(check("corridor", tmp_path)))
+        return 0
+
+    monkeypatch.setattr(fetching, "fetch_command", fetched)
+    assert main(["fetch", "corridor"]) == code
+    assert ("1 file" in capsys.readouterr().out) == empty
+
+
+def test_a_run_stops_at_an_error_of_the_cheap_checks(
+    drives: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    (drives / "friday" / "003.png").write_bytes(b"")
+    caplog.set_level(logging.CRITICAL)
+    assert main(["method=sad", *options(drives), f"results={drives / 'results'}"]) == 2
+    assert "003.png" in capsys.readouterr().err
