@@ -65,7 +65,14 @@ def dbstruct(
             radius_metres,
         ),
         unmatched,
-        {"protocol": "dbstruct", "mat": file.name, "radius_metres": radius_metres},
+        {
+            "protocol": "dbstruct",
+            "mat": file.name,
+            "database_folder": database_folder,
+            "query_folder": query_folder,
+            "database_suffix": database_suffix,
+            "radius_metres": radius_metres,
+        },
     )
 
 

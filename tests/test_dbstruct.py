@@ -151,9 +151,11 @@ def test_a_file_that_is_not_there_is_answered_with_the_option_and_the_source(roo
 
 
 def test_the_protocol_says_everything_that_was_selected(root):
-    assert dict(read(root).protocol) == {
+    asked = {"database_folder": "", "query_folder": "queries_real", "database_suffix": ".jpg"}
+    assert dict(read(root, **asked).protocol) == {
         "protocol": "dbstruct",
         "mat": "set.mat",
+        **asked,
         "radius_metres": 25.0,
         "unmatched": "keep",
     }

@@ -165,7 +165,7 @@ def test_a_run_is_refused_with_one_line_for_the_first_error(tmp_path: Path) -> N
 
     line = str(refused.value)
     assert line.startswith(f"dataset little: 1 file of {winter} is empty (0 bytes): 000.png: ")
-    assert line.endswith("(1 more: run doctor dataset=little)")
+    assert line.endswith("(1 more, which the doctor names)")
     assert "\n" not in line
 
 

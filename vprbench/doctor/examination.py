@@ -57,7 +57,7 @@ def insist(dataset: Dataset) -> tuple[str, ...]:
     found = quick(dataset)
     errors = [finding for finding in found if finding.level == "error"]
     if errors:
-        more = f" ({len(errors) - 1} more: run doctor dataset={dataset.name})" if len(errors) > 1 else ""
+        more = f" ({len(errors) - 1} more, which the doctor names)" if len(errors) > 1 else ""
         raise BadInput(f"dataset {dataset.name}: {errors[0].text}: {errors[0].advice}{more}")
     return tuple(finding.text for finding in found if finding.level == "warning")
 
