@@ -10,6 +10,7 @@ from vprbench.data_folder import data_folder
 from vprbench.interface import FrameFolder, NotThere
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
+_ARCHIVES = "archives"  # what was downloaded and not unpacked yet
 
 
 def root_folder(
@@ -22,24 +23,32 @@ def root_folder(
 ) -> Path:
     """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do.
 
-    A `root` of None is `default_root` (relative to the checkout) where that exists, else the folder that downloads of
-    the dataset lie in; `download` names it where several datasets share one.
+    A `root` of None is the folder that downloads of the dataset lie in, where it holds anything, else `default_root`
+    (relative to the checkout) where that exists; `download` names the first where several datasets share one.
     """
     if root is None:
+        kept = data_folder(download or name)
+        if _holds_data(kept):
+            return kept
         default = Path(vprbench.__file__).resolve().parents[1] / (default_root or "")
         if default_root is not None and default.is_dir():
             return default
-        kept = data_folder(download or name)
-        if kept.is_dir():
-            return kept
+        unfinished = " (which holds no frames yet: a download was not finished)" if kept.is_dir() else ""
         raise NotThere(
             f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, "
-            f"or call that folder {kept}"
+            f"or call that folder {kept}{unfinished}"
         )
     folder = Path(root).expanduser()
     if not folder.is_dir():
         raise NotThere(f"dataset.root={root} is no folder: {name} needs the one that holds {holding}; {layout}")
     return folder
+
+
+def _holds_data(folder: Path) -> bool:
+    """Tell whether there is more in a folder than a download that was not finished leaves."""
+    return folder.is_dir() and any(
+        not entry.name.startswith(".") and entry.name != _ARCHIVES for entry in folder.iterdir()
+    )
 
 
 def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: str | None = None) -> None:
@@ -54,7 +63,7 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
         present = {entry.name for entry in folder.path.iterdir()}
         missing = [name for name in folder.used if name not in present]
         if missing:
-            told = _what_to_do(folder, missing[0], present, layout, suffix_option)
+            told = _what_to_do(folder, missing, present, layout, suffix_option)
             raise NotThere(
                 f"{missing[0]} is missing from {folder.path} ({len(missing)} of {len(folder.used)} expected frames are "
                 f"missing, {len(present)} files are there): {told}"
@@ -62,13 +71,15 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
 
 
 def _what_to_do(
-    folder: FrameFolder, missing: str, present: Collection[str], layout: str, suffix_option: str | None
+    folder: FrameFolder, missing: Sequence[str], present: Collection[str], layout: str, suffix_option: str | None
 ) -> str:
     """Return `layout`, or what is known better of a folder with such files."""
-    alike = [name for suffix in _SUFFIXES if (name := str(Path(missing).with_suffix(suffix))) in present]
+    alike = [name for suffix in _SUFFIXES if (name := str(Path(missing[0]).with_suffix(suffix))) in present]
     if alike and suffix_option:
         return f"{alike[0]} is there: pass {suffix_option}={Path(alike[0]).suffix}"
     images = sum(Path(name).suffix.lower() in _SUFFIXES for name in present)
     if meaning := folder.wrong_counts.get(images):
         return f"{images:,} images are {meaning}; {layout}"
+    if 2 * len(missing) < len(folder.used):
+        return "copy or download them again; none is skipped, for that would shift all that follow"
     return layout

@@ -96,7 +96,10 @@ def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
     most = len(range(0, len(names), stride))
     if places > most:
-        raise BadInput(f"dataset.places={places}: the list of {len(names)} names at stride {stride} has {most} places")
+        raise BadInput(
+            f"dataset.places={places}: the list of {len(names)} names at stride {stride} has {most} places, "
+            "so set dataset.places and dataset.query_places to fit"
+        )
     return names[: places * stride : stride]
 
 

@@ -184,7 +184,7 @@ def recorded_split(
         apart = "" if query_stride == 1 else f", dataset.query_stride={query_stride} apart,"
         raise BadInput(
             f"{asked}{apart} ask for places {first_query_place} to {last}; "
-            f"wanted are one or more of the places 0 to {places - 1}"
+            f"wanted are one or more of the places 0 to {places - 1}, so set both to fit"
         )
     if tolerance < 0:
         raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")

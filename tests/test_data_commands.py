@@ -34,7 +34,7 @@ def options(drives: Path) -> list[str]:
 def test_the_doctor_of_sound_frames_exits_with_0(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", *options(drives)]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("folders\n")
+    assert told.startswith(f"folders: {drives / 'monday'}, {drives / 'friday'}\n")
     assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
 
 
@@ -60,6 +60,7 @@ def test_the_doctor_of_a_dataset_that_is_not_there_says_how_to_get_it(capsys: py
         (["doctor", "dataset=nowhere"], "dataset=nowhere is unknown"),
         (["doctor", "dataset=synthetic", "seed=3"], "seed=3 is no option of doctor"),
         (["fetch", "nowhere"], "fetch nowhere: nothing of that name can be fetched"),
+        (["fetch", "synthetic"], "fetch synthetic: there is nothing to download"),
         (["fetch", "nordland", "colour=red"], "colour"),
     ],
 )

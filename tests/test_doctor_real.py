@@ -82,7 +82,7 @@ def test_a_frame_of_nordland_that_is_missing_is_found_within_a_few_places() -> N
 
     alignment, names = wrong(ride(clean("winter")[:600], queries))
 
-    found = re.search(r": (\S+) to (\S+) \(.* queries\) show what winter shows 1 place later", alignment[2])
+    found = re.search(r": about (\S+) to (\S+) \(.* queries\) show what winter shows 1 place later", alignment[2])
     assert found is not None
     listed = [path.name for path in queries]
     assert found[2] == listed[-1]

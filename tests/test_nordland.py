@@ -300,9 +300,31 @@ def test_a_whole_season_has_35768_frames_and_a_filtered_one_those_of_the_list(ti
         assert {*folder.wrong_counts} == {24_570, 28_865}
 
 
-def test_missing_frames_are_answered_with_the_option_to_set(tiny_root):
+def test_a_few_missing_frames_are_named_and_wanted_back(tiny_root):
     (tiny_root / "fall" / "images-00208.png").unlink()
-    assert "dataset.root" in answer(NotThere, root=str(tiny_root), **TINY)
+    message = answer(NotThere, root=str(tiny_root), **TINY)
+    assert message.startswith(f"images-00208.png is missing from {tiny_root / 'fall'} (1 of 6 expected frames")
+    assert message.endswith("copy or download them again; none is skipped, for that would shift all that follow")
+
+
+def test_a_folder_that_lacks_most_frames_is_answered_with_the_option_to_set(tiny_root):
+    for frame in TINY_FRAMES[2:]:
+        (tiny_root / "fall" / f"images-{frame:05d}.png").unlink()
+    assert "set dataset.root so that" in answer(NotThere, root=str(tiny_root), **TINY)
+
+
+def test_what_an_unfinished_download_left_is_no_root(tiny_root, no_downloads):
+    (no_downloads / "nordland" / "archives").mkdir(parents=True)
+    (no_downloads / "nordland" / ".fetch.lock").touch()
+    message = answer(NotThere, **TINY)
+    assert message.startswith("dataset.root is not set: nordland needs")
+    assert message.endswith("nordland (which holds no frames yet: a download was not finished)")
+
+
+def test_a_download_comes_before_the_default_root(tiny_root, no_downloads, tmp_path):
+    (no_downloads / "nordland").symlink_to(tiny_root)
+    (tmp_path / "other").mkdir()
+    assert len(nordland(default_root=str(tmp_path / "other"), **TINY).queries) == 4
 
 
 @pytest.mark.parametrize(

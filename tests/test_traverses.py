@@ -107,7 +107,7 @@ def test_recordings_refuse_queries_outside_of_their_places(first, count):
     assert message.startswith(
         f"dataset.first_query_place={first} and dataset.query_places={count} ask for places {first} "
     )
-    assert message.endswith("wanted are one or more of the places 0 to 5")
+    assert message.endswith("wanted are one or more of the places 0 to 5, so set both to fit")
 
 
 @pytest.mark.parametrize(("aside", "count"), OUTSIDE)
@@ -137,7 +137,7 @@ def test_queries_a_place_apart_are_recorded_as_they_always_were():
             "vprtempo",
             (2, 3),
             "dataset.first_query_place=2 and dataset.query_places=3, dataset.query_stride=4 apart, ask for places 2 to "
-            "10; wanted are one or more of the places 0 to 9",
+            "10; wanted are one or more of the places 0 to 9, so set both to fit",
         ),
         (
             "vprsnn",

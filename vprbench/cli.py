@@ -54,6 +54,7 @@ and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show 
 Options of table, figures and report: rows, methods, columns, seeds, devices, full, stored, stores, nordland, robotcar,
 name, results, and those of a run that are not the table's to choose: threads, timing.minimum_seconds, force, ...
 Options of search: places, trials, jobs, seed, dataset, root, results
+Options of fetch: parts, root, keep_archives; of doctor: those of the dataset, output=json
 """
 
 
@@ -65,14 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if arguments and arguments[0] in ("--help", "-h", "help"):
+        if arguments[:1] == ["help"] or {"--help", "-h"} & {*arguments}:
             print(_USAGE, end="")
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in COMMANDS:
-            if "--help" in arguments or "-h" in arguments:
-                print(_USAGE, end="")
-                return 0
             return COMMANDS[arguments[0]](arguments[1:])
         if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")

@@ -61,11 +61,20 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
         print(listing(known.values()))
         return 0
     name, *options = arguments
-    if name not in known:
-        raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
+    entry = _entry(name, known)
     from vprbench.bench_report import chosen  # which takes seconds to import
 
-    return fetch(known[name], chosen(Settings, options, {}), check)
+    return fetch(entry, chosen(Settings, options, {}), check)
+
+
+def _entry(name: str, known: Mapping[str, Download]) -> Download:
+    """Return what is fetched under a name, or for a dataset of that name; raises BadInput where nothing is."""
+    entry = known.get(name) or next((entry for entry in known.values() if name in entry.datasets), None)
+    if entry is not None:
+        return entry
+    if name in registry.entries("dataset"):
+        raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
+    raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
 
 
 def listing(known: Iterable[Download]) -> str:

@@ -138,7 +138,15 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
     dataset = _build("dataset", config)
     if not isinstance(dataset, Dataset):
-        raise BadInput(f"{config['_target_']} made a {type(dataset).__name__}; it has to return a Dataset")
+        raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
+    from vprbench.images import Images  # a list of names needs none
+
+    for part, images in (("references", dataset.references), ("queries", dataset.queries)):
+        if not isinstance(images, Images):
+            raise BadInput(
+                f"{config['_target_']} gave {part} of type {type(images).__name__}; wanted is vprbench.images.Images, "
+                "by Images.from_files(paths) or Images.from_arrays(arrays)"
+            )
     return dataset
 
 
@@ -195,6 +203,10 @@ def _locate(target: str) -> Callable[..., Any]:
 
 
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
+    if "_target_" not in config:
+        raise BadInput(
+            f"the yaml of {group} {config.get('name', '')} has no _target_: name its function or class there"
+        )
     target = _locate(config["_target_"])
     arguments = {name: value for name, value in config.items() if name != "_target_"}
     known = inspect.signature(target).parameters

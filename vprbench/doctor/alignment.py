@@ -169,7 +169,7 @@ def _part(queries: Traverse, compared: _Comparison, part: _Part, other: str) -> 
     names = queries.images.names
     first, last = names[compared.asked[part.first]], names[compared.asked[part.last]]
     whole = size == len(compared.asked)
-    who = "all of it shows" if whole else f"{first} to {last} ({size:,} of {len(compared.asked):,} queries) show"
+    who = "all of it shows" if whole else f"about {first} to {last} ({size:,} of {len(compared.asked):,} queries) show"
     return f"{who} what {other} shows {plural(abs(part.shift), 'place')} {'later' if part.shift > 0 else 'earlier'}"
 
 

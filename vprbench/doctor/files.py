@@ -162,7 +162,7 @@ def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> list[F
     if not unused:
         return []
     of_these = "of these" if looked_at == len(unused) else f"of {looked_at:,} of these that were looked at"
-    dark = f"; {of_these} {black:,} {'is' if black == 1 else 'are'} black, as in tunnels" if looked_at else ""
+    dark = f"; {of_these} {black:,} {'is' if black == 1 else 'are'} black, as in tunnels" if black else ""
     return [
         Finding(
             "note",

@@ -27,11 +27,15 @@ def command(
 
     A dataset that cannot be built is a finding too.
     """
+    title = name
     try:
-        found = examine(build())
+        dataset = build()
+        folders = ", ".join(dict.fromkeys(str(folder.path) for folder in dataset.folders))
+        title = f"{name}: {folders}" if folders else name
+        found = examine(dataset)
     except BadInput as error:
         found = (Finding("error", "dataset", str(error), ""),)
-    write(json.dumps(as_data(found)) if output == "json" else as_text(name, found))
+    write(json.dumps(as_data(found)) if output == "json" else as_text(title, found))
     return 1 if any(finding.level != "note" for finding in found) else 0
 
 

@@ -1,0 +1,55 @@
+"""What a dataset plug-in has to return is said in one line where it does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from little import journey
+
+from vprbench import registry
+from vprbench.interface import BadInput, Dataset
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """What the plug-in of the test returns, under `dataset`."""
+    made = SimpleNamespace(dataset=None)
+
+    def plug_in() -> Any:
+        return made.dataset
+
+    monkeypatch.setattr(registry, "_locate", lambda target: plug_in)
+    return made
+
+
+def refusal(config: dict[str, Any]) -> str:
+    with pytest.raises(BadInput) as error:
+        registry.make_dataset(config)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_dataset_is_returned_as_it_is(made: SimpleNamespace) -> None:
+    made.dataset = journey(4, 3)
+    dataset: Dataset = registry.make_dataset({"_target_": "mine.noise"})
+    assert dataset is made.dataset
+
+
+def test_what_is_no_dataset_is_refused(made: SimpleNamespace) -> None:
+    made.dataset = 5
+    assert refusal({"_target_": "mine.noise"}) == "mine.noise gave int; it has to return a Dataset"
+
+
+@pytest.mark.parametrize("part", ["references", "queries"])
+def test_a_list_in_place_of_images_is_refused(made: SimpleNamespace, part: str) -> None:
+    whole = journey(4, 3)
+    made.dataset = replace(whole, **{part: list(getattr(whole, part))})
+    told = refusal({"_target_": "mine.noise"})
+    assert told.startswith(f"mine.noise gave {part} of type list; wanted is vprbench.images.Images")
+
+
+def test_a_yaml_without_a_target_is_refused() -> None:
+    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise has no _target_")
