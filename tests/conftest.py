@@ -9,6 +9,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from served_files import Server, serving
 
 os.environ["VPRBENCH_OFFLINE"] = "1"
 os.environ["VPRBENCH_WEIGHTS"] = tempfile.mkdtemp(prefix="vprbench-no-weights-")
@@ -48,3 +49,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield folder
     for path in folder.iterdir():
         path.unlink()
+
+
+@pytest.fixture
+def on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Downloads are allowed, and ask the servers of the tests whatever stands between this machine and the net."""
+    monkeypatch.delenv("VPRBENCH_OFFLINE")
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.setenv(name, "*")
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    """A server of files; nothing is served yet."""
+    with serving() as server:
+        yield server

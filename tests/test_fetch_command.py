@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from little_download import COMPLETE, SPRING, get, little, spring, visible
-from served_files import Server, serving
+from served_files import Server
 
 from vprbench.fetch_entries import downloads
 from vprbench.fetching import fetch_command
 from vprbench.interface import BadInput, NotThere
 
-
-@pytest.fixture(autouse=True)
-def _on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Downloads are allowed, and ask the servers of the tests whatever stands between this machine and the net."""
-    monkeypatch.delenv("VPRBENCH_OFFLINE")
-    for name in ("no_proxy", "NO_PROXY"):
-        monkeypatch.setenv(name, "*")
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    with serving() as server:
-        yield server
+pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
 @pytest.fixture

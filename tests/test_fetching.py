@@ -28,7 +28,7 @@ from little_download import (
     spring,
     visible,
 )
-from served_files import Server, serving
+from served_files import Server
 
 from vprbench import fetching
 from vprbench.fetch_entries import Download, Held, Part
@@ -37,19 +37,7 @@ from vprbench.interface import BadInput, NotThere
 from vprbench.progress import listening
 from vprbench.unpacking import Wanted
 
-
-@pytest.fixture(autouse=True)
-def _on_the_net(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Downloads are allowed, and ask the servers of the tests whatever stands between this machine and the net."""
-    monkeypatch.delenv("VPRBENCH_OFFLINE")
-    for name in ("no_proxy", "NO_PROXY"):
-        monkeypatch.setenv(name, "*")
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    with serving() as server:
-        yield server
+pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
 @pytest.fixture
