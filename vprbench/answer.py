@@ -21,7 +21,10 @@ from vprbench.weights import content_hash
 
 
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
-    """Find the run in the store or make it, and print it; `asked` is its configuration."""
+    """Find the run in the store or make it, and print it; `asked` is its configuration.
+
+    Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
+    """
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])

@@ -144,7 +144,7 @@ def _maker(seed: int) -> Callable[..., Method]:
 
 
 def list_plugins(options: list[str]) -> int:
-    """Show the methods and datasets with a line each, broken ones with their reason."""
+    """Show the methods and datasets with a line each, broken ones with their reason; raises BadInput for options."""
     if options:
         raise BadInput(f"list takes no options, but {' '.join(options)} came")
     groups: tuple[registry.Group, ...] = ("method", "dataset")
@@ -166,7 +166,7 @@ def list_plugins(options: list[str]) -> int:
 
 
 def check_method(options: list[str]) -> int:
-    """Test a method against the rules of the contract and count them."""
+    """Test a method against the rules of the contract and count them; raises BadInput where none is named."""
     from vprbench import conformance, environment
     from vprbench.console import progress_shown
 
@@ -187,7 +187,10 @@ def check_method(options: list[str]) -> int:
 
 
 def doctor(options: list[str]) -> int:
-    """Examine a dataset and say what is wrong with it and what to do."""
+    """Examine a dataset and say what is wrong with it and what to do.
+
+    Raises BadInput where none is named, and for options that are neither its own nor output=json.
+    """
     from vprbench.console import progress_shown
     from vprbench.doctor import command
 

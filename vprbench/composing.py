@@ -18,7 +18,10 @@ from vprbench.stopwatch import Protocol
 
 
 def composed(options: Sequence[str]) -> dict[str, Any]:
-    """Return the configuration of a run with these options, as plain values."""
+    """Return the configuration of a run with these options, as plain values.
+
+    Raises BadInput for what begins with a dash, Hydra's errors for the rest.
+    """
     for option in options:
         if option.startswith("-"):
             raise BadInput(f"{option} is no option here: see python -m vprbench --help")
