@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -36,8 +37,15 @@ def configuration(name: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", METHODS)
-def test_method_keeps_the_rule(name: str, rule: str, results: dict[str, dict[str, str]]) -> None:
-    assert results[name][rule] in ("", "excepted")
+def test_method_keeps_the_rule(name: str, rule: str) -> None:
+    assert complaints(name)[rule] in ("", "excepted")
+
+
+@cache
+def complaints(name: str) -> dict[str, str]:
+    """Put a method to all rules, once; by rule: nothing where it is kept, else what broke it."""
+    results = check(configuration(name))
+    return {result.rule: {"kept": "", "excepted": "excepted"}.get(result.state, str(result)) for result in results}
 
 
 def test_the_rules_are_put_to_every_network_where_its_weights_are_written() -> None:
@@ -71,18 +79,6 @@ def puts_the_rules(text: str) -> bool:
 )
 def test_only_a_call_in_a_test_puts_the_rules(text: str, puts: bool) -> None:
     assert puts_the_rules(text) is puts
-
-
-@pytest.fixture(scope="module")
-def results() -> dict[str, dict[str, str]]:
-    """Per method and rule: nothing where it is kept, else what broke it."""
-    return {
-        name: {
-            result.rule: {"kept": "", "excepted": "excepted"}.get(result.state, str(result))
-            for result in check(configuration(name))
-        }
-        for name in METHODS
-    }
 
 
 @dataclass
