@@ -19,8 +19,9 @@ from vprbench import frames, networks
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image, Method, NotFittedError, Places, Scores
 from vprbench.ranking import Outcome
-from vprbench.records import Failure, Run, Store
+from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing
+from vprbench.store import Store
 
 
 def picture(number: int) -> Image:

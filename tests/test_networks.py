@@ -35,7 +35,7 @@ from safetensors.numpy import save_file
 from vprbench import networks, tables
 from vprbench.cli import main
 from vprbench.interface import BadInput, Dataset, Method, NotFittedError
-from vprbench.records import Store
+from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 WORLD = journey(8, 4)

@@ -19,7 +19,9 @@ import pytest
 from little import a_failure, a_run, save_keys
 
 from vprbench import records, replacing
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, load
+from vprbench import store as store_module
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 LAYOUTS = ["1, the first", "1", "2", "3", "4"]
@@ -303,7 +305,7 @@ def test_reading_all_runs_never_misses_one_that_others_replace(
     keys = ["a", "b", "c"]
     save_keys(store.root, keys)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.records"])
+    context.set_forkserver_preload(["vprbench.store"])
     with ProcessPoolExecutor(2, mp_context=context) as pool:
         writers = [pool.submit(save_keys, store.root, keys * 10) for _ in range(2)]
         while not all(writer.done() for writer in writers):
@@ -334,15 +336,15 @@ def test_a_damaged_run_that_is_replaced_meanwhile_is_read_anew_and_not_set_aside
     store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (store.save(a_run(n_references=1)) / "arrays.npz").unlink()
-    read = records.load
+    read = load
 
     def read_after_another_saved(folder: Path) -> Run:
-        monkeypatch.setattr(records, "load", read)
+        monkeypatch.setattr(store_module, "load", read)
         try:
             return read(folder)
         finally:
             store.save(a_run(n_references=2))
 
-    monkeypatch.setattr(records, "load", read_after_another_saved)
+    monkeypatch.setattr(store_module, "load", read_after_another_saved)
     assert [run.n_references for run in store.runs()] == [2]
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

@@ -35,8 +35,9 @@ from little import (
 
 from vprbench import records
 from vprbench.interface import BadInput
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, content_key, load
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, content_key, load
 from vprbench.replacing import replace_text
+from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 ARRAYS = ("arrays.npz", "scores.npy")
@@ -53,7 +54,7 @@ def store(tmp_path: Path) -> Store:
 def processes() -> multiprocessing.context.ForkServerContext:
     """Processes that start in no time, because one that has imported the store makes them."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.records"])
+    context.set_forkserver_preload(["vprbench.store"])
     return context
 
 

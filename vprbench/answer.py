@@ -16,7 +16,8 @@ from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
-from vprbench.records import Run, Store
+from vprbench.records import Run
+from vprbench.store import Store
 from vprbench.weights import content_hash
 
 
