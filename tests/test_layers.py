@@ -41,6 +41,7 @@ ORDER = [
     "replacing",
     "partial",
     "array_cache",
+    "record_rules",
     "records",
     "store",
     "sources",

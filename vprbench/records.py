@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import os
+import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -15,16 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.ranking import Outcome
+from vprbench.record_rules import check_arrays, check_failure, check_summary
 from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
 SCHEMA = 5
 SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
+_LARGEST_SUMMARY = 1 << 26  # bytes
 
 
 class DamagedRunError(Exception):
     """A folder of the store does not hold a whole run; the message says what is wrong with it."""
+
+
+class UnreadableRunError(Exception):
+    """The system refuses to read a run, which may be whole; the message says why."""
 
 
 class NewerLayoutError(Exception):
@@ -84,28 +91,45 @@ def content_key(content: Mapping[str, Any]) -> str:
 def load(folder: Path) -> Run:
     """Read a run of this or an earlier layout; what that did not hold yet is None, or empty.
 
-    Raises DamagedRunError where a part is missing or changed, NewerLayoutError for a layout that is not known yet.
+    Raises DamagedRunError where a part is missing, changed or cannot be, UnreadableRunError where the system does not
+    let it be read, NewerLayoutError for a layout that is not known yet.
     """
     try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        layout = summary["schema"]
-        if layout > SCHEMA:
-            raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
-        if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
-            raise DamagedRunError(f"{SUMMARY} is not what was written")
-        summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
-        _name_protocol(summary)
-        for name, digest in summary["sha256"].items():
-            if _digest(folder / name) != digest:
+        summary = _summary(_content(folder / SUMMARY, _LARGEST_SUMMARY))
+        digests = summary["sha256"]
+        for name, digest in digests.items():
+            if _digest(_regular(folder / name)) != digest:
                 raise DamagedRunError(f"{name} is not what was written")
         with np.load(folder / _ARRAYS, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        scores = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False) if _SCORES in summary["sha256"] else None
-        return _from_parts(summary, arrays, scores)
+        if _SCORES in digests:
+            arrays["scores"] = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False)
+        check_arrays(summary, arrays)
+        return _from_parts(summary, arrays)
     except (DamagedRunError, NewerLayoutError):
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DamagedRunError(f"{Path(error.filename).name} is missing") from error
+    except (OSError, MemoryError) as error:
+        raise UnreadableRunError(_reason(error)) from error
+    except Exception as error:  # what is wrong inside of a file may upset its reader in any way
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
+
+
+def _summary(content: bytes) -> dict[str, Any]:
+    """Return what is no array of a run, checked, and in the words of this layout."""
+    summary: dict[str, Any] = json.loads(content)
+    layout = summary["schema"]
+    if type(layout) is not int or layout < 1:
+        raise DamagedRunError(f"its layout is {layout!r}")
+    if layout > SCHEMA:
+        raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
+    if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
+        raise DamagedRunError(f"{SUMMARY} is not what was written")
+    summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
+    check_summary(summary)
+    _name_protocol(summary)
+    return summary
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
@@ -185,9 +209,7 @@ def write(run: Run, folder: Path) -> None:
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
-def _from_parts(
-    summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]], scores: npt.NDArray[np.float32] | None
-) -> Run:
+def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
     def laps(name: str, images_per_call: int, valid: bool) -> Laps:
         return Laps(arrays[f"{name}_encode_seconds"], arrays[f"{name}_match_seconds"], images_per_call, valid)
 
@@ -213,7 +235,7 @@ def _from_parts(
         positives=tuple(np.split(arrays["positives"], ends)),
         top_places=arrays["top_places"],
         top_scores=arrays["top_scores"],
-        scores=scores,
+        scores=arrays.get("scores"),
         place_numbers=arrays.get("place_numbers"),
     )
 
@@ -225,14 +247,16 @@ def write_failure(failure: Failure, folder: Path) -> None:
 
 def read_failure(folder: Path) -> Failure | None:
     """Read a failure, of an earlier or later version too; None where there is none or, with a warning, none whole."""
+    path = folder / _FAILURE
     try:
-        content = json.loads((folder / _FAILURE).read_text("utf-8"))
+        content = json.loads(_content(path, _LARGEST_SUMMARY))
+        check_failure(content)
         _name_protocol(content)
         return Failure(**{part.name: content[part.name] for part in fields(Failure) if part.name in content})
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        logger.warning("%s cannot be read (%s)", folder / _FAILURE, error)
+    except (OSError, MemoryError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        logger.warning("%s cannot be used (%s)", path, _reason(error))
         return None
 
 
@@ -243,6 +267,25 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         os.fsync(file.fileno())
 
 
+def _content(path: Path, most_bytes: int) -> bytes:
+    with _regular(path).open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise ValueError(f"{path.name} is larger than {most_bytes} bytes")
+    return content
+
+
+def _regular(path: Path) -> Path:
+    """Return the path of a file; raises ValueError for a pipe or a device, which might never end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError(f"{path.name} is no file")
+    return path
+
+
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
-import os
 import shutil
-import socket
 import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-import psutil
 
 from vprbench.interface import BadInput
 from vprbench.records import (
@@ -21,17 +18,17 @@ from vprbench.records import (
     Failure,
     NewerLayoutError,
     Run,
+    UnreadableRunError,
     content_key,
     load,
     read_failure,
     write,
     write_failure,
 )
-from vprbench.replacing import move_folder
+from vprbench.replacing import PARTIAL, REPLACED, move_folder, remove_leftovers, unfinished
 
 logger = logging.getLogger(__name__)
 
-_PARTIAL = ".partial-"
 _DAMAGED = ".damaged"
 _FAILURE_KEYS = 3  # the layout whose number is in the key of a failure: what failed under it is still found
 
@@ -68,10 +65,9 @@ class Store:
     def runs(self) -> Iterator[Run]:
         """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
         for folder in self._folders():
-            if (folder / SUMMARY).exists():
-                run = self._load(folder)
-                if run is not None:
-                    yield run
+            run = self._load(folder, SUMMARY)
+            if run is not None:
+                yield run
 
     def failures(self) -> Iterator[Failure]:
         """Yield every stored failure; a damaged one is named in a warning and left out."""
@@ -118,26 +114,39 @@ class Store:
         """Return how the last run of this configuration failed, None if it did not."""
         return read_failure(self._failure_folder(method, dataset, config))
 
-    def _folders(self) -> list[Path]:
-        """Return the folders of all datasets, by dataset and name."""
-        return [folder for dataset in _visible(self.root) for folder in _visible(dataset)]
+    def _folders(self) -> Iterator[Path]:
+        """Yield the folders of all datasets, by dataset and name; those that cannot be read are named in a warning."""
+        try:
+            datasets = _visible(self.root)
+        except OSError as error:
+            raise BadInput(f"results={self.root} cannot be read ({error.strerror or error})") from error
+        for dataset in datasets:
+            try:
+                yield from _visible(dataset)
+            except OSError as error:
+                logger.warning("%s cannot be read (%s): its runs are left out", dataset, error.strerror or error)
 
     def _insist_on_writing(self) -> None:
         if self.read_only:
             raise RuntimeError(f"the store {self.root} was opened to be read only")
 
-    def _load(self, folder: Path) -> Run | None:
-        """Read a run; a damaged one is set aside, one that another process replaces meanwhile is read again."""
-        while (before := _identity(folder)) is not None:
-            try:
-                return load(folder)
-            except NewerLayoutError as error:
-                logger.warning("%s is left as it is: %s", folder, error)
-                return None
-            except DamagedRunError as error:
-                if _identity(folder) == before:
-                    self._set_aside(folder, str(error))
-                    return None
+    def _load(self, folder: Path, part: str = "") -> Run | None:
+        """Read the run of a folder that has this part; one that another process replaces meanwhile is read again.
+
+        A damaged one is set aside; one that cannot be read is named, and left where it is.
+        """
+        try:
+            while (before := _identity(folder, part)) is not None:
+                try:
+                    return load(folder)
+                except DamagedRunError as error:
+                    if _identity(folder) == before:
+                        self._set_aside(folder, str(error))
+                        return None
+        except NewerLayoutError as error:
+            logger.warning("%s is left as it is: %s", folder, error)
+        except UnreadableRunError as error:
+            logger.warning("%s cannot be read (%s): it is left out, and left as it is", folder, error)
         return None
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
@@ -145,27 +154,27 @@ class Store:
         return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
 
     def _partial(self) -> Path:
-        """Make a folder that no reader looks at, named after this process."""
-        folder = self.root / f"{_PARTIAL}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        """Make a folder that no reader looks at."""
+        folder = unfinished(self.root)
         folder.mkdir()
         return folder
 
     def _remove_leftovers(self) -> None:
-        """Remove what killed processes of this machine left unfinished."""
-        prefix = f"{_PARTIAL}{socket.gethostname()}-"
-        for folder in self.root.glob(f"{prefix}*"):
-            pid = folder.name.removeprefix(prefix).split("-")[0]
-            if pid.isdigit() and not psutil.pid_exists(int(pid)):
-                with contextlib.suppress(NewerLayoutError):  # the program that wrote it knows what to do
-                    self._put_back(folder)
-                    shutil.rmtree(folder, ignore_errors=True)
+        """Remove what was left unfinished, and return runs whose replacement never arrived to their places."""
+        for folder in self.root.glob(f"{PARTIAL}*{REPLACED}*"):
+            with contextlib.suppress(NewerLayoutError, UnreadableRunError):  # it is left to whoever can read it
+                self._put_back(folder)
+        remove_leftovers(self.root)
 
     def _put_back(self, folder: Path) -> None:
-        """Return a run whose replacement never arrived to its place."""
-        if "-replaced-" in folder.name:
-            with contextlib.suppress(DamagedRunError, OSError):  # damaged, or replaced after all
-                run = load(folder)
-                folder.rename(self.folder(run.dataset, run.method, run.key))
+        try:
+            run = load(folder)
+            folder.rename(self.folder(run.dataset, run.method, run.key))
+        except DamagedRunError:  # no longer whole: its replacement has arrived
+            shutil.rmtree(folder, ignore_errors=True)
+        except OSError as error:
+            if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                shutil.rmtree(folder, ignore_errors=True)
 
     def _set_aside(self, folder: Path, reason: str) -> None:
         if self.read_only:
@@ -188,10 +197,13 @@ def _visible(folder: Path) -> list[Path]:
         return []
 
 
-def _identity(folder: Path) -> tuple[int, int] | None:
-    """Return what tells a folder from its replacement of the same name; None where there is none."""
+def _identity(folder: Path, part: str = "") -> tuple[int, int] | None:
+    """Return what tells a folder from its replacement of the same name; None where there is none with this part."""
     try:
+        (folder / part).stat()
         found = folder.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError as error:
+        raise UnreadableRunError(error.strerror or error) from error
     return found.st_ino, found.st_mtime_ns  # a number may be used again
