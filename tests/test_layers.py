@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ORDER = [
     "compiled",
     "data_folder",
+    "replacing",
     "search",
     "interface",
     "archives",
@@ -38,7 +39,6 @@ ORDER = [
     "tolerance",
     "stopwatch",
     "environment",
-    "replacing",
     "partial",
     "array_cache",
     "record_rules",

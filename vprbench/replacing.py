@@ -23,13 +23,17 @@ def unfinished(folder: Path, ending: str = "") -> Path:
     return folder / f"{PARTIAL}{uuid.uuid4().hex}{ending}"
 
 
-def leftovers(folder: Path) -> Iterator[Path]:
+def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
     """Yield what was begun to be written in a folder and was not touched for a day; raises OSError for the folder.
 
     Age alone tells, by the clock of the disk: the number of a process says nothing of one in another container or on
     another machine, and several of them may have the same name.
     """
-    found = [path for path in folder.iterdir() if path.name.startswith(PARTIAL) and REPLACED not in path.name]
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.name.startswith(PARTIAL) and path.name.endswith(ending) and REPLACED not in path.name
+    ]
     if not found:
         return
     probe = unfinished(folder)
@@ -42,10 +46,10 @@ def leftovers(folder: Path) -> Iterator[Path]:
                 yield path
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left unfinished in a folder; what cannot be removed stays."""
+def remove_leftovers(folder: Path, ending: str = "") -> None:
+    """Remove what killed processes left unfinished in a folder, under names that end so; what refuses stays."""
     with suppress(OSError):
-        for path in leftovers(folder):
+        for path in leftovers(folder, ending):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
