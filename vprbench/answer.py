@@ -17,6 +17,7 @@ from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run
+from vprbench.report.answers import by_interest
 from vprbench.store import Store
 from vprbench.weights import content_hash
 
@@ -61,7 +62,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
             raise
     _print(run, folder, from_store, settings.output)
     if settings.frames:
-        _keep_frames(store, fingerprint, dataset)
+        _keep_frames(store, run, dataset)
     return 0
 
 
@@ -99,11 +100,11 @@ def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
     return DescriptorCache(store.root / "descriptors"), Preprocessed(store.root / "preprocessed", threads)
 
 
-def _keep_frames(store: Store, fingerprint: str, dataset: Dataset) -> None:
-    """Keep small pictures of the dataset; where that fails, the run is stored all the same."""
+def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
+    """Keep small pictures of what the report shows of a run; where that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            frames.keep(store.root, fingerprint, dataset)
+            frames.keep(store.root, run.fingerprint, dataset, by_interest(run))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
