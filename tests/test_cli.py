@@ -67,6 +67,31 @@ def own_frames(references: Path, queries: Path) -> list[str]:
     return ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *QUICK[2:]]
 
 
+@pytest.fixture
+def write_protected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no folder be made below `results`; root, who may run these tests, has every right."""
+    make = Path.mkdir
+
+    def refuse(path: Path, *arguments: object, **options: object) -> None:
+        if "results" in path.parts and not path.exists():
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        make(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+
+
+def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made(
+    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    main(["method=sad", *QUICK])
+    request.getfixturevalue("write_protected")
+    capsys.readouterr()
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is True
+    assert main(["method=sad", *QUICK, "seed=1"]) == 2
+    assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
+
+
 def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["method=sad", *QUICK, "output=json"]) == 0
     row = json.loads(capsys.readouterr().out)

@@ -12,7 +12,7 @@ import pytest
 from vprbench import fill
 from vprbench.fill import Ending, Wanted
 from vprbench.plan import Row
-from vprbench.records import Store
+from vprbench.store import Store
 
 SAD = Row("SAD", "sad", training="none")
 

@@ -6,9 +6,8 @@ import hashlib
 import json
 import logging
 import multiprocessing
+import os
 import shutil
-import socket
-import subprocess
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -19,7 +18,9 @@ import pytest
 from little import a_failure, a_run, save_keys
 
 from vprbench import records, replacing
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, load
+from vprbench import store as store_module
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 LAYOUTS = ["1, the first", "1", "2", "3", "4"]
@@ -58,7 +59,7 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
         "config": {"method": {"window": 5}, "dataset": {"name": "journey"}, "seed": 1, "device": "cpu", "depth": 2},
         "protocol": {"query": "summer"},
         "fingerprint": "f" * 64,
-        "environment": {"processor": "Abacus 8"},
+        "environment": {"processor": "Abacus 8", "time_utc": "2025-01-31T12:00:00Z"},
         "n_references": 6,
         "fit_seconds": 2.5,
         "fit_compute_seconds": 2.25,
@@ -230,10 +231,9 @@ def test_a_run_of_a_later_layout_hides_no_other(store: Store) -> None:
 
 
 def test_a_later_run_whose_replacement_never_arrived_is_not_removed(store: Store) -> None:
-    process = subprocess.Popen(["true"])
-    process.wait()
-    left = store.root / f".partial-{socket.gethostname()}-{process.pid}-0a-replaced-1b"
+    left = store.root / ".partial-0a-replaced-1b"
     newer(store).rename(left)
+    os.utime(left, (0, 0))
     store.prepare()
     assert (left / "run.json").exists()
 
@@ -303,7 +303,7 @@ def test_reading_all_runs_never_misses_one_that_others_replace(
     keys = ["a", "b", "c"]
     save_keys(store.root, keys)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.records"])
+    context.set_forkserver_preload(["vprbench.store"])
     with ProcessPoolExecutor(2, mp_context=context) as pool:
         writers = [pool.submit(save_keys, store.root, keys * 10) for _ in range(2)]
         while not all(writer.done() for writer in writers):
@@ -324,25 +324,25 @@ def test_where_folders_cannot_be_exchanged_the_last_of_two_runs_stays_too(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replacing, "exchange", lambda first, second: False)
-    store.save(a_run(n_references=1))
-    store.save(a_run(n_references=2))
-    assert [run.n_references for run in store.runs()] == [2]
+    store.save(a_run(n_references=21))
+    store.save(a_run(n_references=22))
+    assert [run.n_references for run in store.runs()] == [22]
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 def test_a_damaged_run_that_is_replaced_meanwhile_is_read_anew_and_not_set_aside(
     store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (store.save(a_run(n_references=1)) / "arrays.npz").unlink()
-    read = records.load
+    (store.save(a_run(n_references=21)) / "arrays.npz").unlink()
+    read = load
 
     def read_after_another_saved(folder: Path) -> Run:
-        monkeypatch.setattr(records, "load", read)
+        monkeypatch.setattr(store_module, "load", read)
         try:
             return read(folder)
         finally:
-            store.save(a_run(n_references=2))
+            store.save(a_run(n_references=22))
 
-    monkeypatch.setattr(records, "load", read_after_another_saved)
-    assert [run.n_references for run in store.runs()] == [2]
+    monkeypatch.setattr(store_module, "load", read_after_another_saved)
+    assert [run.n_references for run in store.runs()] == [22]
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

@@ -16,7 +16,9 @@ from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
-from vprbench.records import Run, Store
+from vprbench.records import Run
+from vprbench.report.answers import by_interest
+from vprbench.store import Store
 from vprbench.weights import content_hash
 
 
@@ -29,7 +31,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
     threads = n_threads(settings)
-    store.prepare()
+    refused = _refused(store)
     environment.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     method = registry.make_method(asked["method"])
@@ -38,14 +40,12 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
         fingerprint = runner.fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
-    run = None if settings.force else store.find(dataset.name, name, key)
-    if run is not None and files.save is not None and networks.made_by(files.save) != key:
-        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
-        run = None
-    if run is not None and not settings.cache and run.fit_seconds is None and run.network is None:
-        logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
-        run = None
+    if files.save is not None and networks.made_by(files.save) == key:
+        files = dataclasses.replace(files, replace=True)  # its own, left by a run that was killed before it was stored
+    run = None if settings.force else _usable(store.find(dataset.name, name, key), settings, files)
     from_store = run is not None
+    if run is None and refused is not None:
+        raise refused
     with ledger():  # what was trained is kept until the run is stored
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
@@ -62,8 +62,32 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
             raise
     _print(run, folder, from_store, settings.output)
     if settings.frames:
-        _keep_frames(store, fingerprint, dataset)
+        _keep_frames(store, run, dataset)
     return 0
+
+
+def _refused(store: Store) -> BadInput | None:
+    """Return why nothing can be written to a store, None where it can; raises it where nothing can be read either."""
+    try:
+        store.prepare()
+    except BadInput as error:
+        if not store.root.is_dir():
+            raise
+        return error
+    return None
+
+
+def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
+    """Return a stored run; None where it lacks a network that is to be saved, or what was asked for without a cache."""
+    if run is None:
+        return None
+    if files.save is not None and not files.replace:
+        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+        return None
+    if not settings.cache and run.fit_seconds is None and run.network is None:
+        logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
+        return None
+    return run
 
 
 def _checked(dataset: Dataset) -> Dataset:
@@ -76,11 +100,11 @@ def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
     return DescriptorCache(store.root / "descriptors"), Preprocessed(store.root / "preprocessed", threads)
 
 
-def _keep_frames(store: Store, fingerprint: str, dataset: Dataset) -> None:
-    """Keep small pictures of the dataset; where that fails, the run is stored all the same."""
+def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
+    """Keep small pictures of what the report shows of a run; where that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            frames.keep(store.root, fingerprint, dataset)
+            frames.keep(store.root, run.fingerprint, dataset, by_interest(run))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)

@@ -30,7 +30,8 @@ from vprbench.interface import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
 
 if TYPE_CHECKING:
-    from vprbench.records import Failure, Store
+    from vprbench.records import Failure
+    from vprbench.store import Store
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
@@ -130,7 +131,8 @@ def _run(config: DictConfig) -> int:
     asked["overrides"] = list(HydraConfig.get().overrides.task)
     from vprbench import environment
     from vprbench.answer import answer
-    from vprbench.records import Failure, Store
+    from vprbench.records import Failure
+    from vprbench.store import Store
 
     store = Store(Path(settings.results).expanduser())
     try:

@@ -60,7 +60,7 @@ def search_parameters(options: list[str]) -> int:
     """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
     from vprbench.bench_report import chosen
     from vprbench.console import progress_shown
-    from vprbench.records import Store
+    from vprbench.store import Store
     from vprbench.tuning import search, text
 
     settings = chosen(search.Settings, options, search.QUICK)
@@ -119,7 +119,7 @@ def _prepared(title: str, device: str, threads: int | None, results: str, seed: 
     """Check what all commands share, pin the threads and show the progress; yields the results folder."""
     from vprbench import environment
     from vprbench.console import progress_shown
-    from vprbench.records import Store
+    from vprbench.store import Store
 
     run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
     settings = checked_settings(run)

@@ -12,7 +12,8 @@ from typing import Any
 
 from vprbench import environment, registry
 from vprbench.plan import Row
-from vprbench.records import Failure, Store
+from vprbench.records import Failure
+from vprbench.store import Store
 from vprbench.sweep import run_apart
 
 logger = logging.getLogger(__name__)

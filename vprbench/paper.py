@@ -16,7 +16,8 @@ from vprbench.cells import Table
 from vprbench.fill import Ending, Wanted, fill, results_folder
 from vprbench.interface import BadInput
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
-from vprbench.records import Failure, Run, Store
+from vprbench.records import Failure, Run
+from vprbench.store import Store
 
 Part = TypeVar("Part")
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make

@@ -17,8 +17,9 @@ from vprbench.interface import BadInput
 from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
 from vprbench.plan import Quantity, Row
-from vprbench.records import Run, Store
+from vprbench.records import Run
 from vprbench.replacing import replace_text
+from vprbench.store import Store
 
 if TYPE_CHECKING:
     from vprbench.figures.style import Drawn
