@@ -22,6 +22,7 @@ ORDER = [
     "unpacking",
     "file_hashes",
     "download",
+    "pickled_scalars",
     "weights",
     "images",
     "doctor",

@@ -299,9 +299,34 @@ class TestReading:
             read(path)
         assert not mark.exists()
 
-    def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path) -> None:
-        path = write_torch({"state_dict": TENSORS, "best": np.float64(0.5)}, tmp_path / "net.pth")
-        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*multiarray\.scalar\)"):
+    @pytest.mark.parametrize("zipped", [True, False])
+    @pytest.mark.parametrize(
+        "value", [np.float64(0.852), np.float32(0.5), np.int64(-7), np.bool_(True), np.str_("vgg16"), np.dtype(">f8")]
+    )
+    def test_numpy_scalars_beside_tensors_are_read(self, tmp_path: Path, value: Any, zipped: bool) -> None:
+        if isinstance(value, np.dtype):
+            value = np.array([0.25], value)[0]
+        path = write_torch({"recalls": {1: value}, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped)
+        content = read(path)
+        assert content["recalls"][1] == value
+        assert torch.equal(content["state_dict"]["bias"], TENSORS["bias"])
+
+    @pytest.mark.parametrize("module", [b"numpy.core.multiarray", b"numpy._core.multiarray"])
+    def test_numpy_scalars_are_read_under_old_and_new_names(self, tmp_path: Path, module: bytes) -> None:
+        path = write_torch({"best_score": np.float64(0.852)}, tmp_path / "net.pth", zipped=False)
+        written = path.read_bytes()
+        ours = next(name for name in (b"numpy._core.multiarray", b"numpy.core.multiarray") if name in written)
+        path.write_bytes(written.replace(b"c" + ours + b"\n", b"c" + module + b"\n"))
+        assert read(path) == {"best_score": 0.852}
+
+    @pytest.mark.parametrize(
+        "value",
+        [np.array([(1, 2.0)], "i4,f8")[0], np.datetime64("2026-01-01"), np.array([0.5])],
+        ids=["record", "date", "array"],
+    )
+    def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path, value: Any) -> None:
+        path = write_torch({"state_dict": TENSORS, "best": value}, tmp_path / "net.pth")
+        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*\)"):
             read(path)
 
     def test_a_file_that_would_run_a_program_is_called_dishonest(self, tmp_path: Path) -> None:
@@ -322,7 +347,7 @@ class TestReading:
     def test_the_conversion_that_a_refusal_names_works(
         self, content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        path = write_torch({**content, "best": np.float64(0.5)}, tmp_path / "net.pth")
+        path = write_torch({**content, "best": np.array([0.5])}, tmp_path / "net.pth")
         with pytest.raises(BadInput) as error:
             read(path)
         named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))
