@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ def scalar(kind: Any, content: Any) -> Any:
 
 
 #: What torch may take for the names that scalars are pickled under, by NumPy before 2.0 and since.
-GLOBALS = [
+GLOBALS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
     (scalar, "numpy.core.multiarray.scalar"),
     (scalar, "numpy._core.multiarray.scalar"),
     (Kind, "numpy.dtype"),
