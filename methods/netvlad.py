@@ -42,8 +42,8 @@ class NetVLAD(NeuralDescriptor):
     Nanne/pytorch-NetVlad, without whitening; patch-netvlad, those of QVPR/Patch-NetVLAD. They differ in what the
     network sees (levels less the mean of the file; ImageNet's normalisation for the others) and in the order of the
     VLAD before whitening (cluster fastest; channel fastest for the others). Images keep their size, but for `height`
-    and `width`, and those with more than `longest_side` pixels then shrink to it. With `n_dimensions` the first values
-    alone are kept, and made a unit vector again.
+    and `width`, and those with more than `longest_side` pixels then shrink to it, unless `preprocessing` is
+    vpr_methods_evaluation. With `n_dimensions` the first values alone are kept, and made a unit vector again.
     Source: Arandjelovic et al. 2016, Relja/netvlad 652dbe7 as cvg/Hierarchical-Localization c13273b runs it,
     Nanne/pytorch-NetVlad def998e and QVPR/Patch-NetVLAD 39ab4e4.
     """
@@ -58,7 +58,7 @@ class NetVLAD(NeuralDescriptor):
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to."""
         wanted = super().target(height, width)
-        if self.longest_side is None or max(wanted) <= self.longest_side:
+        if self.longest_side is None or max(wanted) <= self.longest_side or self.preprocessing != "authors":
             return wanted
         shrunk = (max(1, round(side * self.longest_side / max(wanted))) for side in wanted)
         return cast(tuple[int, int], tuple(shrunk))

@@ -23,6 +23,7 @@ ORDER = [
     "unpacking",
     "file_hashes",
     "download",
+    "pickled_scalars",
     "weights",
     "images",
     "doctor",

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import platformdirs
 
+from vprbench import pickled_scalars
 from vprbench.download import fetch
 from vprbench.interface import BadInput, NotThere
 
@@ -279,7 +280,7 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
     import torch
 
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), torch.serialization.safe_globals(pickled_scalars.GLOBALS):
             warnings.simplefilter("ignore")  # about what was written by an older torch
             return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
     except pickle.UnpicklingError as error:
