@@ -23,6 +23,7 @@ ORDER = [
     "file_hashes",
     "download",
     "weights",
+    "ahead",
     "images",
     "doctor",
     "data_record",

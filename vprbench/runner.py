@@ -29,7 +29,6 @@ from vprbench.search import Audit, Search
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
-_BLOCK_BYTES = 1 << 28  # of decoded images in such a block
 _BLOCK_CELLS = 1 << 25  # scores of such a block
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
@@ -252,10 +251,9 @@ class _Audited:
             self.codes.append(codes[rows])
 
 
-def _block_size(method: Method, queries: Images, n_places: int) -> int:
-    """Return how many queries are decoded and scored together, fewer where images or codes are large or places many."""
-    fitting = max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes, _BLOCK_CELLS // n_places))
-    return held_together(method, fitting)
+def _block_size(method: Method, n_places: int) -> int:
+    """Return how many queries are scored together at most, fewer where codes are large or places many."""
+    return held_together(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
 
 
 def _timed(stopwatch: Stopwatch, call: Callable[[], Answer]) -> tuple[Answer, float]:
@@ -284,9 +282,10 @@ def _answer(
     if described is not None:
         return _answer_from_descriptors(stopwatch, method, dataset, described, answers, audited)
     queries = dataset.queries.unnamed()
-    for block in queries.blocks(_block_size(method, queries, dataset.n_places)):
+    for block in queries.blocks(_block_size(method, dataset.n_places)):
         answers.add(len(block), *_query(stopwatch, method, block, audited, answers.done))
         progress.report("query", answers.done / len(queries))
+        del block  # or it would be held while the next one is decoded
     return False
 
 
@@ -309,7 +308,7 @@ def _answer_from_descriptors(
     descriptors, from_cache = described.descriptors(
         queries, encode, lambda done: progress.report("query", done / len(queries))
     )
-    size = _block_size(method, queries, dataset.n_places)
+    size = _block_size(method, dataset.n_places)
     for start in range(0, len(queries), size):
         codes = descriptors[start : start + size]
         audited.take(answers.done, codes)
@@ -369,7 +368,7 @@ def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     wanted = held_together(method, min(_SPIKING, len(queries)))
     chosen = queries.unnamed()[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     try:
-        blocks = chosen.blocks(_block_size(method, chosen, 1))
+        blocks = chosen.blocks(_block_size(method, 1))
         return spikes.summary(method.spikes(np.concatenate([method.encode(block) for block in blocks]))), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())

@@ -126,9 +126,8 @@ class Stopwatch:
 
     def measure(self, method: Method, images: Images) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller."""
-        count = min(len(images), self._protocol.sample, max(1, _SAMPLE_BYTES // images[0].nbytes))
-        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
-        sample = images[chosen].in_memory()
+        chosen = _sample(images, self._protocol.sample)
+        sample, count = images[chosen].in_memory(), len(chosen)
         singles = [sample[np.array([i])] for i in range(count)]
         with _garbage_kept():
             progress.report("timing", 0.0)
@@ -224,6 +223,17 @@ class Stopwatch:
 
     def _late(self, started: int) -> bool:
         return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds
+
+
+def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
+    """Return `wanted` images spread over all, fewer where these would fill more than the bytes that may be held."""
+    count = min(len(images), wanted)
+    while True:
+        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
+        n_bytes = images[chosen].decoded_bytes()
+        if n_bytes <= _SAMPLE_BYTES or count == 1:
+            return chosen
+        count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
 
 
 def streaming_rate(seconds: Seconds) -> Rate:
