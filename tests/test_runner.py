@@ -47,7 +47,7 @@ def test_queries_are_scored_in_order_and_each_once() -> None:
     scores = table(300, 4)
     method = Lookup(scores)
     run_of(method, journey(300, 4))
-    assert [number for numbers in method.asked[:3] for number in numbers] == list(range(300))
+    assert [number for numbers in method.asked[1:4] for number in numbers] == list(range(300))
 
 
 def test_best_places_come_first() -> None:
@@ -197,7 +197,7 @@ def test_many_places_are_scored_in_smaller_blocks_and_give_the_same(monkeypatch:
     monkeypatch.setattr(runner, "_RANKED_CELLS", 40 * 3)
     method = Lookup(scores)
     blocked = run_of(method, dataset)
-    assert [len(numbers) for numbers in method.asked[:43]] == [7] * 42 + [6]
+    assert [len(numbers) for numbers in method.asked[1:44]] == [7] * 42 + [6]
     assert np.array_equal(blocked.top_places, usual.top_places)
     assert np.array_equal(blocked.top_scores, usual.top_scores)
     assert all(np.array_equal(getattr(blocked.outcome, n), getattr(usual.outcome, n)) for n in Outcome.__annotations__)
@@ -209,4 +209,4 @@ def test_queries_of_large_codes_are_scored_in_smaller_blocks() -> None:
 
     method = Large(table(12, 4))
     run_of(method, journey(12, 4))
-    assert [len(numbers) for numbers in method.asked[:3]] == [5, 5, 2]
+    assert [len(numbers) for numbers in method.asked[1:4]] == [5, 5, 2]

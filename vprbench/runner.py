@@ -134,11 +134,13 @@ def run(
         answers = _Answers(dataset, config["depth"])
         audited = _Audited(method, len(dataset.queries))
         with stopwatch.lap() as querying:
+            first_query = stopwatch.first_query(method, dataset.queries.unnamed())
+            answers.method_seconds += first_query
             from_cache = _answer(stopwatch, method, dataset, described, answers, audited)
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     with stopwatch.lap() as measuring:
-        timing = stopwatch.measure(method, dataset.queries.unnamed())
+        timing = stopwatch.measure(method, dataset.queries.unnamed(), first_query)
     progress.report("timing", 1.0)
 
     pressure = environment.cpu_pressure()
@@ -167,6 +169,7 @@ def run(
             *learnt.notes,
             *method.notes(),
             *_cache_notes(dataset, learnt.from_cache, from_cache),
+            *_late_notes(timing, learnt.fit_seconds is not None),
             *_notes(slowdown, pressure, timing, answers),
             *_search_notes(search),
             *spike_notes,
@@ -323,6 +326,15 @@ def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[
     if kept:
         nothing = "nothing was encoded" if references and queries else "none of these was encoded"
         yield f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
+
+
+def _late_notes(timing: Timing, trained: bool) -> Iterator[str]:
+    """Yield what the first query did that later ones do not."""
+    if timing.first_query_excess_seconds:
+        use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
+        seconds = timing.first_query_seconds
+        times = seconds / float(np.median(timing.streaming.total_seconds))
+        yield f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}"
 
 
 def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[str]:
