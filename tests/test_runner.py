@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from little_runs import quiet_surroundings, run_of, table
 
 from vprbench import runner
 from vprbench.images import Images
-from vprbench.interface import BadInput, Places, Scores
+from vprbench.interface import BadInput, LayerSpikes, Places, Scores
 from vprbench.ranking import Outcome, outcome
 
 
@@ -145,6 +145,35 @@ def test_a_query_of_a_later_block_is_named_by_its_own_number() -> None:
     scores[200, 1] = np.nan
     with pytest.raises(BadInput, match=r"query 200\b"):
         run_of(Lookup(scores), journey(300, 4))
+
+
+@dataclass
+class Reusing(Lookup):
+    """Gives the same two arrays each time, overwritten."""
+
+    codes: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(1000, np.int64))
+    answer: Scores = field(default_factory=lambda: np.empty((1000, 4), np.float32))
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        self.codes[: len(images)] = super().encode(images)
+        return self.codes[: len(images)]
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        self.answer[: len(codes)] = super().match(codes)
+        return self.answer[: len(codes)]
+
+    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+        return [LayerSpikes("input", codes[:, None])]
+
+
+def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave() -> None:
+    scores = table(300, 4)
+    run = run_of(Reusing(scores), journey(300, 4))
+    assert run.scores is not None
+    assert np.array_equal(run.scores, scores)
+    assert run.spikes is not None
+    sample = np.linspace(0, 299, 256).astype(int)
+    assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
 
 
 # What a method is given

@@ -231,7 +231,7 @@ class _Answers:
         self.top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
         self.top_scores.append(np.take_along_axis(values, order, axis=1))
         if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
-            self.kept.append(scores)
+            self.kept.append(scores.copy())  # a method may use its array again
         self.done += len(scores)
         self.method_seconds += seconds
 
@@ -381,7 +381,8 @@ def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     chosen = queries.unnamed()[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     try:
         blocks = chosen.blocks(_block_size(method, 1))
-        return spikes.summary(method.spikes(np.concatenate([method.encode(block) for block in blocks]))), ()
+        codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
+        return spikes.summary(method.spikes(codes)), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (f"no spikes were counted ({type(error).__name__}: {reason})",)
