@@ -33,6 +33,10 @@ class ReadingTime:
         """Start at zero."""
         self.seconds = 0.0
 
+    def limit(self, before: float, most: float) -> None:
+        """Take back what exceeds `most` seconds since there were `before`: other threads worked on while one waited."""
+        self.seconds = min(self.seconds, before + max(0.0, most))
+
 
 class Keeper(Protocol):
     """Keeps what is computed of a whole sequence of images, of each image a row."""
