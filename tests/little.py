@@ -170,7 +170,7 @@ def a_run(**changes: Any) -> Run:
         harness_seconds=0.125,
         method_seconds=11.75,
         timing=Timing(
-            first_query_seconds=0.5,
+            first_query_seconds=0.05,
             warmup_queries=11,
             streaming=laps([0.010] * 5, [0.0025] * 5),
             offline=(laps([0.010] * 4, [0.0025] * 4), laps([0.040] * 3, [0.010] * 3, images_per_call=8)),

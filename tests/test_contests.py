@@ -195,6 +195,12 @@ def test_training_is_fastest_where_every_seed_is_a_quarter_faster(
     assert best_training([row("slow", *slow), row("fast", *fast)]) == best
 
 
+def test_work_left_to_the_first_query_is_part_of_the_training() -> None:
+    (fast,) = trained(60)
+    late = replace(fast, timing=replace(fast.timing, first_query_seconds=20.0))
+    assert best_training([row("slow", *trained(75)), row("fast", late)]) is None
+
+
 def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:
     loaded = run(fit_seconds=None, fit_compute_seconds=None)
     assert best_training([row("a", *trained(60)), row("b", loaded)]) is None

@@ -6,6 +6,7 @@ import errno
 import io
 import logging
 import multiprocessing
+import tracemalloc
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -16,7 +17,7 @@ import pytest
 from little import keep_frames_often
 from PIL import Image as PillowImage
 
-from vprbench import frames, progress
+from vprbench import ahead, frames, images, progress
 from vprbench.cli import main
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image
@@ -69,6 +70,20 @@ def decoded(webp: bytes) -> Image:
 
 def path(root: Path) -> Path:
     return root / "frames" / "0123456789abcdef.npz"
+
+
+def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_BYTES", 4 << 20)
+    monkeypatch.setattr(images, "_READERS", 2)
+    names = [str(i) for i in range(40)]
+    large = Images(lambda i: plain(i, (700, 500)), names)  # 1 MB each
+    dataset = Dataset("large", large, np.arange(40), large, tuple(np.array([i]) for i in range(40)), {})
+    kept(tmp_path, two_traverses())  # imports what it needs
+    tracemalloc.start()
+    frames.keep(tmp_path, "f" * 64, dataset)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 << 20
 
 
 # The right frame

@@ -25,6 +25,7 @@ ORDER = [
     "download",
     "pickled_scalars",
     "weights",
+    "ahead",
     "images",
     "doctor",
     "data_record",

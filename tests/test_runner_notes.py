@@ -98,7 +98,7 @@ def test_a_method_that_answers_differently_when_timed_fails_the_audit() -> None:
     @dataclass
     class Lazy(Lookup):
         def match(self, codes: npt.NDArray[np.int64]) -> Scores:
-            scored = sum(map(len, self.asked)) <= len(self.table)
+            scored = sum(map(len, self.asked)) <= 1 + len(self.table)  # the first query is asked before
             return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
 
     scores = np.eye(12, 4, k=-1, dtype=np.float32)  # query 1 shows place 0

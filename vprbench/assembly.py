@@ -184,8 +184,8 @@ class _Sheet:
             interval = wilson(mean(float(per_query.sum()) for per_query in hits), len(hits[0]))
             low, high = (100 * interval.low, 100 * interval.high) if interval else (None, None)
         elif quantity in TRAINING:
-            values = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
-            total = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
+            values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
+            total = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
         else:
             values = [contests.rate(run, entry.row.boundary) for run in runs]
             if entry.row.boundary is not None:

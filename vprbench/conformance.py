@@ -149,6 +149,20 @@ def _inputs(make: Make, _: Mapping[str, Any]) -> None:
             _broken("an image was changed")
 
 
+def _kept_apart(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
+    before = {"encode": np.array(given["encode"], copy=True)}
+    later = method.encode(Images.from_arrays(world.queries[3:]))
+    given["match"] = method.match(before["encode"])
+    before["match"] = np.array(given["match"], copy=True)
+    method.match(later)
+    for name, array in given.items():
+        if not np.array_equal(np.asarray(array), before[name]):
+            _broken(f"a later call changes what {name} returned: return an array of its own")
+
+
 def _repeatable(make: Make, _: Mapping[str, Any]) -> None:
     world = Journey.draw(0)
     if not np.array_equal(_scores(_fitted(make, world), world), _scores(_fitted(make, world), world)):
@@ -261,6 +275,7 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "fit forgets an earlier fit": _forgets,
     "query before fit raises NotFittedError": _needs_fit,
     "inputs are never modified": _inputs,
+    "what was returned is never modified": _kept_apart,
     "the same seed gives the same scores": _repeatable,
     "a batch gives what its single images give": _batches,
     "the order of queries does not matter": _order,

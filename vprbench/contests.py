@@ -158,8 +158,8 @@ def _laps(run: Run, stage: Stage) -> Seconds:
 
 
 def _slowest(row: Contestant) -> float:
-    return max(run.fit_compute_seconds or 0.0 for run in row.runs)
+    return max(run.training_compute_seconds or 0.0 for run in row.runs)
 
 
 def _fastest(row: Contestant) -> float:
-    return min(run.fit_compute_seconds or 0.0 for run in row.runs)
+    return min(run.training_compute_seconds or 0.0 for run in row.runs)

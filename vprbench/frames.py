@@ -169,13 +169,14 @@ def _content(
 
 def _look(traverses: Sequence[Images]) -> tuple[int, int]:
     """Return the best side and quality at which some frames of each traverse take few enough bytes, or the least."""
-    probes = [
-        image
+    sides = {side for side, _ in _LOOKS}
+    probes = [  # shrunk one by one: frames may be large
+        {side: _shrunk(image, side) for side in sides}
         for images in traverses
         for image in images[np.linspace(0, len(images) - 1, min(_PROBES, len(images))).astype(np.int64)]
     ]
     for side, quality in _LOOKS:
-        if sum(len(_thumbnail(probe, side, quality)) for probe in probes) <= _THUMBNAIL_BYTES * len(probes):
+        if sum(len(_webp(probe[side], quality=quality)) for probe in probes) <= _THUMBNAIL_BYTES * len(probes):
             break
     return side, quality
 

@@ -69,6 +69,20 @@ class Run:
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
 
+    @property
+    def training_seconds(self) -> float | None:
+        """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
+
+        None where nothing was fitted.
+        """
+        return None if self.fit_seconds is None else self.fit_seconds + self.timing.first_query_excess_seconds
+
+    @property
+    def training_compute_seconds(self) -> float | None:
+        """The same without the time that the method waited for images."""
+        computing = self.fit_compute_seconds
+        return None if computing is None else computing + self.timing.first_query_excess_seconds
+
 
 @dataclass(frozen=True)
 class Failure:

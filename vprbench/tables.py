@@ -36,8 +36,8 @@ def readable_row(run: Run) -> dict[str, str]:
 
 def _fit(run: Run) -> str:
     """Return the seconds of the fit, or what stood in for it."""
-    if run.fit_seconds is not None:
-        return f"{run.fit_seconds:.1f}"
+    if run.training_seconds is not None:
+        return f"{run.training_seconds:.1f}"
     return "kept" if run.network is None else "loaded"
 
 
@@ -72,6 +72,9 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "average_precision_a": summary.average_precision,
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
+        "first_query_seconds": run.timing.first_query_seconds,
+        "training_seconds": run.training_seconds,
+        "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
         **_named_rates("streaming", summary.streaming),
         "streaming_p90_seconds": summary.streaming_p90_seconds,
