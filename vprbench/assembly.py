@@ -20,7 +20,6 @@ from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
 from vprbench.records import Run
 
 _BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
-_OF_RATES = ("caching", "audit failed")
 _RESUMED = "fit was resumed"
 _OF_TRAINING = ("descriptors of", _RESUMED)
 
@@ -229,5 +228,5 @@ def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) 
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
             yield f"scores tie: R@1 is {low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
     for note in (note for run in runs for note in run.notes if not note.startswith((*_BUSY, *_OF_TRAINING))):
-        if note.startswith(_OF_RATES) == (quantity in RATES):
+        if note.startswith(contests.FAILED_AUDITS) == (quantity in RATES):
             yield one_sentence(note, sentences=False)
