@@ -42,6 +42,7 @@ ORDER = [
     "partial",
     "array_cache",
     "records",
+    "tuned",
     "sources",
     "descriptor_cache",
     "described",
