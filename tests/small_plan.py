@@ -15,6 +15,7 @@ from vprbench.plan import read_plan
 from vprbench.sweep import IN_SWEEP
 
 PLAN = """
+seeds: [0, 1]
 rows:
   SAD: {method: sad, boundary: match, training: none}
   PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}

@@ -148,6 +148,14 @@ def test_no_rate_is_best_on_a_busy_machine() -> None:
     assert best_rate([row("fast", timed(FAST)), row("slow", busy)]) is None
 
 
+@pytest.mark.parametrize("note", ["caching: images seen before", "audit failed: other answers"])
+def test_a_rate_that_an_audit_found_wanting_is_never_best_and_keeps_others_from_it(note: str) -> None:
+    untrue = timed(FAST, notes=(note,))
+    assert best_rate([row("untrue", untrue), row("slow", timed(SLOW))]) is None
+    assert best_rate([row("untrue", timed(FAST), untrue), row("slow", timed(SLOW))]) is None
+    assert best_rate([row("fast", timed(FAST)), row("untrue", timed(SLOW, notes=(note,)))]) == "fast"
+
+
 def test_no_rate_is_best_across_machines() -> None:
     other = timed(SLOW, machine={**ABACUS, "processor": "Loom 3"})
     assert best_rate([row("fast", timed(FAST)), row("slow", other)]) is None

@@ -45,6 +45,7 @@ ORDER = [
     "array_cache",
     "record_rules",
     "records",
+    "tuned",
     "store",
     "sources",
     "descriptor_cache",

@@ -23,7 +23,7 @@ from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
 from vprbench.store import Store
 
 KEY = "0123456789abcdef"
-LAYOUTS = ["1, the first", "1", "2", "3", "4"]
+LAYOUTS = ["1, the first", "1", "2", "3", "4", "5"]
 SINCE = {"load_seconds": 2, "network": 2, "search": 3, "spikes": 4}  # the layout that first held it
 
 
@@ -88,6 +88,8 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
         summary |= {"search": {"index": "hnsw", "bytes_per_place": 8, "recall_at_1": 1.0, "recall_at_10": 0.5}}
     if schema >= 4:
         summary |= {"spikes": {"queries": 2, "layers": []}}
+    if schema >= 5:
+        summary |= {"data": {"names_sha256": "b" * 64}}
     summary |= changes
     if not first:
         text = json.dumps(summary, sort_keys=True, separators=(",", ":"))
@@ -151,15 +153,20 @@ def test_what_an_older_layout_did_not_hold_is_none_and_the_rest_is_there(store: 
 
 
 @each_layout
-def test_an_older_run_says_nothing_of_its_frames(store: Store, layout: str) -> None:
-    assert old(store, layout).data == {}
+def test_a_run_says_of_its_frames_what_its_layout_holds(store: Store, layout: str) -> None:
+    assert (old(store, layout).data == {}) == (int(layout[0]) < 5)
+
+
+@each_layout
+def test_an_older_run_does_not_say_on_what_its_method_was_tuned(store: Store, layout: str) -> None:
+    assert old(store, layout).tuned_on is None
 
 
 def test_runs_of_all_layouts_are_found_side_by_side(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     for number, layout in enumerate(LAYOUTS):
         write_run(store.root / "journey" / f"little-{number}", layout, key=str(number))
-    store.save(a_run(key="5"))
-    assert [run.key for run in store.runs()] == ["0", "1", "2", "3", "4", "5"]
+    store.save(a_run(key="6"))
+    assert [run.key for run in store.runs()] == ["0", "1", "2", "3", "4", "5", "6"]
     assert caplog.records == []
 
 
@@ -169,7 +176,7 @@ def test_an_older_run_that_is_stored_again_is_the_same_run(store: Store) -> None
     after = store.find("journey", "little", KEY)
     assert after is not None
     assert (after.network, after.search, after.fit_seconds) == ("a" * 64, None, 2.5)
-    assert json.loads((store.folder("journey", "little", KEY) / "run.json").read_text())["schema"] == 5
+    assert json.loads((store.folder("journey", "little", KEY) / "run.json").read_text())["schema"] == 6
 
 
 @pytest.mark.parametrize("layout", LAYOUTS[1:])
@@ -203,7 +210,7 @@ def test_a_run_of_a_layout_without_a_part_that_it_has_to_hold_is_damaged(store: 
 
 def newer(store: Store, key: str = KEY) -> Path:
     folder = store.save(a_run(key=key))
-    (folder / "run.json").write_text(json.dumps({"schema": 6, "parts": "of another kind"}))
+    (folder / "run.json").write_text(json.dumps({"schema": 7, "parts": "of another kind"}))
     return folder
 
 
@@ -219,7 +226,7 @@ def test_a_run_of_a_later_layout_is_named_in_one_line(store: Store, caplog: pyte
     folder = newer(store)
     list(store.runs())
     assert [record.getMessage() for record in caplog.records] == [
-        f"{folder} is left as it is: its layout is version 6, this program reads 1 to 5"
+        f"{folder} is left as it is: its layout is version 7, this program reads 1 to 6"
     ]
 
 
@@ -239,7 +246,7 @@ def test_a_later_run_whose_replacement_never_arrived_is_not_removed(store: Store
 
 
 def test_load_says_which_layouts_it_reads(store: Store) -> None:
-    with pytest.raises(NewerLayoutError, match=r"version 6, this program reads 1 to 5"):
+    with pytest.raises(NewerLayoutError, match=r"version 7, this program reads 1 to 6"):
         load(newer(store))
 
 

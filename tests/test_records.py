@@ -352,7 +352,7 @@ def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
 def test_the_reason_of_another_layout_names_both_versions(store: Store) -> None:
     folder = store.save(a_run())
     _change(folder, "schema", 7)
-    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 5"):
+    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 6"):
         load(folder)
 
 

@@ -18,6 +18,7 @@ from made_table import GPU, OTHER, RECALL, cell, found, measured, paper, row, sm
 
 from vprbench import table_formats
 from vprbench.cells import Cell, Column, Table
+from vprbench.layout import TRAINING_TIME
 from vprbench.plan import QUANTITIES, Quantity
 
 HEADS = ("R@1 %", "train CPU min", "query CPU Hz", "train GPU min", "query GPU Hz")
@@ -305,9 +306,17 @@ def test_training_shows_the_time_with_the_images_in_brackets() -> None:
     assert in_markdown(made, "train_cpu") == ["0.069 (0.25)"]
     assert in_html(made, "train_cpu") == ("measured", ["0.069 (0.25)"])
     text = table_formats.markdown(made)
-    assert "in brackets with reading or rendering the images too." in text
+    assert f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}" in text
     assert "Query rates" not in text
     assert "Training:" not in table_formats.markdown(alone(found(0.0691), "train_cpu"))
+
+
+@pytest.mark.parametrize(("compared", "told"), [(True, True), (False, False)])
+def test_the_brackets_of_the_papers_line_are_explained_where_there_are_any(compared: bool, told: bool) -> None:
+    one = found(46.6, 48.0) if compared else replace(found(46.6, 48.0), difference=None)
+    texts = (table_formats.markdown(alone(one)), table_formats.html(alone(one)), table_formats.latex(alone(one)))
+    assert ["measured less printed" in text for text in texts] == [told] * 3
+    assert ["(-1.4)" in text or "($-$1.4)" in text for text in texts] == [told] * 3
 
 
 def test_a_disturbed_measurement_has_a_tilde() -> None:

@@ -27,6 +27,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
 
     Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
     """
+    asked["method"], tuned_on = registry.declared(name, asked["method"])
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
@@ -55,8 +56,10 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
                 run = runner.run(
                     name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
                 )
+        known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
+        run = dataclasses.replace(run, tuned_on=tuned_on)
         try:
-            folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
+            folder = store.folder(dataset.name, name, key) if known else store.save(run)
         except BadInput:
             _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
             raise
@@ -112,6 +115,7 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
     from vprbench import tables  # what it imports does not count as the run's memory
+    from vprbench.tuned import all_notes
 
     if output == "json":
         print(
@@ -123,7 +127,8 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
                     "data": dict(run.data),
                     **tables.numbers(run),
                     "network": run.network,
-                    "notes": list(run.notes),
+                    "tuned_on": run.tuned_on or None,
+                    "notes": list(all_notes(run)),
                     "from_store": from_store,
                     "run_folder": None if folder is None else str(folder),
                 },
@@ -135,7 +140,7 @@ def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None
     print(tables.plain_row(tables.readable_row(run)))
     if (line := tables.tolerance_line(run)) is not None:
         print(line)
-    for note in run.notes:
+    for note in all_notes(run):
         print(f"note: {note}")
     if from_store:
         print(f"from the store: {folder} (force=true runs again)")

@@ -44,7 +44,7 @@ class Cell:
     quoted: float | None  # where mark is "quoted"
     published: float | None  # None: the paper printed "-", or has no such cell
     published_mark: Literal["measured", "quoted", "not applicable", "none"]  # none: the paper has no such cell
-    difference: float | None  # measured less published; None where there are not both
+    difference: float | None  # measured less published; None where there are not both, or they are of other data
     notes: tuple[int, ...]  # numbers, from 1, into the table's notes: reasons
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from vprbench import networks
 from vprbench.images import Images
 from vprbench.interface import Dataset, Image, Method, NotFittedError, Places
-from vprbench.registry import checked, make_method
+from vprbench.registry import arguments, checked, make_method
 
 N_PLACES = 20
 _RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
@@ -79,8 +79,8 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     """
     method = make_method(config)
     method.files()
-    arguments = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
-    config = {**config, **arguments}
+    own = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
+    config = {**arguments(config), **own}
     exceptions = dict(method.conformance_exceptions)
     if not networks.keeps_a_network(method):
         exceptions.setdefault(_STORED_RULE, "it keeps no network")

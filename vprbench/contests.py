@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -21,13 +21,16 @@ RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
 BLOCK = 10  # consecutive frames that see nearly the same
 
+FAILED_AUDITS = ("caching", "audit failed")  # beginnings of the notes of a run whose rates are not to be trusted
+
 NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
 RULES = (
     "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
     f"{CHANCE} / number of other rows, and the interval of the difference at that level, in blocks of {BLOCK} frames, "
     "lies above 0.",
     f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
-    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary.",
+    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary, and "
+    "never where an audit found a rate wanting.",
 )
 
 Stage = Boundary | None  # None: encode and match together
@@ -60,8 +63,10 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
     fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
-    and match together, for rows of different boundaries do not do the same work.
+    and match together, for rows of different boundaries do not do the same work. A row with a run that caches, or that
+    answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
     """
+    rows = [replace(row, finished=row.finished and not any(map(failed_audit, row.runs))) for row in rows]
     if not _comparable(rows):
         return None
     return _winner(rows, lambda row: float(np.mean([rate(run, row.boundary) for run in row.runs])), _faster)
@@ -94,6 +99,11 @@ def rate(run: Run, stage: Stage) -> float:
 def disturbed(run: Run) -> bool:
     """Tell whether a run's times were taken while the machine did other things, or are too few."""
     return any(note.startswith(("noisy", "invalid")) for note in run.notes)
+
+
+def failed_audit(run: Run) -> bool:
+    """Tell whether an audit found that a run's rates are not those of its answers, or not of images seen first."""
+    return any(note.startswith(FAILED_AUDITS) for note in run.notes)
 
 
 def machine(run: Run) -> str:

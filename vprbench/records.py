@@ -21,7 +21,7 @@ from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 5
+SCHEMA = 6
 SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _LARGEST_SUMMARY = 1 << 26  # bytes
 
@@ -68,6 +68,7 @@ class Run:
     spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
+    tuned_on: Mapping[str, Any] | None = field(default_factory=dict)  # TunedOn; empty: nothing; None: older runs
 
     @property
     def training_seconds(self) -> float | None:
@@ -166,6 +167,7 @@ _PLAIN = (
     "method_seconds",
     "spikes",
     "data",
+    "tuned_on",
 )
 _WITH_PROTOCOLS = frozenset(  # datasets that came to have two
     f"vprbench.datasets.{name}.{name}" for name in ("nordland", "oxford_robotcar", "street", "synthetic")
@@ -176,6 +178,7 @@ _ADDED: Mapping[str, tuple[int, Any]] = {  # the layout that first held it, and 
     "search": (3, None),
     "spikes": (4, None),
     "data": (5, {}),
+    "tuned_on": (6, None),
 }
 
 

@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, cast, get_type_hints
@@ -21,12 +21,14 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench.interface import BadInput, Dataset, Method
+from vprbench.tuned import TunedOn
 
 Group = Literal["method", "dataset"]
 
 ENTRY_POINTS = "vprbench.conf"
 
-_NO_CHOICE = ("_target_", "defaults", "seed", "device")  # what every run sets for itself
+_DECLARED = "tuned_on"  # of a method: what its yaml says of its settings, no argument
+_NO_CHOICE = ("_target_", "defaults", "seed", "device", _DECLARED)  # what every run sets for itself
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,16 @@ class Entry:
     def options(self) -> list[str]:
         """The names of the arguments that the yaml holds, those of the one it builds on included."""
         content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
-        names = [name for name in content if name not in ("_target_", "defaults")]
+        names = [name for name in content if name not in ("_target_", "defaults", _DECLARED)]
         return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
+
+    @property
+    def tuned_on(self) -> dict[str, Any]:
+        """Return the places on which the yaml, or what it builds on, says that its settings were chosen.
+
+        These are the values of `TunedOn`; empty where none are declared. Raises BadInput that names the yaml.
+        """
+        return _tuned_on(self._values().get(_DECLARED), self.path)
 
     def changed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Return those of `arguments` that differ from what the yaml holds, the values of those it builds on included.
@@ -126,9 +136,26 @@ def broken_plugins() -> dict[str, str]:
     return broken
 
 
+def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments in a method's configuration, and apart from them on what its settings were chosen.
+
+    Raises BadInput where a registered method was asked for with another `tuned_on` than its yaml has.
+    """
+    entry = entries("method").get(name)
+    asked = _tuned_on(config.get(_DECLARED), f"method {name}")
+    if entry is not None and asked != entry.tuned_on:
+        raise BadInput(f"method.{_DECLARED}={asked or None}: what {name} was tuned on is told by {entry.path} alone")
+    return arguments(config), asked
+
+
+def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a method's configuration without what its yaml declares beside the arguments."""
+    return {name: value for name, value in config.items() if name != _DECLARED}
+
+
 def make_method(config: Mapping[str, Any]) -> Method:
     """Build a method from its configuration; raises BadInput for arguments that do not fit."""
-    method = _build("method", config)
+    method = _build("method", arguments(config))
     if not isinstance(method, Method):
         raise BadInput(f"{config['_target_']} made a {type(method).__name__}; a method has to subclass Method")
     return method
@@ -220,6 +247,15 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     if missing:
         raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")
     return target(**arguments)
+
+
+def _tuned_on(given: Any, where: object) -> dict[str, Any]:
+    """Return what a `tuned_on` declares, as plain values; raises BadInput that says where it stands."""
+    if given is None:
+        return {}
+    plain = OmegaConf.to_container(given) if OmegaConf.is_config(given) else given
+    known: TunedOn = checked(f"{where}: {_DECLARED}", plain, TunedOn)
+    return {**asdict(known), "also_in": [*known.also_in]}
 
 
 def checked(option: str, value: Any, hint: Any) -> Any:

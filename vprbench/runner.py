@@ -36,7 +36,7 @@ _SPIKING = 256  # queries whose spikes are counted, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
-_CACHING = 0.75  # known images that need less than this share of the time of new ones are suspicious
+_CACHING = 0.9  # known images that need less than this share of the time of new ones are suspicious
 Answer = TypeVar("Answer")
 
 _NO_FILES = networks.Files()  # a run that neither loads nor stores a network

@@ -34,11 +34,10 @@ def sentences(
     for group, column in zip(groups, columns, strict=True):
         if column.stand_in_for is not None:
             yield f"{column.title} stands in for {column.stand_in_for} and replaces none."
-        if column.remark is not None:
-            yield column.remark
         apart = options_apart(group)
         if apart and sum(other.asked.planned.name == group.asked.planned.name for other in groups) > 1:
             yield f"{column.title}: its runs are of a time when the dataset had other options ({', '.join(apart)})."
+    yield from dict.fromkeys(column.remark for column in columns if column.remark is not None)
     for row in rows:
         yield from _seeds(row, columns)
     for i, column in enumerate(columns):

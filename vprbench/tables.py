@@ -8,6 +8,7 @@ import pandas as pd
 
 from vprbench.records import Failure, Run
 from vprbench.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
+from vprbench.tuned import tuned_note
 
 NOTHING = "-"
 _DIGITS = 12  # of a hash that people compare by eye
@@ -102,7 +103,7 @@ def csv(results: Sequence[Run | Failure]) -> str:
         else:
             frames = {name: result.data.get(name) for name in ("names_sha256", "content_sha256")}
             line |= {"protocol": result.protocol.get("protocol"), **frames}
-            line |= {"error": "", **numbers(result), "network": result.network}
+            line |= {"error": "", **numbers(result), "network": result.network, "tuned_on": tuned_note(result)}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 

@@ -117,7 +117,7 @@ def query_rate(
 
 
 def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
-    if row.training != "own":
+    if not row.learns_here:
         return _Bar(word="no training" if row.training == "none" else "comes trained")
     minutes = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
     if not minutes:
