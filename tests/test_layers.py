@@ -11,6 +11,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From the bottom up; a file may import only what stands before it.
 ORDER = [
+    "printable",
+    "ending",
     "compiled",
     "data_folder",
     "replacing",
@@ -79,8 +81,8 @@ ORDER = [
     "conformance",
     "options",
     "console",
-    "answer",
     "sweep",
+    "answer",
     "workload",
     "measures",
     "bench_report",

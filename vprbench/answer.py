@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import os
+from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
-from vprbench import environment, frames, networks, registry, runner
+from vprbench import ending, environment, frames, networks, registry, runner
 from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.doctor import insist
@@ -16,14 +19,17 @@ from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
+from vprbench.printable import printable
 from vprbench.records import Run
 from vprbench.report.answers import by_interest
 from vprbench.store import Store
 from vprbench.weights import content_hash
 
 
-def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
-    """Find the run in the store or make it, and print it; `asked` is its configuration.
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
+    """Find the run in the store or make it, and say it; `asked` is its configuration.
+
+    Neither a change of the working folder by a plug-in nor a fork of this process changes what is stored, and where.
 
     Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
     """
@@ -31,12 +37,13 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    threads = n_threads(settings)
+    threads, process = n_threads(settings), os.getpid()
     refused = _refused(store)
     environment.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
-    method = registry.make_method(asked["method"])
-    dataset = _checked(registry.make_dataset(asked["dataset"]))
+    with chdir("."):
+        method = registry.make_method(asked["method"])
+        dataset = _checked(registry.make_dataset(asked["dataset"]))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         fingerprint = runner.fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
@@ -52,18 +59,20 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
             caches = _caches(store, threads) if settings.cache else (None, None)
-            with progress_shown(f"{name} on {dataset.name}"):
+            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
                 run = runner.run(
                     name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
                 )
+        ending.leave_if_forked(process)
         known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = dataclasses.replace(run, tuned_on=tuned_on)
         try:
             folder = store.folder(dataset.name, name, key) if known else store.save(run)
         except BadInput:
-            _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
+            say(_text(run, None, from_store, settings.output))  # what was measured is shown even if it cannot be kept
             raise
-    _print(run, folder, from_store, settings.output)
+    ending.tell(code=0)
+    say(_text(run, folder, from_store, settings.output))
     if settings.frames:
         _keep_frames(store, run, dataset)
     return 0
@@ -100,7 +109,8 @@ def _checked(dataset: Dataset) -> Dataset:
 
 def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
     """Return what keeps descriptors, and what keeps preprocessed frames, beside the runs."""
-    return DescriptorCache(store.root / "descriptors"), Preprocessed(store.root / "preprocessed", threads)
+    root = store.root.absolute()  # for a method may change the working folder
+    return DescriptorCache(root / "descriptors"), Preprocessed(root / "preprocessed", threads)
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
@@ -113,36 +123,32 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
 
 
-def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
+def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
     from vprbench import tables  # what it imports does not count as the run's memory
     from vprbench.tuned import all_notes
 
     if output == "json":
-        print(
-            json.dumps(
-                {
-                    "method": run.method,
-                    "dataset": run.dataset,
-                    "protocol": dict(run.protocol),
-                    "data": dict(run.data),
-                    **tables.numbers(run),
-                    "network": run.network,
-                    "tuned_on": run.tuned_on or None,
-                    "notes": list(all_notes(run)),
-                    "from_store": from_store,
-                    "run_folder": None if folder is None else str(folder),
-                },
-                allow_nan=False,
-            )
+        return json.dumps(
+            {
+                "method": run.method,
+                "dataset": run.dataset,
+                "protocol": dict(run.protocol),
+                "data": dict(run.data),
+                **tables.numbers(run),
+                "network": run.network,
+                "tuned_on": run.tuned_on or None,
+                "notes": list(all_notes(run)),
+                "from_store": from_store,
+                "run_folder": None if folder is None else str(folder),
+            },
+            allow_nan=False,
         )
-        return
-    print(tables.protocol_line(run))
-    print(tables.plain_row(tables.readable_row(run)))
+    lines = [tables.protocol_line(run), *tables.plain_row(tables.readable_row(run)).splitlines()]
     if (line := tables.tolerance_line(run)) is not None:
-        print(line)
-    for note in all_notes(run):
-        print(f"note: {note}")
+        lines.append(line)
+    lines += [f"note: {note}" for note in all_notes(run)]
     if from_store:
-        print(f"from the store: {folder} (force=true runs again)")
+        lines.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
-        print(f"stored in {folder}")
+        lines.append(f"stored in {folder}")
+    return "\n".join(map(printable, lines))

@@ -12,6 +12,7 @@ from vprbench import registry
 from vprbench.composing import check_names, composed, readable
 from vprbench.interface import BadInput, Method
 from vprbench.options import checked_settings, n_threads
+from vprbench.printable import printable
 
 if TYPE_CHECKING:
     from vprbench.paper import Asked, Compose
@@ -159,9 +160,9 @@ def list_plugins(options: list[str]) -> int:
             except BadInput as error:
                 line = f"BROKEN: {error}"
             origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
-            print(f"  {name:<{width}}  {line}{origin}")
-    for provider, reason in registry.broken_plugins().items():
-        print(f"plug-in {provider} BROKEN: {reason}")
+            print(printable(f"  {name:<{width}}  {line}{origin}"))
+    for provider, reason in registry.broken_plugins():
+        print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
 
 
@@ -180,7 +181,7 @@ def check_method(options: list[str]) -> int:
     with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
         results = list(conformance.check(config["method"], asked))
     for result in results:
-        print(result)
+        print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
     return 1 if broken else 0

@@ -1,32 +1,80 @@
-"""What a person sees while something runs: one progress bar, or plain lines where there is no terminal."""
+"""What a person sees while something runs: one progress bar or plain lines, and standard output for the answer."""
 
 from __future__ import annotations
 
+import logging
+import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TextIO
 
 from tqdm import tqdm
 
-from vprbench.progress import listening
+from vprbench import ending
+from vprbench.printable import printable
+from vprbench.progress import Listener, listening
 
 _LINE_EVERY = 10.0  # seconds between plain lines
 _STEPS = 1000  # resolution of the bar
+
+
+class _OneLine(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
+        return printable(super().formatMessage(record), but="\t")
+
+
+def log_lines() -> None:
+    """Let each logged message be a line on standard error."""
+    logging.basicConfig(level=logging.INFO)
+    for handler in logging.getLogger().handlers:
+        if type(handler) is logging.StreamHandler:
+            handler.setFormatter(_OneLine("%(message)s"))
+
+
+@contextmanager
+def answers_alone() -> Iterator[Callable[[str], None]]:
+    """Yield what prints a line on standard output; all else that is printed inside goes to standard error.
+
+    In a process that another one waits for that holds for compiled code too, and until the process ends.
+    """
+    stream = sys.stdout
+    if ending.waited_for():
+        stream.flush()
+        stream = os.fdopen(os.dup(1), "w", encoding=stream.encoding, errors="replace")
+        os.dup2(2, 1)
+
+    def say(line: str) -> None:
+        with suppress(OSError, ValueError):  # a reader that has gone, or a full disk, makes no stored run a failure
+            print(line, file=stream, flush=True)
+
+    with redirect_stdout(sys.stderr):
+        yield say
 
 
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
     stream = sys.stderr if stream is None else stream
+    title = printable(title)
     if stream.isatty():
-        with _Bar(title, stream) as bar, listening(bar.show):
+        with _Bar(title, stream) as bar, listening(_unhindered(bar.show)):
             yield
     else:
-        with listening(_Lines(title, stream).show):
+        with listening(_unhindered(_Lines(title, stream).show)):
             yield
+
+
+def _unhindered(show: Listener) -> Listener:
+    """Return what shows progress as a line, and lets nobody's absence from the stream end what runs."""
+
+    def shown(stage: str, done: float) -> None:
+        with suppress(OSError, ValueError):
+            show(printable(stage), done)
+
+    return shown
 
 
 class _Bar:

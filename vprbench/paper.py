@@ -13,11 +13,12 @@ from vprbench import registry
 from vprbench.assembly import assemble
 from vprbench.belonging import ColumnAsked, Group, groups
 from vprbench.cells import Table
-from vprbench.fill import Ending, Wanted, fill, results_folder
+from vprbench.fill import Wanted, fill, results_folder
 from vprbench.interface import BadInput
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
 from vprbench.records import Failure, Run
 from vprbench.store import Store
+from vprbench.sweep import Ending
 
 Part = TypeVar("Part")
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vprbench import table_formats, tables
-from vprbench.fill import Ending
 from vprbench.paper import Asked, Compose, Material, gather
 from vprbench.replacing import replace_text
 from vprbench.store import Store
+from vprbench.sweep import Ending
 
 
 def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:

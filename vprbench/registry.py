@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib.util
 import inspect
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal, cast, get_type_hints
+from typing import Any, Literal, cast, get_args, get_type_hints
 
 import yaml
 from hydra.core.config_search_path import ConfigSearchPath
@@ -20,6 +21,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from vprbench import ending
 from vprbench.interface import BadInput, Dataset, Method
 from vprbench.tuned import TunedOn
 
@@ -102,38 +104,59 @@ class Entry:
 def entries(group: Group) -> dict[str, Entry]:
     """Return the registered methods or datasets by name; imports none of them.
 
-    Of several with one name this project's own comes first.
+    Of several with one name it is this project's own, or none.
     """
-    found: dict[str, Entry] = {}
+    usable = {name: few[0] for name, few in _offered(group).items() if len(few) == 1 or few[0].provider == "vprbench"}
+    return dict(sorted(usable.items()))
+
+
+def insist_on_one(group: Group, name: str) -> None:
+    """Raise BadInput where several plug-ins bring a method or dataset of one name."""
+    offers = _offered(group).get(name, ())
+    if len(offers) > 1 and offers[0].provider != "vprbench":
+        both = " and ".join(entry.provider for entry in offers)
+        raise BadInput(f"{group}={name} comes from plug-ins {both}, and none is used: rename or uninstall one")
+
+
+def _offered(group: Group) -> dict[str, list[Entry]]:
+    """Return all methods or datasets by name, this project's own first."""
+    offered: dict[str, list[Entry]] = {}
     for provider, folder in conf_folders().items():
         for path in sorted((folder / group).glob("*.yaml")):
-            found.setdefault(path.stem, Entry(group, path.stem, path, provider))
-    return dict(sorted(found.items()))
+            offered.setdefault(path.stem, []).append(Entry(group, path.stem, path, provider))
+    return offered
 
 
 def conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by provider: this project's and those of plug-ins."""
     folders = {"vprbench": _package_folder("vprbench.conf")}
-    for point in _plugin_points():
-        try:
-            folders[point.name] = _package_folder(point.value)
-        except ModuleNotFoundError:
-            continue  # `broken_plugins` names it
+    for name, points in _plugin_points().items():
+        with contextlib.suppress(ModuleNotFoundError):  # `broken_plugins` names it
+            if len(points) == 1 and name != "vprbench":
+                folders[name] = _package_folder(points[0].value)
     return folders
 
 
-def broken_plugins() -> dict[str, str]:
-    """Return the installed plug-ins whose configuration folder is missing, with the reason."""
-    broken = {}
-    for point in _plugin_points():
+def broken_plugins() -> Iterator[tuple[str, str]]:
+    """Yield the installed plug-ins of which something is not used, with the reason."""
+    for name, points in _plugin_points().items():
+        if len(points) > 1 or name == "vprbench":
+            packages = " and ".join(point.dist.name if point.dist else point.value for point in points)
+            owners = packages + " and by this project" * (name == "vprbench")
+            yield name, f"the entry point is named so by {owners}, and no plug-in of that name is used"
+            continue
         try:
-            folder = _package_folder(point.value)
+            folder = _package_folder(points[0].value)
         except ModuleNotFoundError as error:
-            broken[point.name] = str(error)
+            yield name, str(error)
         else:
             if not folder.is_dir():
-                broken[point.name] = f"{folder} does not exist"
-    return broken
+                yield name, f"{folder} does not exist"
+    for group in get_args(Group):
+        for name, offers in _offered(group).items():
+            for entry in offers[len(offers) == 1 or offers[0].provider == "vprbench" :]:
+                others = " and ".join(other.provider for other in offers if other is not entry)
+                yield entry.provider, f"its {group} {name} is not used, for {others} has one of that name too"
 
 
 def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -198,8 +221,12 @@ class _PluginSearchPath(SearchPathPlugin):
                 search_path.append(provider=provider, path=f"file://{folder}")
 
 
-def _plugin_points() -> list[EntryPoint]:
-    return sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name)
+def _plugin_points() -> dict[str, list[EntryPoint]]:
+    """Return the entry points of plug-ins by name; with more than one for a name none of them can be used."""
+    points: dict[str, list[EntryPoint]] = {}
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
+        points.setdefault(point.name, []).append(point)
+    return points
 
 
 def _package_folder(name: str) -> Path:
@@ -220,9 +247,15 @@ def _package_folder(name: str) -> Path:
 def _locate(target: str) -> Callable[..., Any]:
     """Import what a dotted path names; raises BadInput with the reason."""
     try:
+        ending.tell(doing=f"importing {target}")
         found = get_object(target)
-    except Exception as error:  # a plug-in may fail in any way while it is imported, and must hurt only itself
-        reason = str(error.__cause__ or error).splitlines()[0]
+        ending.tell(doing=None)
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # a plug-in may fail in any way, and must hurt only itself
+        cause = error.__cause__ or error
+        reason = (str(cause).splitlines() or [""])[0] or type(cause).__name__
         raise BadInput(f"{target} cannot be imported: {reason}") from error
     if not callable(found):
         raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
