@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from vprbench.recall_intervals import METHOD
 from vprbench.records import Run
 from vprbench.series import Series
 
@@ -29,8 +30,7 @@ TERMS: Facts = (
     ),
     (
         "Interval",
-        "95 % Wilson score interval of R@1 of one run. It takes queries as independent; neighbouring frames are not, "
-        "so the true uncertainty is larger.",
+        f"95 % interval of R@1 over the queries, of several seeds that of their mean hits: {METHOD}.",
     ),
     (
         "Seeds",
