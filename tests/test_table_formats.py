@@ -127,6 +127,8 @@ def test_a_line_of_csv_holds_all_that_is_known_of_a_cell() -> None:
         "value": "22345.6",
         "low": "",
         "high": "",
+        "interval": "",
+        "block": "",
         "spread": "100.0",
         "seeds": "0 1 2",
         "total": "20999.5",
@@ -280,9 +282,9 @@ def test_recall_of_several_seeds_shows_its_spread_and_the_interval_of_its_mean()
     assert in_markdown(made) == ["46.8 ± 1.3 [44.9, 48.7]"]
     assert in_html(made) == ("measured", ["46.8 ± 1.3 [44.9, 48.7]"])
     assert r" & 46.8 ± 1.3 [44.9, 48.7] &" in table_formats.latex(made)
-    said = "95 % Wilson interval of R@1 over the queries"
-    assert f"{said}; of several seeds, of their mean." in table_formats.markdown(made)
-    assert f"{said}." in table_formats.markdown(alone(found(RECALL, low=44.7531, high=48.5153)))
+    said = "95 % interval of R@1 over the queries"
+    assert f"{said}; of several seeds, of their mean: the wider" in table_formats.markdown(made)
+    assert f"{said}: the wider" in table_formats.markdown(alone(found(RECALL, low=44.7531, high=48.5153)))
 
 
 def test_a_rate_of_one_step_shows_that_of_both_in_brackets() -> None:

@@ -14,9 +14,9 @@ from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.comparison import other_timing, reasons
 from vprbench.contests import Contestant
 from vprbench.entries import RATES, TRAINING, Entry
-from vprbench.intervals import wilson
 from vprbench.metrics import hits_at, recall_at
 from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
+from vprbench.recall_intervals import recall_interval
 from vprbench.records import Run
 from vprbench.tuned import tuned_here, tuned_note
 
@@ -177,12 +177,10 @@ class _Sheet:
         return absent(entry.row, device, found, elsewhere, self.left_out.get(place))
 
     def _measured(self, entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Measured:
-        low = high = total = None
+        interval = total = None
         if quantity == "recall_at_1":
-            hits = [hits_at(run.outcome, 1) for run in runs]
-            values = [100 * float(per_query.mean()) for per_query in hits]
-            interval = wilson(mean(float(per_query.sum()) for per_query in hits), len(hits[0]))
-            low, high = (100 * interval.low, 100 * interval.high) if interval else (None, None)
+            values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
+            interval = recall_interval(runs)
         elif quantity in TRAINING:
             values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
             total = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
@@ -192,14 +190,16 @@ class _Sheet:
                 total = mean(contests.rate(run, None) for run in runs)
         return Measured(
             value=median(values) if quantity in TRAINING else mean(values),
-            low=low,
-            high=high,
+            low=100 * interval.low if interval else None,
+            high=100 * interval.high if interval else None,
             spread=stdev(values) if len(values) > 1 else None,
             seeds=tuple(run.config["seed"] for run in runs),
             total=total,
             best=self.best[entry.column.name, quantity] == entry.row.name,
             disturbed=quantity != "recall_at_1" and any(map(contests.disturbed, runs)),
             machine=self._machine(runs),
+            interval=interval.kind if interval else None,
+            block=interval.block if interval else None,
         )
 
     def _machine(self, runs: Sequence[Run]) -> int:

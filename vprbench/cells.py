@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from vprbench.intervals import IntervalKind
 from vprbench.plan import Quantity
 
 Mark = Literal[
@@ -33,6 +34,8 @@ class Measured:
     best: bool  # a paired test separates it from every other row
     disturbed: bool  # the machine did other things meanwhile, or the laps were too few; never of R@1
     machine: int  # which of the table's machines, from 0
+    interval: IntervalKind | None = None  # of R@1: what low and high are of
+    block: int | None = None  # of R@1: consecutive queries that were taken to be alike
 
 
 @dataclass(frozen=True)

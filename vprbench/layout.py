@@ -9,6 +9,7 @@ from typing import Literal
 
 from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.plan import QUANTITIES, Quantity
+from vprbench.recall_intervals import METHOD
 
 TITLE = "Table II"
 PAPER = "paper"  # the line below a row
@@ -131,7 +132,7 @@ def _legend(table: Table) -> Iterator[str]:
     intervals = [m for m in measured if m.low is not None]
     if intervals:
         of_mean = "; of several seeds, of their mean" if any(len(m.seeds) > 1 for m in intervals) else ""
-        yield f"[low, high]: 95 % Wilson interval of R@1 over the queries{of_mean}."
+        yield f"[low, high]: 95 % interval of R@1 over the queries{of_mean}: {METHOD}."
     if any(m.total is not None for m in _measured(table, _TRAINING)):
         yield f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}"
     yield from _legend_of_rates(_measured(table, _RATES))

@@ -103,8 +103,8 @@ def _markdown_published(cell: Words) -> str:
 
 
 _CSV_COLUMNS = (
-    *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "spread", "seeds", "total"),
-    *("best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
+    *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
+    *("spread", "seeds", "total", "best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
 )
 
 
@@ -126,7 +126,8 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "notes": "; ".join(one_line(table.notes[number - 1]) for number in cell.notes),
     }
     if cell.measured is not None:
-        line |= {name: getattr(cell.measured, name) for name in ("value", "low", "high", "spread", "best", "disturbed")}
+        copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
+        line |= {name: getattr(cell.measured, name) for name in copied}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
         line["total"] = cell.measured.total
         line["machine"] = one_line(table.machines[cell.measured.machine])

@@ -55,16 +55,17 @@ def plain_row(row: dict[str, str]) -> str:
     return f"{head}\n" + "  ".join(value.ljust(widths[name]) for name, value in row.items())
 
 
-def numbers(run: Run) -> dict[str, float | int | None]:
+def numbers(run: Run) -> dict[str, float | int | str | None]:
     """Return one run as unrounded numbers, under names that hold their unit."""
     summary = summarise(run)
+    interval = summary.recall_at_1_interval
     search = run.search or {}
     return {
         **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
-        "recall_at_1_low": summary.recall_at_1_low,
-        "recall_at_1_high": summary.recall_at_1_high,
-        "recall_at_1_block_low": summary.recall_at_1_block_low,
-        "recall_at_1_block_high": summary.recall_at_1_block_high,
+        "recall_at_1_low": interval.low if interval else None,
+        "recall_at_1_high": interval.high if interval else None,
+        "recall_at_1_interval": interval.kind if interval else None,
+        "recall_at_1_block": interval.block if interval else None,
         "recall_at_1_answerable": summary.recall_at_1_answerable,
         "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
         "recall_at_1_optimistic": summary.recall_at_1_optimistic,
@@ -135,10 +136,11 @@ def machine_line(run: Run) -> str:
 
 
 def _recall_with_interval(summary: Summary) -> str:
-    if summary.recall_at_1_low is None or summary.recall_at_1_high is None:
+    interval = summary.recall_at_1_interval
+    if interval is None:
         return "undefined (no query has a right place)"
-    interval = f"[{100 * summary.recall_at_1_low:.1f}, {100 * summary.recall_at_1_high:.1f}]"
-    return f"{_percent(summary.recalls[1])} {interval}{' ties!' if summary.hangs_on_ties else ''}"
+    ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    return f"{_percent(summary.recalls[1])} {ends}{' ties!' if summary.hangs_on_ties else ''}"
 
 
 def _percent(share: float | None) -> str:

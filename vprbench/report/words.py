@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench.layout import TRAINING_TIME
+from vprbench.recall_intervals import METHOD
 from vprbench.records import Run
 from vprbench.series import Series
 from vprbench.tuned import all_notes
@@ -31,8 +32,7 @@ TERMS: Facts = (
     ),
     (
         "Interval",
-        "95 % Wilson score interval of R@1 of one run. It takes queries as independent; neighbouring frames are not, "
-        "so the true uncertainty is larger.",
+        f"95 % interval of R@1 over the queries, of several seeds that of their mean hits: {METHOD}.",
     ),
     (
         "Seeds",
