@@ -41,18 +41,22 @@ class SALAD(NeuralDescriptor):
 
         Sizes are the file's own.
         """
-        tensors = state_dict(path, "state_dict")
-        sizes = Sizes.of(tensors, path, _AGGREGATOR)
-        model = transformer(tensors, path, _BACKBONE)
-        with torch.device("meta"):
-            network = _Network(model, sizes)
-        load_strictly(network, tensors, path)
-        return network
+        return loaded(state_dict(path, "state_dict"), path)
 
     def blank(self) -> nn.Module:
         """Return the network of 8448 dimensions, without the published values."""
         with torch.device("meta"):
             return _Network(VisionTransformer(SIZES["vitb14"]), Sizes())
+
+
+def loaded(tensors: Mapping[str, Tensor], path: Path) -> nn.Module:
+    """Return the network with these tensors of `path`, in their own sizes; raises BadInput for those of another."""
+    sizes = Sizes.of(tensors, path, _AGGREGATOR)
+    model = transformer(tensors, path, _BACKBONE)
+    with torch.device("meta"):
+        network = _Network(model, sizes)
+    load_strictly(network, tensors, path)
+    return network
 
 
 @dataclass(frozen=True)

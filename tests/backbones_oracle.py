@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +22,17 @@ def imagenet(*images: npt.NDArray[np.uint8]) -> Tensor:
 
 
 def vit_tokens(
-    tensors: Tensors, prefix: str, x: Tensor, n_blocks: int | None = None, final_norm: bool = True
+    tensors: Tensors,
+    prefix: str,
+    x: Tensor,
+    n_blocks: int | None = None,
+    final_norm: bool = True,
+    beside_mlp: Callable[[Tensors, Tensor], Tensor | float] = lambda block, tokens: 0.0,
 ) -> Tensor:
-    """Tokens of DINOv2, CLS first, (n, 1 + rows * columns, dim), after `n_blocks` blocks (None: all of the file)."""
+    """Tokens of DINOv2, CLS first, (n, 1 + rows * columns, dim), after `n_blocks` blocks (None: all of the file).
+
+    What `beside_mlp` makes of a block's tensors and of its MLP's input is added to the MLP's output.
+    """
     t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
     patches = functional.conv2d(x.double(), t["patch_embed.proj.weight"], t["patch_embed.proj.bias"], stride=14)
     n, dim, rows, columns = patches.shape
@@ -38,7 +46,7 @@ def vit_tokens(
         mixed = (weights @ v).transpose(1, 2).flatten(2)
         tokens = tokens + b["ls1.gamma"] * (mixed @ b["attn.proj.weight"].T + b["attn.proj.bias"])
         inner = layer_norm(tokens, b["norm2.weight"], b["norm2.bias"])
-        tokens = tokens + b["ls2.gamma"] * _mlp(b, inner)
+        tokens = tokens + b["ls2.gamma"] * (_mlp(b, inner) + beside_mlp(b, inner))
     return layer_norm(tokens, t["norm.weight"], t["norm.bias"]) if final_norm else tokens
 
 

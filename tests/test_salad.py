@@ -206,15 +206,22 @@ def test_it_keeps_the_rules_of_the_contract(file: Path) -> None:
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-def test_the_yaml_names_the_published_file() -> None:
-    weights = composed("method=salad")["weights"]
-    assert weights["file"] == "dino_salad.ckpt"
-    assert weights["url"] == "https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt"
+@pytest.mark.parametrize(
+    ("name", "file", "url"),
+    [
+        ("salad", "dino_salad.ckpt", "https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt"),
+        ("cliquemining", "cliquemining.ckpt", "https://drive.google.com/uc?id=1B06ysb-Wjb4KDcNrl-7pyj1mJve1jqdk"),
+    ],
+)
+def test_the_yaml_names_the_published_file(name: str, file: str, url: str) -> None:
+    weights = composed(f"method={name}")["weights"]
+    assert (weights["file"], weights["url"]) == (file, url)
 
 
-def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed("method=salad"))
+@pytest.mark.parametrize("name", ["salad", "cliquemining"])
+def test_the_yaml_holds_the_arguments_and_defaults_of_the_class(name: str) -> None:
+    made = registry.make_method(composed(f"method={name}"))
     own = {field.name for field in fields(SALAD) if field.init}
-    assert set(registry.entries("method")["salad"].options) == own
+    assert set(registry.entries("method")[name].options) == own
     default = SALAD(weights=made.weights)  # type: ignore[attr-defined]
-    assert {name: getattr(made, name) for name in own} == {name: getattr(default, name) for name in own}
+    assert {option: getattr(made, option) for option in own} == {option: getattr(default, option) for option in own}

@@ -1,0 +1,122 @@
+"""AP-GeM: a ResNet trained for average precision, pooled by generalised mean and whitened, as a method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.weights import load_strictly, read, state_dict, without_prefix
+
+from .backbones.resnet import n_channels, resnet
+from .numpy_pickles import numpy_allowed
+from .pooling import GeM
+
+_BACKBONE = "resnet101"
+_N_DIMENSIONS = 2048
+_LANDMARKS = "Landmarks_clean"  # the photographs that the whitening was learnt from
+_POWER = 0.25  # of the variances that the whitening divides by
+
+
+class _PCA:
+    """What stands in the place of scikit-learn's PCA when a file is read: its arrays, and no code."""
+
+    mean_: Any = None
+    components_: Any = None
+    explained_variance_: Any = None
+
+
+@dataclass(kw_only=True)
+class APGeM(NeuralDescriptor):
+    """Scores a place by the cosine between the whitened GeM of query and most similar reference image: 2048 numbers.
+
+    ResNet101's features are pooled with a learnt power, projected, made unit vectors and whitened by a PCA of landmark
+    photographs, each component divided by its variance to the power of 0.25. Images keep their size, and are seen at
+    one scale, unless `height` and `width` are given, as the authors evaluate.
+    Source: Revaud et al. 2019 and naver/deep-image-retrieval.
+    """
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file, whose PCA is read without running its code.
+
+        Raises BadInput for any other file.
+        """
+        with numpy_allowed({f"sklearn.decomposition.{module}.PCA": _PCA for module in ("pca", "_pca")}):
+            content = read(path)
+            tensors = without_prefix(state_dict(path, "state_dict"), "module.")
+        options = content.get("model_options")
+        unit = isinstance(options, Mapping) and bool(options.get("norm_features"))
+        with torch.device("meta"):
+            network = _APGeM(_size(tensors, "fc.bias"), unit_features=unit)
+        load_strictly(_published(network), tensors, path)
+        load_strictly(network.whitening, _whitening(content, path), path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of 2048 dimensions, without the published values."""
+        return _APGeM(_N_DIMENSIONS)
+
+
+class _APGeM(nn.Module):
+    """Images (n, 3, height, width) to descriptors (n, n_dimensions), float32, not yet of unit length."""
+
+    def __init__(self, n_dimensions: int, *, unit_features: bool = False) -> None:
+        super().__init__()
+        self.backbone = resnet(_BACKBONE, names="words")
+        self.adpool = GeM()
+        self.fc = nn.Linear(n_channels(_BACKBONE), n_dimensions)
+        self.unit_features = unit_features  # whether what was pooled gets unit length
+        self.whitening = _Whitening(n_dimensions)
+
+    def forward(self, images: Tensor) -> Tensor:
+        pooled = self.adpool(self.backbone(images))
+        if self.unit_features:
+            pooled = functional.normalize(pooled, dim=1)
+        vectors = functional.normalize(self.fc(pooled.to(images.dtype)).float(), dim=1)
+        whitened: Tensor = self.whitening(vectors)
+        return whitened
+
+
+class _Whitening(nn.Module):
+    """Vectors (n, n_dimensions) less their mean, on weighted components."""
+
+    def __init__(self, n_dimensions: int) -> None:
+        super().__init__()
+        self.mean = nn.Parameter(torch.zeros(n_dimensions))
+        self.components = nn.Parameter(torch.zeros(n_dimensions, n_dimensions))
+
+    def forward(self, vectors: Tensor) -> Tensor:
+        return (vectors - self.mean.float()) @ self.components.float().T
+
+
+def _published(network: _APGeM) -> nn.ModuleDict:
+    """Return the parts of a network that the published state has, under their names there."""
+    parts = {name: part for name, part in network.named_children() if name in ("adpool", "fc")}
+    return nn.ModuleDict(dict(network.backbone.named_children()) | parts)
+
+
+def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
+    """Return the tensors of the whitening that a file holds; raises BadInput where it holds none that is whole."""
+    found = content.get("pca")
+    pca = found.get(_LANDMARKS) if isinstance(found, Mapping) else None
+    arrays = [getattr(pca, name, None) for name in ("mean_", "components_", "explained_variance_")]
+    if not all(isinstance(array, np.ndarray) and array.dtype.kind == "f" for array in arrays):
+        raise BadInput(f"{path} holds no pca of {_LANDMARKS}: give the authors' file as it was unpacked")
+    mean, components, variances = (torch.from_numpy(np.array(array, np.float64)) for array in arrays)
+    if components.ndim != 2 or variances.shape != components.shape[:1] or not (variances > 0).all():
+        raise BadInput(f"{path}: pca of {_LANDMARKS} has other shapes or no variance: give the authors' file")
+    return {"mean": mean, "components": components / variances[:, None] ** _POWER}
+
+
+def _size(tensors: Mapping[str, Tensor], name: str) -> int:
+    """Return the length of a vector of the file, the published one where it lacks that: strict loading tells then."""
+    vector = tensors.get(name)
+    return _N_DIMENSIONS if vector is None or vector.ndim != 1 else len(vector)

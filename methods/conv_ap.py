@@ -1,0 +1,66 @@
+"""Conv-AP: feature maps projected position by position, and averaged in four quarters, as a method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from vprbench.interface import BadInput
+from vprbench.neural import NeuralDescriptor
+from vprbench.resize import Interpolation
+from vprbench.weights import load_strictly, state_dict
+
+from .backbones.resnet import n_channels, resnet
+
+_BACKBONE = "resnet50"
+_QUARTERS = (2, 2)  # down and across
+
+
+@dataclass(kw_only=True)
+class ConvAP(NeuralDescriptor):
+    """Scores a place by the cosine between the averaged features of query and most similar reference image.
+
+    ResNet50's last feature maps pass a 1x1 convolution to `channels`, which have to be those of the file, and are
+    averaged in 2x2 parts: 4 * `channels` numbers, the parts of a channel side by side. The authors evaluate at 320x320.
+    Source: Ali-bey et al. 2022 and amaralibey/gsv-cities.
+    """
+
+    channels: int = 1024  # of the file: 2048, 1024, 512 or 128
+    height: int | None = 320
+    width: int | None = 320
+    interpolation: Interpolation = "bicubic"
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network; raises BadInput for a file of other channels or of anything else."""
+        tensors = state_dict(path)
+        bias = tensors.get("aggregator.channel_pool.bias")
+        if bias is not None and bias.ndim == 1 and len(bias) != self.channels:
+            raise BadInput(
+                f"{path} holds a network of {len(bias)} channels: set method.channels={len(bias)}, "
+                f"or give weights of {self.channels}"
+            )
+        with torch.device("meta"):
+            network = self.blank()
+        load_strictly(network, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network of these channels, without values."""
+        return _ConvAP(self.channels)
+
+
+class _ConvAP(nn.Module):
+    """Images (n, 3, height, width) to descriptors (n, 4 * channels), not yet of unit length."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.backbone = nn.ModuleDict({"model": resnet(_BACKBONE, names="words")})
+        self.aggregator = nn.ModuleDict({"channel_pool": nn.Conv2d(n_channels(_BACKBONE), channels, 1)})
+
+    def forward(self, images: Tensor) -> Tensor:
+        features = self.aggregator["channel_pool"](self.backbone["model"](images))
+        return cast(Tensor, nn.functional.adaptive_avg_pool2d(features, _QUARTERS).flatten(1))

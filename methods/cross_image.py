@@ -1,0 +1,77 @@
+"""Descriptors that look at several images together: how many these are, and the encoder that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from vprbench.interface import BadInput, Image
+from vprbench.neural import NeuralDescriptor
+
+_HEADS, _LAYERS = 16, 2
+_REASON = "images that are described together see one another; images_together=1 describes each alone"
+
+
+@dataclass(kw_only=True)
+class CrossImageDescriptor(NeuralDescriptor):
+    """A descriptor of an image that may look at its neighbours too; `load` and `blank` are left to write.
+
+    `images_together` consecutive images attend to one another, the last of a traverse to those that are left. With 1
+    each image is described alone, and no answer depends on what else is asked. The authors evaluate with 16, which
+    helps where neighbours show one place: a query then has the help of other queries. A batch holds whole groups, even
+    where that is more than `batch_size`. With `resize=tensor` only images of one size go together.
+    """
+
+    images_together: int = 1
+
+    @property
+    def conformance_exceptions(self) -> Mapping[str, str]:  # type: ignore[override]  # 1 image has none
+        """What images that see one another cannot keep, of the conformance suite's rules."""
+        rules = ("a batch gives what its single images give", "the order of queries does not matter")
+        return {} if self.images_together == 1 else dict.fromkeys(rules, _REASON)
+
+    def notes(self) -> Sequence[str]:
+        """Return that queries had the help of other queries, where they had."""
+        if self.images_together == 1:
+            return ()
+        return (
+            f"{self.images_together} consecutive images were described together: each query had the help of the "
+            "queries beside it",
+        )
+
+    def _at_most(self, image: Image) -> int:
+        together = self.images_together
+        return max(together, super()._at_most(image) // together * together)
+
+    def _check_arguments(self) -> None:
+        super()._check_arguments()
+        if self.images_together < 1:
+            raise BadInput(f"method.images_together={self.images_together}: give at least 1 image")
+
+
+class CrossImageEncoder(nn.Module):
+    """Two transformer layers in which each part of an image attends to the same part of the images of its group.
+
+    Parts are (n, n_parts, dim), in groups of `together` consecutive images. The layers have 16 heads, normalise after
+    each addition, and bear the names of `torch.nn.TransformerEncoder`.
+    """
+
+    def __init__(self, dim: int, n_hidden: int = 2048, together: int = 1) -> None:
+        super().__init__()
+        self.together = together
+        self.layers = nn.ModuleList(
+            nn.TransformerEncoderLayer(dim, _HEADS, n_hidden, dropout=0.0, activation="gelu") for _ in range(_LAYERS)
+        )
+        self.eval()
+
+    def forward(self, parts: Tensor) -> Tensor:
+        """Return the parts as their group changes them, (n, n_parts, dim)."""
+        return torch.cat([self._attended(group) for group in parts.split(self.together)])
+
+    def _attended(self, group: Tensor) -> Tensor:
+        for layer in self.layers:
+            group = layer(group)
+        return group
