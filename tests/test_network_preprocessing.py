@@ -44,15 +44,20 @@ class Watched(nn.Module):
         return images.mean((2, 3))
 
 
-def seen(name: str, image: Image, **changed: Any) -> Levels:
-    """What the network sees, as levels 0..255, (height, width, 3)."""
+def shown(name: str, image: Image, **changed: Any) -> tuple[NeuralDescriptor, Tensor]:
+    """A method, and what its network sees of an image, (3, height, width)."""
     method = registry.make_method({**configuration(name), **changed})
     assert isinstance(method, NeuralDescriptor)
     method.use(network := Watched())
     if name in ("netvlad_msls", "netvlad_pytorch"):
         network.mean = None  # type: ignore[assignment]
     method.encode(Images.from_arrays([image]))
-    values = network.seen[0].permute(1, 2, 0).double().numpy()
+    return method, network.seen[0]
+
+
+def seen(name: str, image: Image, **changed: Any) -> Levels:
+    """What the network sees, as levels 0..255, (height, width, 3)."""
+    values = shown(name, image, **changed)[1].permute(1, 2, 0).double().numpy()
     if name == "netvlad":
         return values + AVERAGE
     return (values * [0.229, 0.224, 0.225] + [0.485, 0.456, 0.406]) * 255
@@ -114,10 +119,13 @@ def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name: str
     assert config["preprocessing"] == "authors"
     multiple = ENTRIES[name].target().multiple  # type: ignore[union-attr, attr-defined]
     given = config["height"] or size[0], config["width"] or size[1]
-    wanted = floats((round(given[0] / multiple) * multiple, round(given[1] / multiple) * multiple))(image)
-    found = seen(name, image, preprocessing="vpr_methods_evaluation", resize="opencv", interpolation="bicubic")
+    side = round(given[0] / multiple) * multiple, round(given[1] / multiple) * multiple
+    asked = {"preprocessing": "vpr_methods_evaluation", "resize": "opencv", "interpolation": "bicubic"}
+    method, found = shown(name, image, **asked)
+    normalised = method.pixels(torch.from_numpy(image).permute(2, 0, 1)[None].double())[0].permute(1, 2, 0).numpy()
+    wanted = torch.from_numpy(floats(side)(normalised)).permute(2, 0, 1)
     assert found.shape == wanted.shape
-    assert np.abs(found - wanted).max() < 0.1
+    assert (found - wanted).abs().max() < np.ptp(normalised) / 2000
 
 
 @pytest.mark.parametrize(

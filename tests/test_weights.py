@@ -341,6 +341,15 @@ class TestReading:
         path.write_bytes(written.replace(b"c" + ours + b"\n", b"c" + module + b"\n"))
         assert read(path) == {"best_score": 0.852}
 
+    def test_a_method_may_let_arrays_be_read_too(self, tmp_path: Path) -> None:
+        value, number = np.array([0.5, 2.0]), np.float64(0.5)
+        path = write_torch({"pca": value, "best": number, "state_dict": TENSORS}, tmp_path / "net.pth")
+        rebuilders = [value.__reduce__()[0], number.__reduce__()[0]]
+        with torch.serialization.safe_globals([np.ndarray, np.dtype, type(value.dtype), *rebuilders]):
+            content = read(path)
+        assert content["pca"].tolist() == [0.5, 2.0]
+        assert content["best"] == 0.5
+
     @pytest.mark.parametrize(
         "value",
         [np.array([(1, 2.0)], "i4,f8")[0], np.datetime64("2026-01-01"), np.array([0.5])],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,18 @@ def scalar(kind: Any, content: Any) -> Any:
     return np.frombuffer(content, dtype)[0].item()
 
 
-#: What torch may take for the names that scalars are pickled under, by NumPy before 2.0 and since.
-GLOBALS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
+def readable() -> AbstractContextManager[None]:
+    """Let torch take scalars within this context, under the names of NumPy before 2.0 and since.
+
+    Where the caller lets it take NumPy's own types already, for what holds arrays too, nothing changes.
+    """
+    from torch import serialization  # slow to import
+
+    known = np.dtype in serialization.get_safe_globals()
+    return serialization.safe_globals([] if known else _GLOBALS)
+
+
+_GLOBALS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
     (scalar, "numpy.core.multiarray.scalar"),
     (scalar, "numpy._core.multiarray.scalar"),
     (Kind, "numpy.dtype"),

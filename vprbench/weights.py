@@ -280,7 +280,7 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
     import torch
 
     try:
-        with warnings.catch_warnings(), torch.serialization.safe_globals(pickled_scalars.GLOBALS):
+        with warnings.catch_warnings(), pickled_scalars.readable():
             warnings.simplefilter("ignore")  # about what was written by an older torch
             return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
     except pickle.UnpicklingError as error:
