@@ -17,6 +17,7 @@ from PIL import Image as PillowImage
 
 from vprbench import png
 from vprbench.file_hashes import FileHash, file_hashes
+from vprbench.image_formats import opened
 from vprbench.interface import BadInput, Image
 
 _CHUNK = 4  # images a reading thread takes at a time, at most
@@ -262,7 +263,7 @@ def read_image(path: Path) -> Image:
     try:
         if (pixels := _decoded_png(path)) is not None:
             return pixels
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
             if image.mode == "RGB":
@@ -286,7 +287,7 @@ def _decoded_png(path: Path) -> Image | None:
 def _decoded_bytes(path: Path) -> int:
     """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             return max(1, 3 * image.width * image.height)
     except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError):  # said when the image is read
         return 1

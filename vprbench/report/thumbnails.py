@@ -37,7 +37,7 @@ def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
 
 def _coarser(frame: bytes, side: int, quality: int) -> bytes:
     """Return a WebP image with its longest side at most `side`, never larger in bytes than it was."""
-    with Image.open(io.BytesIO(frame)) as image:
+    with Image.open(io.BytesIO(frame), formats=["WEBP"]) as image:
         small = image.convert("RGB")
     small.thumbnail((side, side))
     written = io.BytesIO()
