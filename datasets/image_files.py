@@ -32,7 +32,8 @@ def images_in(
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
         raise NotThere(f"{option}: {folder or 'nothing'} is no folder: {advice}")
-    files, strangers = [], []
+    files: list[Path] = []
+    strangers: list[Path] = []
     for path in _entries(top, deep):
         is_frame = is_image_name(path.name) and (path.is_file() or not path.exists())
         (files if is_frame else strangers).append(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
-import scipy.io
 import torch
 from torch import Tensor
 
 from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, DescriptorMethod, Image, NotFittedError, Places
+from vprbench.mat_files import MatFileError, read_mat
 from vprbench.search import faiss_module
 
 from .dense_sift import DIMENSIONS, SMALLEST_SIDE, dense_sift, grey_levels, halved, n_descriptors, root_sift
@@ -199,12 +198,12 @@ def _read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
     """Return the words of a published vocabulary, (n_words, 128): the columns of its variable CX, made unit vectors."""
     wanted = _wanted(n_words)
     try:
-        centres = scipy.io.loadmat(path, variable_names=["CX"]).get("CX")
-    except (OSError, ValueError, TypeError, NotImplementedError, zlib.error, scipy.io.matlab.MatReadError) as error:
+        centres = read_mat(path, ["CX"]).get("CX")
+    except (OSError, MatFileError) as error:
         raise BadInput(
             f"method.vocabulary={path} could not be read ({str(error).splitlines()[0]}): {wanted}"
         ) from error
-    if centres is None:
+    if not isinstance(centres, np.ndarray):
         raise BadInput(f"method.vocabulary={path} holds no CX: {wanted}")
     if centres.shape != (DIMENSIONS, n_words) or centres.dtype.kind != "f" or not np.isfinite(centres).all():
         shape = "x".join(str(side) for side in centres.shape)
