@@ -14,7 +14,7 @@ from vprbench.mat_files import MatFileError, read_mat
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder
 from .image_files import check_listed
-from .positions import by_radius
+from .positions import are_metres, by_radius
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -108,9 +108,9 @@ def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
 def _positions(file: Path, fields: tuple[Any, ...], position: int, count: int) -> npt.NDArray[np.float64]:
     """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
     metres = np.asarray(fields[position])
-    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not np.isfinite(metres).all():
+    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not are_metres(metres):
         raise BadInput(
-            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are finite metres, "
-            f"(2, {count}) for {count} names"
+            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, "
+            f"(2, {count}) for {count} names, each from -1e8 to 1e8"
         )
     return metres.T.astype(np.float64)

@@ -113,11 +113,12 @@ def test_a_missing_image_is_named_and_counted(root, name, told):
         {"utmDb": np.array(METRES).T},
         {"utmQ": np.array(METRES)},
         {"utmDb": np.array(METRES) * np.nan},
+        {"utmDb": np.array(METRES) * 1e300},
         {"dbImageFns": np.zeros((3, 1))},
         {"qImageFns": cells([1.0, 2.0])},
         {"qImageFns": cells([])},
     ],
-    ids=["transposed", "too many", "no numbers", "no names", "numbers for names", "no queries"],
+    ids=["transposed", "too many", "no numbers", "no metres", "no names", "numbers for names", "no queries"],
 )
 def test_fields_that_hold_something_else_are_numbered(root, damage):
     savemat(root / "set.mat", {"dbStruct": structure(**damage)})

@@ -254,7 +254,7 @@ def test_queries_too_far_from_every_reference_are_left_out_where_asked(fill):
 
 
 @pytest.mark.parametrize(
-    "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@inf@.png"]
+    "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@-1e308@.png"]
 )
 @pytest.mark.parametrize("side", ["references", "queries"])
 def test_a_name_without_a_position_is_named(fill, name, side):
