@@ -72,6 +72,7 @@ ORDER = [
     "growth_series",
     "figures",
     "report",
+    "returned_dataset",
     "registry",
     "fetch_entries",
     "fetched",

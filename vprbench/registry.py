@@ -6,7 +6,6 @@ import difflib
 import importlib.util
 import inspect
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -22,13 +21,12 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench.interface import BadInput, Dataset, Method
+from vprbench.returned_dataset import disk_errors_told, insist_on_dataset
 
 Group = Literal["method", "dataset"]
 
 ENTRY_POINTS = "vprbench.conf"
 
-_MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
-_SHOWN = 150  # characters of a name in a message
 _NO_CHOICE = ("_target_", "defaults", "seed", "device")  # what every run sets for itself
 
 
@@ -139,32 +137,9 @@ def make_method(config: Mapping[str, Any]) -> Method:
 
 def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
-    try:
+    with disk_errors_told(str(config.get("name", ""))):
         dataset = _build("dataset", config)
-    except OSError as error:  # of a disk, or of a name that no disk takes; plug-ins say what is merely not there
-        told = f"{shortened(str(error.filename))}: {error.strerror}" if error.filename and error.strerror else error
-        raise BadInput(f"dataset {config.get('name', '')} cannot be read ({told}): correct the path") from error
-    if not isinstance(dataset, Dataset):
-        raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
-    if len(os.fsencode(dataset.name)) > _MOST_NAME_BYTES:
-        raise BadInput(
-            f"dataset.name={shortened(dataset.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for "
-            "its runs are stored in a folder of that name"
-        )
-    from vprbench.images import Images  # a list of names needs none
-
-    for part, images in (("references", dataset.references), ("queries", dataset.queries)):
-        if not isinstance(images, Images):
-            raise BadInput(
-                f"{config['_target_']} gave {part} of type {type(images).__name__}; wanted is vprbench.images.Images, "
-                "by Images.from_files(paths) or Images.from_arrays(arrays)"
-            )
-    return dataset
-
-
-def shortened(text: str) -> str:
-    """Return a text as it is, or the start of a long one."""
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return insist_on_dataset(dataset, config["_target_"])
 
 
 def near(name: str, known: Iterable[str]) -> str:
