@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from image_folders import REAL, needs_real_frames
 from PIL import Image as PillowImage
 
 from vprbench.datasets.folders import folders
@@ -126,6 +127,14 @@ def test_what_may_be_a_frame_and_cannot_be_read_is_refused_by_name(fill, tmp_pat
     with pytest.raises(BadInput) as error:
         images_in(top, "dataset.queries", "", deep=deep)
     assert str(error.value).startswith(f"dataset.queries: {stranger} is ")
+
+
+@needs_real_frames
+@pytest.mark.parametrize(
+    ("name", "count"), [("corridor", 222), ("nordland_64x32", 7152), ("brisbane_events_7x7", 1365)]
+)
+def test_what_lies_beside_real_frames_is_known(name, count):
+    assert len(images_in(REAL / name, "", "")) == count
 
 
 @pytest.mark.parametrize("suffix", [".jpe", ".JFIF", ".pnm", ".pbm"])
