@@ -17,6 +17,7 @@ from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run, Store
+from vprbench.replacing import insist_on_writing
 from vprbench.weights import content_hash
 
 
@@ -50,6 +51,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
+            insist_on_writing(store.root / dataset.name)
             caches = _caches(store, threads) if settings.cache else (None, None)
             with progress_shown(f"{name} on {dataset.name}"):
                 run = runner.run(

@@ -6,10 +6,29 @@ import ctypes
 import errno
 import os
 import shutil
+import tempfile
 import uuid
 from pathlib import Path
 
+from vprbench.interface import BadInput
+
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
+
+
+def insist_on_writing(folder: Path) -> None:
+    """Raise BadInput for a folder that nothing can be written to, as a link to a disk that is not there; none is made.
+
+    A folder that is missing will be made, if the one above it takes it.
+    """
+    if not os.path.lexists(folder):
+        return
+    try:
+        tempfile.TemporaryDirectory(prefix=".partial-", dir=folder).cleanup()
+    except OSError as error:
+        raise BadInput(
+            f"{folder} cannot be written ({error.strerror or error}), where the run would be stored: mend that, or "
+            "choose another folder with results=..."
+        ) from error
 
 
 def replace_text(path: Path, content: str) -> None:
