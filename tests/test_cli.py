@@ -377,6 +377,19 @@ def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.Capture
     assert "results=file/inside cannot be written" in refused(["results=file/inside", *QUICK], capsys)
 
 
+def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vprbench import runner
+
+    ran: list[object] = []
+    monkeypatch.setattr(runner, "run", lambda *_: ran.append(True))
+    Path("results").mkdir()
+    Path("results/synthetic").symlink_to("/nowhere/synthetic")
+    assert "results/synthetic cannot be written" in refused(["method=sad", *QUICK], capsys)
+    assert not ran
+
+
 def test_what_a_full_disk_refuses_is_still_shown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

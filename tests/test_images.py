@@ -7,6 +7,7 @@ from concurrent import futures
 
 import numpy as np
 import pytest
+from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
@@ -379,6 +380,14 @@ def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path(tmp
     message = answer(lambda: read_image(path))
     assert str(path) in message
     assert "\n" not in message
+
+
+def test_no_image_starts_another_program(tmp_path, monkeypatch):
+    started = []
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: started.append(True))
+    (tmp_path / "frame.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n")
+    answer(lambda: read_image(tmp_path / "frame.png"))
+    assert not started
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path):

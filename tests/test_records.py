@@ -468,6 +468,26 @@ def test_a_killed_process_leaves_only_whole_runs(
         assert stored(store, f"after-kill-{kill}").n_references == 20
 
 
+def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "disk").mkdir()
+    (store.root / "journey").symlink_to(tmp_path / "disk")
+    rename = Path.rename
+
+    def on_one_disk(path: Path, target: Path) -> Path:
+        if path.parent.resolve() != target.parent.resolve():
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", on_one_disk)
+    for seconds in (1.0, 2.0):
+        store.save(a_run(harness_seconds=seconds))
+    assert [run.harness_seconds for run in store.runs()] == [2.0]
+    assert len([*(tmp_path / "disk").iterdir()]) == 1
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
 def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(
     store: Store, processes: Any
 ) -> None:

@@ -22,7 +22,7 @@ from vprbench.preprocessed import Preprocessed
 from vprbench.printable import printable
 from vprbench.records import Run
 from vprbench.report.answers import by_interest
-from vprbench.store import Store
+from vprbench.store import Store, insist_on_writing
 from vprbench.weights import content_hash
 
 
@@ -58,6 +58,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
+            insist_on_writing(store.root / dataset.name)
             caches = _caches(store, threads) if settings.cache else (None, None)
             with progress_shown(f"{name} on {dataset.name}"), chdir("."):
                 run = runner.run(

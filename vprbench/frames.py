@@ -239,5 +239,5 @@ def _thumbnails(content: dict[str, npt.NDArray[Any]]) -> Thumbnails:
 
 
 def _decoded(webp: bytes) -> Image:
-    with PillowImage.open(io.BytesIO(webp)) as picture:
+    with PillowImage.open(io.BytesIO(webp), formats=["WEBP"]) as picture:
         return np.asarray(picture.convert("RGB"))

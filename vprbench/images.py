@@ -18,6 +18,7 @@ from PIL import Image as PillowImage
 from vprbench import png
 from vprbench.ahead import Window
 from vprbench.file_hashes import FileHash, file_hashes
+from vprbench.image_formats import opened
 from vprbench.interface import BadInput, Image
 
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
@@ -279,7 +280,7 @@ def read_image(path: Path) -> Image:
     try:
         if (pixels := _decoded_png(path)) is not None:
             return pixels
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             _insist_on_size(image)
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
@@ -316,7 +317,7 @@ def _decoded_png(path: Path) -> Image | None:
 def _decoded_bytes(path: Path) -> int:
     """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             return max(1, 3 * image.width * image.height)
     except (
         OSError,

@@ -23,6 +23,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench import ending
 from vprbench.interface import BadInput, Dataset, Method
+from vprbench.returned_dataset import disk_errors_told, insist_on_dataset
 from vprbench.tuned import TunedOn
 
 Group = Literal["method", "dataset"]
@@ -186,18 +187,9 @@ def make_method(config: Mapping[str, Any]) -> Method:
 
 def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
-    dataset = _build("dataset", config)
-    if not isinstance(dataset, Dataset):
-        raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
-    from vprbench.images import Images  # a list of names needs none
-
-    for part, images in (("references", dataset.references), ("queries", dataset.queries)):
-        if not isinstance(images, Images):
-            raise BadInput(
-                f"{config['_target_']} gave {part} of type {type(images).__name__}; wanted is vprbench.images.Images, "
-                "by Images.from_files(paths) or Images.from_arrays(arrays)"
-            )
-    return dataset
+    with disk_errors_told(str(config.get("name", ""))):
+        dataset = _build("dataset", config)
+    return insist_on_dataset(dataset, config["_target_"])
 
 
 def near(name: str, known: Iterable[str]) -> str:

@@ -75,7 +75,8 @@ def move_folder(partial: Path, folder: Path) -> None:
     """Rename a complete folder to its final name; of several writers of one name the last one stays.
 
     What was replaced is left to be removed under the name `partial`, where the system can exchange two folders. There a
-    reader finds the old run or the new one at any time, elsewhere for a moment none.
+    reader finds the old run or the new one at any time, elsewhere for a moment none. Where the final folder is on
+    another disk, by way of a link, it is copied there first; `partial` then stays for the caller to remove.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     aside: list[Path] = []
@@ -83,6 +84,9 @@ def move_folder(partial: Path, folder: Path) -> None:
         try:
             partial.rename(folder)
         except OSError as error:
+            if error.errno == errno.EXDEV:
+                _move_copy(partial, folder)
+                return
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
             try:
@@ -99,6 +103,16 @@ def move_folder(partial: Path, folder: Path) -> None:
         raise OSError(f"{folder} is being replaced by others all the time")
     for replaced in aside:
         shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _move_copy(partial: Path, folder: Path) -> None:
+    """Copy a folder to the disk of its final name and rename it there."""
+    there = unfinished(folder.parent)
+    try:
+        shutil.copytree(partial, there)
+        move_folder(there, folder)
+    finally:
+        shutil.rmtree(there, ignore_errors=True)
 
 
 def exchange(first: Path, second: Path) -> bool:

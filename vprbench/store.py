@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -207,3 +209,19 @@ def _identity(folder: Path, part: str = "") -> tuple[int, int] | None:
     except OSError as error:
         raise UnreadableRunError(error.strerror or error) from error
     return found.st_ino, found.st_mtime_ns  # a number may be used again
+
+
+def insist_on_writing(folder: Path) -> None:
+    """Raise BadInput for a folder that nothing can be written to, as a link to a disk that is not there; none is made.
+
+    A folder that is missing will be made, if the one above it takes it.
+    """
+    if not os.path.lexists(folder):
+        return
+    try:
+        tempfile.TemporaryDirectory(prefix=".partial-", dir=folder).cleanup()
+    except OSError as error:
+        raise BadInput(
+            f"{folder} cannot be written ({error.strerror or error}), where the run would be stored: mend that, or "
+            "choose another folder with results=..."
+        ) from error

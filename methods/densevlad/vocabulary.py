@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.io
 
 from vprbench.interface import BadInput
+from vprbench.mat_files import read_mat
 
 from .dense_sift import DIMENSIONS
 
@@ -42,14 +41,11 @@ def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
         if path.suffix == ".npy":
             centres = np.load(path, allow_pickle=False).T
         else:
-            centres = scipy.io.loadmat(path, variable_names=["CX"]).get("CX")
-    except (
-        *(OSError, ValueError, TypeError, EOFError, NotImplementedError),
-        *(zlib.error, scipy.io.matlab.MatReadError),
-    ) as error:
+            centres = read_mat(path, ["CX"]).get("CX")
+    except (OSError, ValueError, EOFError) as error:  # MatFileError is a ValueError
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"method.vocabulary={path} could not be read ({reason}): {wanted}") from error
-    if centres is None:
+    if not isinstance(centres, np.ndarray):
         raise BadInput(f"method.vocabulary={path} holds no CX: {wanted}")
     if centres.shape != (DIMENSIONS, n_words) or centres.dtype.kind != "f" or not np.isfinite(centres).all():
         shape = "x".join(str(side) for side in centres.shape)

@@ -42,7 +42,7 @@ def _coarser(frame: bytes, side: int, quality: int) -> bytes:
     """Return a WebP image with its longest side at most `side`, never larger in bytes than it was."""
     if not frame:
         return frame
-    with Image.open(io.BytesIO(frame)) as image:
+    with Image.open(io.BytesIO(frame), formats=["WEBP"]) as image:
         small = image.convert("RGB")
     small.thumbnail((side, side))
     written = io.BytesIO()
