@@ -12,7 +12,7 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -28,10 +28,13 @@ from vprbench.commands import COMMANDS
 from vprbench.composing import check_names, explained, readable
 from vprbench.interface import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
+from vprbench.replacing import PARTIAL, remove_leftovers
 
 if TYPE_CHECKING:
     from vprbench.records import Failure
     from vprbench.store import Store
+
+_SWEEP = "-vprbench-sweep"  # how the names of temporary folders end
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
@@ -104,8 +107,8 @@ def _run_or_sweep(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
     sys.argv = [kept[0], *arguments]
-    with tempfile.TemporaryDirectory() as scratch:  # where Hydra leaves its notes on a sweep
-        sys.argv += [f"hydra.sweep.dir={scratch}"]
+    with _scratch(arguments) as options:
+        sys.argv += options
         try:
             task()
         finally:
@@ -113,6 +116,17 @@ def _run_or_sweep(arguments: list[str]) -> int:
     if errors:
         raise errors[0]
     return max(codes, default=0)
+
+
+@contextlib.contextmanager
+def _scratch(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the options by which Hydra leaves its notes on a sweep in a folder that is removed; none for one run."""
+    if not any(text == "-m" or "multirun" in text.lower() for text in arguments):
+        yield []
+        return
+    remove_leftovers(Path(tempfile.gettempdir()), _SWEEP)
+    with tempfile.TemporaryDirectory(prefix=PARTIAL, suffix=_SWEEP, ignore_cleanup_errors=True) as scratch:
+        yield [f"hydra.sweep.dir={scratch}"]
 
 
 def _run_apart() -> int:
