@@ -51,10 +51,11 @@ class _AskedOfRun(_Asked):
 
 
 class _Protocol(_Part):
-    tolerance_places: _Count | None = None
+    tolerance_places: _Count = 0
+    tolerance_frames: _Count = 0
     also_tolerance_places: list[_Count] = []
-    tolerance_metres: _Number | None = None
-    radius_metres: _Number | None = None
+    tolerance_metres: _Number = 0.0
+    radius_metres: _Number = 0.0
 
 
 class _Commit(_Part):
