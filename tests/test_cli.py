@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
+import tempfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench import registry
+from vprbench import cli, registry
 from vprbench.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,6 +92,22 @@ def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made
     assert json.loads(capsys.readouterr().out)["from_store"] is True
     assert main(["method=sad", *QUICK, "seed=1"]) == 2
     assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("_run_apart", ["-m"], 1)])
+def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
+) -> None:
+    temporary = tmp_path / "temporary"
+    old = temporary / ".partial-0-vprbench-sweep"
+    old.mkdir(parents=True)
+    os.utime(old, (0, 0))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    seen: list[int] = []
+    monkeypatch.setattr(cli, one, lambda *_: seen.append(len({*temporary.iterdir()} - {old})) or 0)
+    assert main([*options, "method=sad", *QUICK]) == 0
+    assert (seen, old.exists()) == ([n_folders], not n_folders)
+    assert {*temporary.iterdir()} <= {old}
 
 
 def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:

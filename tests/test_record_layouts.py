@@ -87,7 +87,8 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
     if schema >= 3:
         summary |= {"search": {"index": "hnsw", "bytes_per_place": 8, "recall_at_1": 1.0, "recall_at_10": 0.5}}
     if schema >= 4:
-        summary |= {"spikes": {"queries": 2, "layers": []}}
+        counts = {"neurons": 3, "spikes_per_query": [1.0, 2.0], "active_share": 1.0, "amplitude_mean": None}
+        summary |= {"spikes": {"queries": 2, "layers": [{"name": "output", **counts}]}}
     if schema >= 5:
         summary |= {"data": {"names_sha256": "b" * 64}}
     summary |= changes

@@ -97,7 +97,7 @@ def test_a_record_that_is_signed_anew_is_believed(store: Store, forged: Path) ->
         *(("network", value) for value in (5, [])),
         *(("search.bytes_per_place", value) for value in ("4352", None)),
         ("search.recall_at_1", 98.4),
-        ("spikes.layers", {}),
+        *(("spikes.layers", value) for value in ({}, [])),
         ("spikes.layers.0.spikes_per_query", []),
         ("spikes.layers.0.neurons", [12]),
         ("timing.offline", []),

@@ -8,10 +8,9 @@ import os
 import re
 import signal
 import sys
-import tempfile
 import textwrap
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,7 +28,7 @@ from vprbench.console import answers_alone, log_lines
 from vprbench.interface import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
 from vprbench.printable import printable
-from vprbench.sweep import IN_SWEEP, as_json, record, run_apart
+from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
@@ -102,8 +101,8 @@ def _run_or_sweep(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
     sys.argv = [kept[0], *arguments]
-    with tempfile.TemporaryDirectory() as scratch:  # where Hydra leaves its notes on a sweep
-        sys.argv += [f"hydra.sweep.dir={scratch}"]
+    with _hydra_options(arguments) as options:
+        sys.argv += options
         try:
             task()
         except ValueError as error:  # of flags that do not go together
@@ -113,6 +112,16 @@ def _run_or_sweep(arguments: list[str]) -> int:
     if errors:
         raise errors[0]
     return max(codes, default=0)
+
+
+@contextlib.contextmanager
+def _hydra_options(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the options by which Hydra leaves its notes on a sweep in a folder that is removed; none for one run."""
+    if not any(text == "-m" or "multirun" in text.lower() for text in arguments):
+        yield []
+        return
+    with scratch() as folder:
+        yield [f"hydra.sweep.dir={folder}"]
 
 
 def _run(config: DictConfig) -> int:

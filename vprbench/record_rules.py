@@ -16,6 +16,7 @@ _Name = Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")]  # 
 _Count = Annotated[int, Field(ge=0, le=1 << 53)]
 _Places = Annotated[int, Field(ge=1, le=MOST_PLACES)]
 _Number = Annotated[float, Field(allow_inf_nan=False)]
+_Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Seconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -51,10 +52,11 @@ class _AskedOfRun(_Asked):
 
 
 class _Protocol(_Part):
-    tolerance_places: _Count | None = None
+    tolerance_places: _Count = 0
+    tolerance_frames: _Count = 0
     also_tolerance_places: list[_Count] = []
-    tolerance_metres: _Number | None = None
-    radius_metres: _Number | None = None
+    tolerance_metres: _Number = 0.0
+    radius_metres: _Number = 0.0
 
 
 class _Commit(_Part):
@@ -95,14 +97,14 @@ class _Search(_Part):
 class _Layer(_Part):
     name: str
     neurons: _Count
-    spikes_per_query: Annotated[list[_Number], Field(min_length=1)]
+    spikes_per_query: Annotated[list[_Amount], Field(min_length=1)]
     active_share: _Share
     amplitude_mean: _Number | None
 
 
 class _Spikes(_Part):
     queries: _Count
-    layers: list[_Layer]
+    layers: Annotated[list[_Layer], Field(min_length=1)]
 
 
 class _Frames(_Part):

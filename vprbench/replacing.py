@@ -53,7 +53,8 @@ def remove_leftovers(folder: Path, ending: str = "") -> None:
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                path.unlink()
+                with suppress(OSError):
+                    path.unlink()
 
 
 def replace_text(path: Path, content: str) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import vprbench
 from vprbench import ending
 from vprbench.printable import printable
+from vprbench.replacing import PARTIAL, remove_leftovers
 
 if TYPE_CHECKING:
     from vprbench.records import Failure
@@ -45,8 +46,8 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
     """
     home = str(Path(vprbench.__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    with tempfile.TemporaryDirectory(prefix="vprbench-") as folder, _signals_passed_on() as (children, signals):
-        left = Path(folder) / "ending"
+    with scratch() as folder, _signals_passed_on() as (children, signals):
+        left = folder / "ending"
         given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
         with subprocess.Popen(command, env=given, stdout=stdout) as child:
@@ -61,6 +62,15 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
         return _dead(code, words)
     known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}
     return Ending(**known)  # what happens to a process after its last word changes nothing of what it has stored
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a temporary folder, removed in the end, and remove those that killed processes left behind."""
+    ending = "-vprbench"
+    remove_leftovers(Path(tempfile.gettempdir()), ending)
+    with tempfile.TemporaryDirectory(prefix=PARTIAL, suffix=ending, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
 
 
 def record(failure: Failure, root: Path) -> None:

@@ -16,7 +16,7 @@ _DIGITS = 12  # of a hash that people compare by eye
 
 def label(run: Run | Failure) -> str:
     """Return a method's name with the arguments that were asked for."""
-    asked = [text.removeprefix("method.") for text in run.config["overrides"] if text.startswith("method.")]
+    asked = [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
     return " ".join([run.method, *asked])
 
 
