@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import Lookup, journey, number_in
-from little_runs import quiet_surroundings, run_of, table
+from little import Lookup, journey, number_in, picture
+from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 
 from vprbench import runner
+from vprbench.descriptor_cache import DescriptorCache
 from vprbench.images import Images
-from vprbench.interface import BadInput, LayerSpikes, Places, Scores
+from vprbench.interface import BadInput, DescriptorMethod, LayerSpikes, Places, Scores
 from vprbench.ranking import Outcome, outcome
 
 
@@ -177,6 +179,34 @@ def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave() -
 
 
 # What a method is given
+
+
+@dataclass(kw_only=True)
+class Reading(DescriptorMethod):
+    """Notes the names of the images that it encodes after the fit."""
+
+    names: list[str] = field(default_factory=list)
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        if self.searched is not None:
+            self.names += images.names
+        return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
+
+    def keeps_descriptors(self) -> bool:
+        return True
+
+    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+        return [LayerSpikes("input", codes)]
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
+    named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
+    method, dataset = Reading(), replace(journey(6, 4), queries=named)
+    cache = DescriptorCache(tmp_path) if cached else None
+    runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, cache=cache)
+    assert len(method.names) > 3 * 6
+    assert all(name.startswith("image ") for name in method.names)
 
 
 def test_places_given_to_fit_cannot_be_written() -> None:

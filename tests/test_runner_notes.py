@@ -154,6 +154,14 @@ def test_rates_that_meet_their_minima_are_not_called_invalid(clock: Clock) -> No
     assert "invalid" not in notes_of(Working(table(12, 4), clock=clock), journey(12, 4))
 
 
+@pytest.mark.parametrize(("pressure", "noisy"), [(None, False), (15.0, False), (15.1, True)])
+def test_a_run_is_noisy_where_processes_waited_for_a_core(
+    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, pressure: float | None, noisy: bool
+) -> None:
+    monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
+    assert ("noisy: processes waited" in notes_of(Lookup(table(12, 4)), journey(12, 4))) is noisy
+
+
 @pytest.mark.parametrize(("after", "noisy"), [(1.04, False), (1.06, True), (0.94, True), (0.96, False)])
 def test_a_run_is_noisy_where_a_fixed_computation_drifts_by_more_than_five_percent(
     monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, after: float, noisy: bool

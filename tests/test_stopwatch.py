@@ -472,6 +472,18 @@ def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(
     assert Stopwatch(short(sample=16)).measure(method, Images.from_files(paths)).sample.tolist() == [0, 6, 12, 19]
 
 
+def test_the_first_batch_of_each_size_is_not_timed() -> None:
+    seen: set[int] = set()
+
+    def cost(numbers: list[int]) -> int:
+        new = len(numbers) not in seen
+        seen.add(len(numbers))
+        return (100 if new else 3) * MS
+
+    timing, _ = measured(short(batch_sizes=[2, 4], minimum_queries=8), cost, images=8)
+    assert [laps.encode_seconds.tolist() for laps in timing.offline] == [[0.003] * 4, [0.003] * 2]
+
+
 # Percentiles: counts of spec timing.md 2.3
 
 

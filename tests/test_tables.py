@@ -17,6 +17,7 @@ import pytest
 from little import a_run, laps, unanswerable_run
 
 from vprbench import tables
+from vprbench.ranking import outcome
 from vprbench.records import Failure, Run
 from vprbench.summary import StageRates, summarise
 from vprbench.tables import readable_row
@@ -306,3 +307,13 @@ def test_stage_rates_are_plain_numbers() -> None:
     rates = summarise(a_run()).streaming
     assert {type(rate) for rate in (rates.encode, rates.match, rates.total)} == {float}
     assert isinstance(rates, StageRates)
+
+
+def test_the_interval_of_blocks_holds_the_recall_where_every_query_ties() -> None:
+    scores, right = np.ones((40, 2), np.float32), (np.array([0]),) * 40
+    shown = tables.numbers(a_run(outcome=outcome(scores, right), positives=right))
+    low, recall, high = (shown[f"recall_at_1{end}"] for end in ("_block_low", "", "_block_high"))
+    assert low is not None
+    assert high is not None
+    assert recall == 0.5
+    assert low <= recall <= high
