@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
+from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.interface import BadInput
@@ -80,6 +80,7 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
                 "thin lines are the seeds, the thick one is their mean and ends where the first of them ends; AP is "
                 "the mean ± one standard deviation",
             ),
+            tuned_sentence(series),
         ),
     )
 
@@ -107,6 +108,7 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
             _unanswerable(run),
             _WILSON,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 
@@ -140,6 +142,7 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
             _unanswerable(run),
             _WILSON,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 
