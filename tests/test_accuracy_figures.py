@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 
 from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.figures.style import Drawn, pdf
+from vprbench.figures.tradeoff import against_rate
 from vprbench.interface import BadInput
 from vprbench.intervals import share_interval
 from vprbench.ranking import outcome
@@ -212,6 +213,14 @@ def test_captions_name_the_dataset_its_queries_places_and_the_interval(draw: Any
     assert "VPRTempo (3 seeds)" in text
     assert "no right place" not in text
     assert re.search(r"  |\.\.|None", text) is None
+
+
+@pytest.mark.parametrize("draw", [*ALL, against_rate])
+def test_captions_say_which_row_was_tuned_on_what(draw: Any) -> None:
+    tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
+    caption = draw([series("SAD", run("sad", 0.4)), series("Mine", tuned)]).caption
+    assert "Mine: tuned on the first 9 places of railway, so in no contest on railway." in caption
+    assert "SAD: tuned" not in caption
 
 
 @pytest.mark.parametrize("draw", ALL)

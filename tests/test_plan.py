@@ -134,6 +134,11 @@ def test_a_plan_without_a_part_is_refused_by_its_file(group: str, content: Any, 
         read_plan(written(content, tmp_path))
 
 
+def test_a_plan_without_any_seed_is_refused(content: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"table\.yaml is no plan of a table"):
+        read_plan(written({**content, "seeds": []}, tmp_path))
+
+
 def test_an_unknown_part_of_a_row_is_refused(content: Any, tmp_path: Path) -> None:
     content["rows"]["SAD"]["colour"] = "red"
     with pytest.raises(BadInput, match="colour"):

@@ -98,14 +98,14 @@ def read_plan(path: Path) -> Plan:
         )
         columns = {name: _column(name, given) for name, given in content["columns"].items()}
         growth = _growth(**content["growth"])
-        seeds = tuple(content["seeds"])
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        first, *more_seeds = content["seeds"]
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
     for column in columns.values():
         for named in (column.smaller, column.stand_in_for):
             if named is not None and named not in columns:
                 raise BadInput(f"{path}: column {column.name} names {named}, which is none: there are {[*columns]}")
-    return Plan(rows, more, columns, growth, seeds)
+    return Plan(rows, more, columns, growth, (first, *more_seeds))
 
 
 def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:

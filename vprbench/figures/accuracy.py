@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vprbench.block_length import block_length
-from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
+from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.interface import BadInput
@@ -81,6 +81,7 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
                 "thin lines are the seeds, the thick one is their mean and ends where the first of them ends; AP is "
                 "the mean ± one standard deviation",
             ),
+            tuned_sentence(series),
         ),
     )
 
@@ -108,6 +109,7 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
             _unanswerable(run),
             _BANDS,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 
@@ -141,6 +143,7 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
             _unanswerable(run),
             _BANDS,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 

@@ -19,6 +19,7 @@ from vprbench.figures.measured_on import (
     noise_sentence,
     runs_of,
     seed_sentence,
+    tuned_sentence,
 )
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
@@ -169,4 +170,5 @@ def _closing(series: Sequence[Series]) -> tuple[str, ...]:
         seed_sentence(series, "means over the seeds, the bar is that of the mean hits"),
         machine_sentence(runs),
         noise_sentence(series),
+        tuned_sentence(series),
     )
