@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in COMMANDS:
-            return COMMANDS[arguments[0]](arguments[1:])
+            return _command(arguments[0], arguments[1:])
         if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
         return _run_or_sweep(in_order(readable(arguments)))
@@ -83,6 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         reason = "interrupted; what was finished before is kept: give the same command again"
         return _complain(reason, 128 + (error.args or (signal.SIGINT,))[0])
+
+
+def _command(name: str, options: list[str]) -> int:
+    """Run one of the commands beside a run."""
+    try:
+        return COMMANDS[name](options)
+    except SystemExit as error:
+        return _complain(_told(error), 1)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:
