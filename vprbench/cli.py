@@ -78,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error) or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(explained(error, arguments))
+    except BrokenPipeError:
+        return _complain("standard output was closed before all was printed", 1)
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt as error:
