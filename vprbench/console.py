@@ -57,13 +57,13 @@ def answers_alone() -> Iterator[Callable[[str], None]]:
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
-    stream = _Forgiving(sys.stderr if stream is None else stream)
+    shown = _Forgiving(sys.stderr if stream is None else stream)
     title = printable(title)
-    if stream.isatty():
-        with _Bar(title, stream) as bar, listening(bar.show):
+    if shown.isatty():
+        with _Bar(title, shown) as bar, listening(bar.show):
             yield
     else:
-        with listening(_Lines(title, stream).show):
+        with listening(_Lines(title, shown).show):
             yield
 
 
