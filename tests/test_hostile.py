@@ -76,6 +76,13 @@ def test_a_run_that_hangs_ends_at_its_limit_and_is_a_failure_that_names_it() -> 
     assert "limit_minutes=0.001" in done.stderr.splitlines()[-1]
 
 
+def test_a_run_that_nobody_watches_is_stored(tmp_path: Path) -> None:
+    command = " ".join([sys.executable, "-m vprbench", *QUICK, ">&- 2>&- <&-"])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    assert subprocess.run(command, shell=True, cwd=tmp_path, env=environment, timeout=120, check=False).returncode == 0
+    assert len(list(Store(tmp_path / "results").runs())) == 1
+
+
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("method", "code"), [("leaving", 1), ("silent", 2), ("colourful", 1)])
 def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(

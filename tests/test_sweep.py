@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
 
-from vprbench import sweep
+from vprbench import cli, sweep
 from vprbench.store import Store
 from vprbench.sweep import Ending
 
@@ -79,3 +80,18 @@ def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) ->
         ends(f"kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
     assert ended.value.args == (number,)
     assert signal.getsignal(number) is before
+
+
+def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr(cli, "run_apart", lambda options: asked.append(list(options)) or Ending(len(asked) % 2))
+    monkeypatch.chdir(tmp_path)
+    methods, places = ["vprtempo", "vprtempo_int8"], "dataset.references=[a,b]"
+    swept = [f"method={','.join(methods)}", "method.rules=paper,reference", "method.max_module=921"]
+    assert cli.main([*swept, "-m", "dataset=nordland_64x32", "seed=0,1", places]) == 1
+    assert [options[:3] for options in asked] == [
+        [f"method={method}", f"method.rules={rules}", "method.max_module=921"]
+        for method, rules, _ in product(methods, ("paper", "reference"), (0, 1))
+    ]
+    assert all(places in options and "dataset=nordland_64x32" in options for options in asked)
+    assert [options[4] for options in asked] == ["seed=0", "seed=1"] * 4

@@ -38,6 +38,8 @@ def _waited_for() -> int:
 
     try:
         code = cli.main()
+    except SystemExit as error:  # of Hydra, that says why; of a plug-in it is caught where that runs
+        code = error.code if isinstance(error.code, int) else int(error.code is not None)
     except BaseException:
         ending.tell(code=1)  # and the traceback says the rest
         raise

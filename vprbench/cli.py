@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in COMMANDS:
-            return COMMANDS[arguments[0]](arguments[1:])
+            return _command(arguments[0], arguments[1:])
         if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
         return _run_or_sweep(in_order(readable(arguments)))
@@ -77,11 +77,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error) or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(explained(error, arguments))
+    except BrokenPipeError:
+        return _complain("standard output was closed before all was printed", 1)
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt as error:
         reason = "interrupted; what was finished before is kept: give the same command again"
         return _complain(reason, 128 + (error.args or (signal.SIGINT,))[0])
+
+
+def _command(name: str, options: list[str]) -> int:
+    """Run one of the commands beside a run."""
+    try:
+        return COMMANDS[name](options)
+    except SystemExit as error:
+        return _complain(_told(error), 1)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:

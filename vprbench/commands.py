@@ -192,7 +192,7 @@ def doctor(options: list[str]) -> int:
 
     Raises BadInput where none is named, and for options that are neither its own nor output=json.
     """
-    from vprbench.console import progress_shown
+    from vprbench.console import answers_alone, progress_shown
     from vprbench.doctor import command
 
     if not any(option.startswith("dataset=") for option in options):
@@ -205,9 +205,12 @@ def doctor(options: list[str]) -> int:
     name = config["dataset"].get("name", "dataset")
     output = registry.checked("output", config["output"], Literal["row", "json"])
 
-    with progress_shown(f"doctor, {name}"):
+    with progress_shown(f"doctor, {name}"), answers_alone() as say:
         return command(
-            name, lambda: registry.make_dataset(config["dataset"]), print, "json" if output == "json" else "text"
+            name,
+            lambda: registry.make_dataset(config["dataset"]),
+            lambda text: say(printable(text, but="\n")),
+            "json" if output == "json" else "text",
         )
 
 

@@ -92,14 +92,22 @@ def check_names(arguments: Sequence[str]) -> None:
 def explained(error: Exception, arguments: Sequence[str]) -> str:
     """Turn an error of Hydra into one line that names the option and what to do."""
     text = " ".join(str(error).split())
+    if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
+        name, _, values = several[1].partition("=")
+        return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
+    if sought := re.search(r"Could not find '(method|dataset)/(.*?)'\s+Available", str(error), re.DOTALL):
+        group: registry.Group = "method" if sought[1] == "method" else "dataset"
+        return f"{group}={sought[2]} is unknown: {registry.near(sought[2], registry.entries(group))}"
+    if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
+        return f"{unresolved[2]}: {unresolved[1]}"
     option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
     if option is None:
         return text
     path = option.group(1)
-    group, _, name = path.partition(".")
-    if group in ("method", "dataset") and name:
-        return _unfit("method" if group == "method" else "dataset", name, arguments)
-    if group == "timing" and name:
+    above, _, name = path.partition(".")
+    if above in ("method", "dataset") and name:
+        return _unfit("method" if above == "method" else "dataset", name, arguments)
+    if above == "timing" and name:
         return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
     return f"option {path} is unknown: {registry.near(path, KNOWN)}"
 

@@ -9,13 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
-from typing import TextIO
+from typing import Any, TextIO
 
 from tqdm import tqdm
 
 from vprbench import ending
 from vprbench.printable import printable
-from vprbench.progress import Listener, listening
+from vprbench.progress import listening
 
 _LINE_EVERY = 10.0  # seconds between plain lines
 _STEPS = 1000  # resolution of the bar
@@ -57,28 +57,37 @@ def answers_alone() -> Iterator[Callable[[str], None]]:
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
-    stream = sys.stderr if stream is None else stream
+    shown = _Forgiving(sys.stderr if stream is None else stream)
     title = printable(title)
-    if stream.isatty():
-        with _Bar(title, stream) as bar, listening(_unhindered(bar.show)):
+    if shown.isatty():
+        with _Bar(title, shown) as bar, listening(bar.show):
             yield
     else:
-        with listening(_unhindered(_Lines(title, stream).show)):
+        with listening(_Lines(title, shown).show):
             yield
 
 
-def _unhindered(show: Listener) -> Listener:
-    """Return what shows progress as a line, and lets nobody's absence from the stream end what runs."""
+class _Forgiving:
+    """A stream whose reader may go: what it would have read is lost, and nothing else."""
 
-    def shown(stage: str, done: float) -> None:
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError, ValueError):  # ValueError: it was closed
+            return self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
         with suppress(OSError, ValueError):
-            show(printable(stage), done)
-
-    return shown
+            self._stream.flush()
 
 
 class _Bar:
-    def __init__(self, title: str, stream: TextIO) -> None:
+    def __init__(self, title: str, stream: _Forgiving) -> None:
         columns, rows = shutil.get_terminal_size()  # 80 and 24 where a terminal does not tell
         layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
         self._bar = tqdm(
@@ -98,12 +107,12 @@ class _Bar:
         if stage != self._stage:
             self._stage = stage
             self._bar.reset()
-            self._bar.set_description_str(f"{self._title}: {stage}")
+            self._bar.set_description_str(f"{self._title}: {printable(stage)}")
         self._bar.update(int(done * _STEPS) - self._bar.n)
 
 
 class _Lines:
-    def __init__(self, title: str, stream: TextIO) -> None:
+    def __init__(self, title: str, stream: _Forgiving) -> None:
         self._title = title
         self._stream = stream
         self._stage = ""
@@ -114,8 +123,9 @@ class _Lines:
         now = time.perf_counter()
         if stage != self._stage:
             self._stage, self._started, self._last = stage, now, now
-            print(f"{self._title}: {stage}", file=self._stream, flush=True)
+            print(f"{self._title}: {printable(stage)}", file=self._stream, flush=True)
         elif now - self._last >= _LINE_EVERY and 0 < done < 1:
             self._last = now
             left = (now - self._started) * (1 - done) / done
-            print(f"{self._title}: {stage} {100 * done:.0f} %, {left:.0f} s left", file=self._stream, flush=True)
+            line = f"{self._title}: {printable(stage)} {100 * done:.0f} %, {left:.0f} s left"
+            print(line, file=self._stream, flush=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench import environment, registry
+from vprbench.homes import insist_on_homes
 from vprbench.interface import BadInput
 from vprbench.stopwatch import Protocol
 
@@ -42,6 +43,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
             raise BadInput(f"option {name} is unknown: {registry.near(name, KNOWN)}")
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
+    insist_on_homes(config)
     timing = _checked_timing(config["timing"])
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import re
 import threading
 import time
@@ -17,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from vprbench.homes import cache_folder
 from vprbench.replacing import PARTIAL, remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
@@ -215,10 +214,7 @@ def training(
 
 def partial_folder() -> Path:
     """Return the folder that keeps partial trainings: VPRBENCH_PARTIAL, or one in the user's cache."""
-    chosen = os.environ.get(_FOLDER)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_cache_path("vprbench", appauthor=False) / "partial"
+    return cache_folder(_FOLDER, "partial")
 
 
 def _write(path: Path, arrays: Arrays, seconds: float) -> None:

@@ -219,8 +219,8 @@ class _Answers:
     def add(self, n_queries: int, scores: Scores, seconds: float) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
         wanted = (n_queries, self._shape[1])
-        if scores.shape != wanted:
-            raise BadInput(f"the method gave scores of shape {scores.shape}; wanted {wanted}, one for each place")
+        if np.shape(scores) != wanted:
+            raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
         scores = checked_scores(scores, self.done)
         self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
         rows = max(1, _RANKED_CELLS // scores.shape[1])
