@@ -37,7 +37,7 @@ def block_length(values: npt.ArrayLike) -> int:
     most = math.floor(min(3 * math.sqrt(n), n / 3))
     if at_zero**2 * most**3 <= 1.5 * slope**2 * n:  # the same as length >= most, without dividing by what may be 0
         return most
-    return max(1, math.ceil((1.5 * (slope / at_zero) ** 2 * n) ** (1 / 3)))
+    return max(1, math.ceil(math.cbrt(1.5 * (slope / at_zero) ** 2 * n)))
 
 
 def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
