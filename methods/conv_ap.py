@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -63,4 +62,4 @@ class _ConvAP(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         features = self.aggregator["channel_pool"](self.backbone["model"](images))
-        return cast(Tensor, nn.functional.adaptive_avg_pool2d(features, _QUARTERS).flatten(1))
+        return nn.functional.adaptive_avg_pool2d(features, _QUARTERS).flatten(1)

@@ -119,7 +119,7 @@ class _Adapter(nn.Module):
         inner = functional.relu(self.D_fc1(tokens))
         cls, patches = inner[:, :1], inner[:, 1:]
         side = math.isqrt(patches.shape[1])
-        grid = patches.transpose(1, 2).unflatten(2, (side, side))
+        grid = patches.transpose(1, 2).reshape(len(tokens), -1, side, side)
         seen = torch.cat([branch(grid) for branch in (self.branch1, self.branch2, self.branch3)], 1)
         return cast(Tensor, self.D_fc2(torch.cat([2 * cls, patches + seen.flatten(2).transpose(1, 2)], 1)))
 

@@ -19,10 +19,10 @@ _REASON = "images that are described together see one another; images_together=1
 class CrossImageDescriptor(NeuralDescriptor):
     """A descriptor of an image that may look at its neighbours too; `load` and `blank` are left to write.
 
-    `images_together` consecutive images attend to one another, the last of a traverse to those that are left. With 1
-    each image is described alone, and no answer depends on what else is asked. The authors evaluate with 16, which
-    helps where neighbours show one place: a query then has the help of other queries. A batch holds whole groups, even
-    where that is more than `batch_size`. With `resize=tensor` only images of one size go together.
+    `images_together` consecutive images of one call of `encode` attend to one another, the last ones to those that are
+    left. With 1 each image is described alone, and no answer depends on what else is asked. The authors evaluate with
+    16, which helps where neighbours show one place: a query then has the help of other queries. A batch holds whole
+    groups, even where that is more than `batch_size`. With `resize=tensor` only images of one size go together.
     """
 
     images_together: int = 1
@@ -41,6 +41,10 @@ class CrossImageDescriptor(NeuralDescriptor):
             f"{self.images_together} consecutive images were described together: each query had the help of the "
             "queries beside it",
         )
+
+    def keeps_descriptors(self) -> bool:
+        """Tell that descriptors are worth keeping where they do not depend on the images that are encoded with them."""
+        return self.images_together == 1
 
     def _at_most(self, image: Image) -> int:
         together = self.images_together
@@ -69,7 +73,7 @@ class CrossImageEncoder(nn.Module):
 
     def forward(self, parts: Tensor) -> Tensor:
         """Return the parts as their group changes them, (n, n_parts, dim)."""
-        return torch.cat([self._attended(group) for group in parts.split(self.together)])
+        return torch.cat([self._attended(group) for group in torch.split(parts, self.together)])
 
     def _attended(self, group: Tensor) -> Tensor:
         for layer in self.layers:

@@ -161,9 +161,10 @@ def test_the_blank_network_has_the_published_sizes() -> None:
         assert method(Path("none")).blank()(torch.zeros(1, 3, 64, 64)).shape == (1, 2048)
 
 
-def test_every_rule_of_the_contract_is_kept(folder: Path, module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vprbench.methods.ap_gem._BACKBONE", "resnet18")  # the suite describes many images
-    file = Checkpoint("resnet18", 512).write(folder / "small.pt", module)
+def test_every_rule_of_the_contract_is_kept(
+    folder: Path, small: Checkpoint, module: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = small.write(folder / "small.pt", module)
     network = method(file).load(file)
     monkeypatch.setattr(APGeM, "load", lambda *_: network)  # read once, for the suite makes many methods
     config = composed("method=ap_gem", "method.height=32", "method.width=32")

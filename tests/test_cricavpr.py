@@ -224,9 +224,11 @@ def test_every_rule_of_the_contract_is_kept_or_excepted(
     assert excepted == (rules if together > 1 else set())
 
 
-def test_a_run_whose_images_see_one_another_says_so(file: Path) -> None:
-    assert method(file).notes() == ()
-    assert "16 consecutive images" in method(file, images_together=16).notes()[0]
+def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors(file: Path) -> None:
+    alone, together = method(file), method(file, images_together=16)
+    assert (alone.notes(), alone.keeps_descriptors()) == ((), True)
+    assert "16 consecutive images" in together.notes()[0]
+    assert not together.keeps_descriptors()
 
 
 def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:

@@ -107,7 +107,7 @@ def test_every_rule_of_the_contract_is_kept(
     files = files | {"eigenplaces_indoor": folder / "small.pth"}
     network = method(files, name, **arguments).load(files[name])
     monkeypatch.setattr(KINDS[name], "load", lambda *_: network)  # read once, for the suite makes many methods
-    config = composed(f"method={name}") | arguments | {"height": 28, "width": 42}
+    config = composed(f"method={name}") | arguments | {"height": 42, "width": 42}
     config["weights"]["path"] = str(files[name])
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
