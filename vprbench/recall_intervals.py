@@ -24,12 +24,8 @@ def recall_interval(runs: Sequence[Run]) -> WiderInterval | None:
     """
     if not runs[0].outcome.answerable.any():
         return None
-    return interval_of_hits(runs[0], np.mean([hits_at(run.outcome, 1) for run in runs], axis=0))
-
-
-def interval_of_hits(run: Run, hits: Values) -> WiderInterval | None:
-    """Return the 95 % interval of the mean of other hits (n_queries,) on the queries of a run; None without any."""
-    return share_interval(hits[along_the_journey(run)])
+    hits = np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
+    return share_interval(hits[along_the_journey(runs[0])])
 
 
 def interval_between(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:

@@ -38,10 +38,7 @@ def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
     """
     wanted = wanted_vocabulary(n_words)
     try:
-        if path.suffix == ".npy":
-            centres = np.load(path, allow_pickle=False).T
-        else:
-            centres = read_mat(path, ["CX"]).get("CX")
+        centres = np.load(path, allow_pickle=False).T if path.suffix == ".npy" else read_mat(path, ["CX"]).get("CX")
     except (OSError, ValueError, EOFError) as error:  # MatFileError is a ValueError
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"method.vocabulary={path} could not be read ({reason}): {wanted}") from error

@@ -15,9 +15,10 @@ from vprbench.figures.measured_on import caption, counted, dataset_sentence, lis
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.interface import BadInput
+from vprbench.intervals import share_interval
 from vprbench.metrics import PRCurve, Values, average_precision, hits_at, pr_curve
 from vprbench.ranking import Outcome
-from vprbench.recall_intervals import METHOD, along_the_journey, interval_of_hits
+from vprbench.recall_intervals import METHOD, along_the_journey
 from vprbench.records import Run
 from vprbench.series import Series
 from vprbench.tolerance import hits_within
@@ -223,10 +224,11 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
     lowest = 100.0
     for row in series:
         look = styles[row.name]
-        of_seeds = np.stack([hits(run) for run in row.runs])  # (n_seeds, len(xs), n_queries)
+        order = along_the_journey(row.runs[0])
+        of_seeds = np.stack([hits(run)[:, order] for run in row.runs])  # (n_seeds, len(xs), n_queries)
         shares = of_seeds.mean(axis=2)
         mean = shares.mean(axis=0)
-        ends = [end for each in of_seeds.mean(axis=0) if (end := interval_of_hits(row.runs[0], each))]
+        ends = [end for each in of_seeds.mean(axis=0) if (end := share_interval(each))]
         low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
         for seed in shares if len(row.runs) > 1 else ():
             axes.plot(xs, 100 * seed, color=look.colour, linewidth=0.4, alpha=0.6)
