@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.mat_files import MatFileError, read_mat
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder
 from .image_files import check_listed
-from .positions import by_radius
+from .positions import are_metres, by_radius
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -78,25 +79,20 @@ def dbstruct(
 
 def _read(file: Path) -> tuple[Any, ...]:
     """Return the fields of dbStruct, by position; raises NotThere or BadInput."""
-    from scipy.io import loadmat
-
     if not file.is_file():
         raise NotThere(f"dataset.mat: {file} is no file; {_LAYOUT}")
     try:
-        content = loadmat(file)
-    except NotImplementedError as error:
-        raise BadInput(f"{file} is of MATLAB's version 7.3 (HDF5): save it again with save(..., '-v7')") from error
-    except Exception as error:  # a damaged file fails in many ways
-        reason = (str(error).splitlines() or [""])[0] or type(error).__name__
-        raise BadInput(f"{file} cannot be read as a .mat file ({reason}): get it from its source again") from error
+        content = read_mat(file)
+    except MatFileError as error:
+        raise BadInput(f"{file} cannot be read as a .mat file ({error}): get it from its source again") from error
     structure = content.get("dbStruct")
     fields = structure.item() if isinstance(structure, np.ndarray) and structure.size == 1 else None
-    if not isinstance(fields, tuple) or len(fields) <= _QUERY_UTM:
-        held = ", ".join(sorted(key for key in content if not key.startswith("__"))) or "nothing"
+    if not isinstance(fields, dict) or len(fields) <= _QUERY_UTM:
+        held = ", ".join(sorted(content)) or "nothing"
         raise BadInput(
             f"{file} holds {held}, but no dbStruct with names and positions: set dataset.mat to another file"
         )
-    return fields
+    return tuple(fields.values())
 
 
 def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
@@ -112,9 +108,9 @@ def _names(file: Path, fields: tuple[Any, ...], position: int) -> list[str]:
 def _positions(file: Path, fields: tuple[Any, ...], position: int, count: int) -> npt.NDArray[np.float64]:
     """Return east and north in metres, (n, 2), of a field that holds them as (2, n)."""
     metres = np.asarray(fields[position])
-    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not np.isfinite(metres).all():
+    if metres.shape != (2, count) or metres.dtype.kind not in "fiu" or not are_metres(metres):
         raise BadInput(
-            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are finite metres, "
-            f"(2, {count}) for {count} names"
+            f"field {position + 1} of dbStruct in {file} has the shape {metres.shape}; wanted are metres, "
+            f"(2, {count}) for {count} names, each from -1e8 to 1e8"
         )
     return metres.T.astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -51,6 +52,12 @@ def _holds_data(folder: Path) -> bool:
     )
 
 
+def files_in(folder: Path) -> set[str]:
+    """Return the names of the files in a folder, links to files included; folders, devices and the like are none."""
+    with os.scandir(folder) as entries:
+        return {entry.name for entry in entries if entry.is_file()}
+
+
 def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: str | None = None) -> None:
     """Raise NotThere, with `layout`, for a folder that is missing or lacks some of the file names used of it.
 
@@ -60,7 +67,7 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
     for folder in folders:
         if not folder.path.is_dir():
             raise NotThere(f"{folder.path} does not exist: {layout}")
-        present = {entry.name for entry in folder.path.iterdir()}
+        present = files_in(folder.path)
         missing = [name for name in folder.used if name not in present]
         if missing:
             told = _what_to_do(folder, missing, present, layout, suffix_option)

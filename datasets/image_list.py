@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from vprbench.interface import BadInput, Dataset, NotThere
 
+from .csv_tables import read_csv
 from .file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .image_files import check_listed
-from .positions import by_radius, earth_centred
+from .positions import METRES_WANTED, are_metres, by_radius, earth_centred
 
 Kind = Literal["place", "east_north", "lat_lon"]
 
@@ -25,6 +25,7 @@ _COLUMNS: dict[Kind, tuple[str, ...]] = {
     "lat_lon": ("lat", "lon"),
 }
 _ALIASES = {"image name": "image", "index": "place"}  # as QVPR/VPRTempo names them
+_KNOWN = ("image", *(column for columns in _COLUMNS.values() for column in columns))
 _WANTED = "image, and place or east,north or lat,lon"
 
 
@@ -85,7 +86,7 @@ class _Table:
 
     file: Path
     images: list[Path]
-    cells: pd.DataFrame  # of words, columns by our names
+    cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
 
     def labels(self) -> list[str | int]:
         """Return the place of every row, whole numbers as such: 7 and 007 are one place."""
@@ -106,18 +107,18 @@ class _Table:
         return earth_centred(first, second)
 
     def _numbers(self, column: str) -> npt.NDArray[np.float64]:
-        numbers = np.empty(len(self.cells))
+        numbers = np.empty(len(self.images))
         for row, word in enumerate(self._words(column)):
             try:
                 numbers[row] = float(word)
             except ValueError:
                 numbers[row] = np.nan
-            if not np.isfinite(numbers[row]):
-                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: a finite number is wanted")
+            if not are_metres(numbers[row]):  # nor are they degrees
+                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: {METRES_WANTED}")
         return numbers
 
     def _words(self, column: str) -> list[str]:
-        words = [str(word).strip() for word in self.cells[column]]
+        words = [word.strip() for word in self.cells[column]]
         if "" in words:
             raise BadInput(f"row {words.index('') + 1} of {self.file} has no {column}: every row needs one")
         return words
@@ -127,20 +128,14 @@ def _table(file: Path, root: str | None) -> _Table:
     """Read a CSV and check that its images are there."""
     if not file.is_file():
         raise NotThere(f"{file} is no file: give a CSV with the columns {_WANTED}")
-    try:
-        cells = pd.read_csv(file, dtype=str, keep_default_na=False, encoding="utf-8-sig")
-    except ValueError as error:  # what pandas raises for a table it cannot parse, and for bytes that are no text
-        reason = (str(error).splitlines() or [""])[0]
-        raise BadInput(f"{file} cannot be read as a CSV ({reason}): the columns {_WANTED} are wanted") from error
-    given = ", ".join(map(str, cells.columns))
-    if not isinstance(cells.index, pd.RangeIndex):
-        raise BadInput(f"the rows of {file} have more cells than its header ({given}): give every column a name")
-    plain = [str(column).strip().lower() for column in cells.columns]
-    cells.columns = pd.Index([_ALIASES.get(column, column) for column in plain])
-    if "image" not in cells.columns or not cells.columns.is_unique:
-        raise BadInput(f"{file} has the columns {given}; wanted are {_WANTED}, each once")
-    if not len(cells):
+    table = read_csv(file, _WANTED)
+    plain = [column.strip().lower() for column in table.header]
+    columns = [_ALIASES.get(column, column) for column in plain]
+    if "image" not in columns or any(columns.count(name) > 1 for name in _KNOWN):
+        raise BadInput(f"{file} has the columns {table.told}; wanted are {_WANTED}, each once")
+    if not table.rows:
         raise BadInput(f"{file} lists no image: give it a row for each")
+    cells = {name: [row[place] for row in table.rows] for place, name in enumerate(columns)}
     names = _Table(file, [], cells)._words("image")
     images = [(file.parent if root is None else Path(root).expanduser()) / name for name in names]
     check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
@@ -150,9 +145,9 @@ def _table(file: Path, root: str | None) -> _Table:
 def _kind_of_all(tables: Sequence[_Table]) -> Kind:
     """Return the first kind of ground truth that all tables hold; raises BadInput where there is none."""
     for kind, columns in _COLUMNS.items():
-        if all({*columns} <= {*table.cells.columns} for table in tables):
+        if all({*columns} <= {*table.cells} for table in tables):
             return kind
-    held = "; ".join(f"{table.file.name} has {', '.join(table.cells.columns)}" for table in tables)
+    held = "; ".join(f"{table.file.name} has {', '.join(table.cells)}" for table in tables)
     raise BadInput(f"{held}: wanted are {_WANTED}, the same in all files")
 
 

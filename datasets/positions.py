@@ -10,9 +10,12 @@ from vprbench.interface import BadInput
 
 from .file_dataset import GroundTruth
 
+METRES_WANTED = "a number from -1e8 to 1e8 is wanted"
+
 Metres = npt.NDArray[np.float64]  # (n, 2) east and north, or (n, 3)
 
 _ROUNDING_METRES = 1e-7  # of coordinates of some million metres: decides about nothing but the edge of the radius
+_MOST_METRES = 1e8  # the way round the Earth is 4e7; of much larger numbers centimetres are lost, and squares overflow
 _EQUATOR_METRES = 6378137.0  # WGS 84
 _FLATTENING = 1 / 298.257223563
 
@@ -20,16 +23,21 @@ _FLATTENING = 1 / 298.257223563
 def by_radius(references: Metres, queries: Metres, radius_metres: float) -> GroundTruth:
     """Return every reference as a place of its own; right is what lies within the radius, the radius included.
 
-    Raises BadInput for a radius that is not above 0.
+    Raises BadInput for a radius that is not above 0, or that spans more than the Earth.
     """
-    if not 0 < radius_metres < np.inf:
-        raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres")
+    if not 0 < radius_metres <= _MOST_METRES:
+        raise BadInput(f"dataset.radius_metres={radius_metres:g}: give more than 0 metres, at most {_MOST_METRES:g}")
     near = KDTree(references).query_ball_point(queries, radius_metres + _ROUNDING_METRES, return_sorted=True)
     return GroundTruth(
         places=np.arange(len(references)),
         positives=[np.array(found, dtype=np.int64) for found in near],
         lacking=f"no reference within {radius_metres:g} m",
     )
+
+
+def are_metres(numbers: npt.ArrayLike) -> bool:
+    """Tell whether all numbers are coordinates of places on the Earth: finite, and of no more than 100,000 km."""
+    return bool((np.abs(numbers) <= _MOST_METRES).all())
 
 
 def earth_centred(latitude: npt.NDArray[np.float64], longitude: npt.NDArray[np.float64]) -> Metres:

@@ -12,7 +12,7 @@ import numpy as np
 from vprbench.interface import BadInput
 
 from .file_dataset import GroundTruth
-from .positions import Metres, by_radius
+from .positions import METRES_WANTED, Metres, are_metres, by_radius
 
 Zones = Literal["error", "apart"]  # of images in different UTM zones: apart means that they never show one place
 
@@ -66,8 +66,8 @@ def position_in(path: Path) -> Position:
         east, north = float(parts[1]), float(parts[2])
     except (IndexError, ValueError) as error:
         raise BadInput(f"{path} names no position: a name has to begin with @UTM_east@UTM_north@") from error
-    if not (np.isfinite(east) and np.isfinite(north)):
-        raise BadInput(f"{path} names the position {east}, {north}: finite metres are wanted")
+    if not are_metres([east, north]):
+        raise BadInput(f"{path} names the position {east}, {north}: metres are wanted, {METRES_WANTED}")
     zone, letter = (parts[3], parts[4].upper()) if len(parts) > 4 else ("", "")
     if not (zone.isascii() and zone.isdigit() and 1 <= int(zone) <= 60 and _BAND.fullmatch(letter)):
         return Position(east, north, "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from vprbench.interface import BadInput, Dataset, NotThere
 
+from .csv_tables import read_csv
 from .file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .frame_folders import root_folder
 from .image_files import images_in
@@ -140,19 +140,14 @@ def _whole(numbers: list[Any]) -> bool:
 def _rows_of_csv(path: Path) -> list[tuple[int, list[int]]]:
     """Return query and right references of each row of a ground_truth.csv."""
     wanted = "query and matching_refs"
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file)
-            numbered = [(table.line_num, row) for row in table]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path} cannot be read as a CSV ({error}): wanted are the columns {wanted}") from error
-    if not {"query", "matching_refs"} <= {*(table.fieldnames or ())}:
-        raise BadInput(f"{path} has the columns {', '.join(table.fieldnames or ['none'])}; wanted are {wanted}")
+    table = read_csv(path, wanted)
+    if not {"query", "matching_refs"} <= {*table.header}:
+        raise BadInput(f"{path} has the columns {table.told}; wanted are {wanted}")
     rows = []
-    for line, row in numbered:
+    for line, query, right in zip(table.lines, table.column("query"), table.column("matching_refs"), strict=True):
         try:
-            rows.append((int(row["query"]), [int(reference) for reference in row["matching_refs"].split()]))
-        except (ValueError, TypeError, AttributeError) as error:
+            rows.append((int(query), [int(reference) for reference in right.split()]))
+        except ValueError as error:
             raise BadInput(
                 f"line {line} of {path} is no query and its references: wanted are whole numbers, as in 5,3 4 5"
             ) from error

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +20,8 @@ from .image_files import images_in
 Strictness = Literal["hard", "soft"]
 
 _SOFT_BAND = 8  # places to either side: 17 rows (stschubert/VPR_Tutorial 2278d7e)
+# RuntimeError of zipfile: encrypted, or compressed in a way that it does not know.
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 _MATRICES = {"hard": "GThard", "soft": "GTsoft"}
 
 
@@ -133,7 +137,7 @@ def _matrix(file: Path, key: str, shape: tuple[int, int], layout: str) -> npt.ND
             matrix = stored[key]
     except KeyError as error:
         raise BadInput(f"{file} holds no {key}: get it from its source again") from error
-    except (ValueError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, EOFError, MemoryError, RuntimeError, *_ZIP_ERRORS) as error:
         if isinstance(error, BadInput):
             raise
         reason = (str(error).splitlines() or [""])[0]

@@ -17,6 +17,7 @@ from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError, Places
 from vprbench.neural import NeuralDescriptor
+from vprbench.resize import Interpolation, Resize
 from vprbench.search import faiss_module
 from vprbench.weights import Weights, find, load_strictly, state_dict, tensor
 
@@ -39,7 +40,9 @@ class AnyLoc(NeuralDescriptor):
 
     The values of block 31 of DINOv2 ViT-g/14, one for each patch and of unit length, go to the centre of most similar
     direction; their differences from it are summed and brought to unit length per centre. `domain` names the file of
-    published centres.
+    published centres. As in the authors' demo, images keep their size, those with more than `longest_side` pixels
+    shrink to it, sides rounded down, and what exceeds whole patches of 14x14 is cut off at the borders; with
+    `preprocessing`=vpr_methods_evaluation they are resized to the nearest whole patches instead.
 
     vocabulary=references is a variant and no published method: the centres are learnt by k-means from what the
     references look like, never from their places; say so beside any result. Then any `backbone`, `layer` (counted from
@@ -54,9 +57,14 @@ class AnyLoc(NeuralDescriptor):
     layer: int = 31
     words: int = 32
     seed: int = 0
+    resize: Resize = "tensor"
+    interpolation: Interpolation = "bicubic"
+    longest_side: int | None = 1024  # pixels
     batch_size: int = 4
 
     multiple: ClassVar[int] = 14
+    smallest_side: ClassVar[int] = 14
+    crops: ClassVar[bool] = True
 
     _learnt: bool = field(default=False, init=False, repr=False, compare=False)
 
@@ -65,6 +73,16 @@ class AnyLoc(NeuralDescriptor):
         self._check_arguments()  # before gigabytes are fetched
         files = [*super().files()]
         return files if self.vocabulary == "references" else [*files, self._centres_file()]
+
+    def target(self, height: int, width: int) -> tuple[int, int]:
+        """Return the height and width that an image is resized to, before its borders are cut off."""
+        if self.preprocessing != "authors":
+            return super().target(height, width)
+        wanted = (self.height or height, self.width or width)
+        longest = max(wanted)
+        if self.longest_side is None or longest <= self.longest_side:
+            return wanted
+        return wanted[0] * self.longest_side // longest, wanted[1] * self.longest_side // longest
 
     def load(self, path: Path) -> nn.Module:
         """Return the network with the values of a file of DINOv2, and the centres; raises BadInput for other files.
@@ -130,6 +148,8 @@ class AnyLoc(NeuralDescriptor):
             )
         if self.words < 1:
             raise BadInput(f"method.words={self.words}: give at least 1 centre")
+        if self.longest_side is not None and self.longest_side < self.multiple:
+            raise BadInput(f"method.longest_side={self.longest_side}: give at least {self.multiple}, or null for any")
 
     def _centres_file(self) -> Path:
         if self.centres is None:

@@ -338,6 +338,10 @@ def _write_totals(rows, references, first, last, total):  # type: ignore[no-unty
         total[number] = summed
 
 
+# Compiled now, or read from the cache: no query waits for it.
+_write_totals(np.zeros((_ROWS, 1), np.float32), np.zeros((1, 1, 1, _TILE), np.float32), 0, 0, np.zeros(1, np.float32))
+
+
 def _windows(cells: npt.NDArray[np.float64], side: int) -> npt.NDArray[np.float64]:
     """Return the cells (rows, columns, ...) of each side x side square, (n_squares, side * side * ...), row by row."""
     squares = np.lib.stride_tricks.sliding_window_view(cells, (side, side), axis=(0, 1))

@@ -91,7 +91,7 @@ class EigenPlaces(CosPlace):
         {
             "VGG16": (512,),
             "ResNet18": (256, 512),
-            **dict.fromkeys(("ResNet50", "ResNet101"), (128, 256, 512, 1024, 2048)),
+            **dict.fromkeys(("ResNet50", "ResNet101"), (128, 256, 512, 1024, 2048)),  # 1024 stands in its hubconf alone
         }
     )
 

@@ -73,7 +73,8 @@ class Whitening:
         whitened = np.empty((len(descriptors), self.projection.shape[1]), np.float32)
         for first in range(0, len(descriptors), _TOGETHER):
             own = slice(first, first + _TOGETHER)
-            whitened[own] = (_rounded(descriptors[own]).astype(np.float32) - self.mean) @ self.projection
+            rounded = descriptors[own].astype(np.float16)  # as the authors apply it, not as they learn it
+            whitened[own] = (rounded.astype(np.float32) - self.mean) @ self.projection
         whitened /= np.linalg.norm(whitened, axis=1, keepdims=True) + np.float32(_SMALLEST_NORM)
         return whitened
 
@@ -86,9 +87,10 @@ class GCL(NeuralDescriptor):
     Images are resized to `height` and `width`, or so that their shorter side has `shorter_side` pixels. Source:
     Leyva-Vallina et al. 2023 and marialeyvallina/generalized_contrastive_loss 3f02752.
 
-    With `n_components` descriptors are whitened, both sides rounded to float16 first, as the authors do it. The
-    whitening is learnt from what the references look like, never from their places or the queries: the method is then
-    transductive on the references. It keeps at most as many components as they vary in, one less than there are.
+    With `n_components` descriptors are whitened, those of references and queries rounded to float16 first, as the
+    authors do it. The whitening is learnt from what the references look like, before any rounding, never from their
+    places or the queries: the method is then transductive on the references. It keeps at most as many components as
+    they vary in, one less than there are.
     """
 
     backbone: Backbone = "resnet152"  # resnext: ResNeXt-101 32x8d
@@ -172,9 +174,4 @@ class _GCL(nn.Module):
 def _precise(descriptors: npt.NDArray[np.float32]) -> Iterator[npt.NDArray[np.float64]]:
     """Yield descriptors in blocks."""
     for first in range(0, len(descriptors), _TOGETHER):
-        yield _rounded(descriptors[first : first + _TOGETHER]).astype(np.float64)
-
-
-def _rounded(descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float16]:
-    """Return descriptors as the authors store them."""
-    return descriptors.astype(np.float16)
+        yield descriptors[first : first + _TOGETHER].astype(np.float64)

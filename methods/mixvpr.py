@@ -14,7 +14,6 @@ from torch.nn import functional
 
 from vprbench.interface import BadInput
 from vprbench.neural import NeuralDescriptor
-from vprbench.resize import Resize
 from vprbench.weights import load_strictly, state_dict
 
 from .backbones.resnet import n_channels, resnet
@@ -33,13 +32,13 @@ class MixVPR(NeuralDescriptor):
     """Scores a place by the cosine between the mixed feature maps of query and most similar reference image.
 
     A mixer is made for a number of positions, one for each 16x16 pixels: the published ones for 320x320 images.
-    `n_dimensions` has to be that of the file. Source: Ali-bey et al. 2023 and amaralibey/MixVPR 4043915.
+    `n_dimensions` has to be that of the file. Source: Ali-bey et al. 2023 and amaralibey/MixVPR 4043915, whose
+    evaluation resizes with Pillow, bilinear (its demo: bicubic).
     """
 
     n_dimensions: int = 4096
     height: int | None = _SIDE
     width: int | None = _SIDE
-    resize: Resize = "tensor"
 
     fixed_size: ClassVar[bool] = True
 

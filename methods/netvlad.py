@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
-import scipy.io
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench.interface import BadInput
+from vprbench.mat_files import read_mat
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly, state_dict, without_prefix
 
@@ -42,8 +41,8 @@ class NetVLAD(NeuralDescriptor):
     Nanne/pytorch-NetVlad, without whitening; patch-netvlad, those of QVPR/Patch-NetVLAD. They differ in what the
     network sees (levels less the mean of the file; ImageNet's normalisation for the others) and in the order of the
     VLAD before whitening (cluster fastest; channel fastest for the others). Images keep their size, but for `height`
-    and `width`, and those with more than `longest_side` pixels then shrink to it. With `n_dimensions` the first values
-    alone are kept, and made a unit vector again.
+    and `width`, and those with more than `longest_side` pixels then shrink to it, unless `preprocessing` is
+    vpr_methods_evaluation. With `n_dimensions` the first values alone are kept, and made a unit vector again.
     Source: Arandjelovic et al. 2016, Relja/netvlad 652dbe7 as cvg/Hierarchical-Localization c13273b runs it,
     Nanne/pytorch-NetVlad def998e and QVPR/Patch-NetVLAD 39ab4e4.
     """
@@ -58,7 +57,7 @@ class NetVLAD(NeuralDescriptor):
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to."""
         wanted = super().target(height, width)
-        if self.longest_side is None or max(wanted) <= self.longest_side:
+        if self.longest_side is None or max(wanted) <= self.longest_side or self.preprocessing != "authors":
             return wanted
         shrunk = (max(1, round(side * self.longest_side / max(wanted))) for side in wanted)
         return cast(tuple[int, int], tuple(shrunk))
@@ -177,11 +176,9 @@ def read_struct(path: Path) -> tuple[dict[str, Tensor], tuple[float, ...]]:
     """
     wanted = "wanted a MatConvNet network converted to plain structs, such as Pitts30K_struct.mat"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about what cannot be read, which is missed below
-            net = scipy.io.loadmat(path, variable_names=["net"], struct_as_record=False, squeeze_me=True)["net"]
-        mean = np.asarray(net.meta.normalization.averageImage, np.float64).reshape(-1, 3)[0]
-        tensors = _named(net.layers)
+        net = read_mat(path, ["net"], squeeze=True)["net"]
+        mean = np.asarray(net["meta"]["normalization"]["averageImage"], np.float64).reshape(-1, 3)[0]
+        tensors = _named(net["layers"])
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror or error}): {wanted}") from error
     except Exception as error:  # whatever a damaged file, or a network of another layout, leads to
@@ -196,14 +193,14 @@ def _named(layers: Any) -> dict[str, Tensor]:
         raise ValueError(f"{len(layers)} layers instead of {_MATCONVNET_LAYERS}")
     tensors: dict[str, Tensor] = {}
     for number in range(_BEFORE_RELU):
-        held = np.atleast_1d(getattr(layers[number], "weights", ()))
+        held = np.atleast_1d(layers[number].get("weights", ()))
         if len(held):
             tensors[f"encoder.{number}.weight"] = torch.from_numpy(held[0].transpose(3, 2, 0, 1))
             tensors[f"encoder.{number}.bias"] = torch.from_numpy(np.atleast_1d(held[1]))
-    assignment, minus_centroids = layers[_MATCONVNET_VLAD].weights  # each (channels, clusters)
+    assignment, minus_centroids = layers[_MATCONVNET_VLAD]["weights"]  # each (channels, clusters)
     tensors["pool.conv.weight"] = torch.from_numpy(assignment).T[:, :, None, None]
     tensors["pool.centroids"] = -torch.from_numpy(minus_centroids).T
-    projection, bias = layers[_MATCONVNET_WHITENING].weights  # (channels * clusters, components)
+    projection, bias = layers[_MATCONVNET_WHITENING]["weights"]  # (channels * clusters, components)
     tensors["WPCA.0.weight"] = torch.from_numpy(projection).T[:, :, None, None]
     tensors["WPCA.0.bias"] = torch.from_numpy(np.atleast_1d(bias))
     return tensors

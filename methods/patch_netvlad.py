@@ -10,28 +10,24 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import psutil
 import torch
-from torch import Tensor, nn
-from torch.nn import functional
+from torch import nn
 
 from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError, Places, Scores
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly
 
-from .netvlad import STRIDE, Network, published_sizes, read_checkpoint, sizes
+from .netvlad import STRIDE, published_sizes, read_checkpoint, sizes
+from .patch_geometry import Geometry, mutual, score
+from .patch_network import PatchNetwork
 
 Configuration = Literal["performance", "speed", "storage"]
-Geometry = Literal["homography", "displacement"]
-Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the query, and theirs of the reference
-
-_RECEPTIVE_FIELD, _PADDING = 196, 90  # pixels of a local descriptor
-_TOLERANCE = 1.5 * STRIDE  # pixels that an inlier of the homography may be off
-_FEWEST_PAIRS: Mapping[Geometry, int] = MappingProxyType({"homography": 4, "displacement": 1})
+# float32_as_published: that of the public code, whose sums over a patch cancel
+PatchPrecision = Literal["float32", "float16", "bfloat16", "float32_as_published"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +84,7 @@ class PatchNetVLAD(NeuralDescriptor):
     patches: Literal["float32", "float16"] = "float32"
     height: int | None = 480
     width: int | None = 640
+    precision: PatchPrecision = "float32"  # type: ignore[assignment]  # one more than other networks have
 
     fixed_size: ClassVar[bool] = True
     search_arguments: ClassVar[frozenset[str]] = NeuralDescriptor.search_arguments | {"candidates", "patches"}
@@ -161,7 +158,7 @@ class PatchNetVLAD(NeuralDescriptor):
         clusters, components = sizes(tensors)
         wanted = self.components[self.configuration]
         with torch.device("meta"):
-            network = PatchNetwork(clusters, components, SETTINGS[self.configuration].sides)
+            network = self._built(clusters, components)
         load_strictly(network, tensors, path)
         if components != wanted:
             raise BadInput(
@@ -173,7 +170,15 @@ class PatchNetVLAD(NeuralDescriptor):
     def blank(self) -> nn.Module:
         """Return the network of the published size, without values."""
         clusters, _ = published_sizes(self.weights.file)
-        return PatchNetwork(clusters, self.components[self.configuration], SETTINGS[self.configuration].sides)
+        return self._built(clusters, self.components[self.configuration])
+
+    def _built(self, clusters: int, components: int) -> PatchNetwork:
+        sides = SETTINGS[self.configuration].sides
+        return PatchNetwork(clusters, components, sides, integral=self.precision == "float32_as_published")
+
+    @property
+    def _number_type(self) -> torch.dtype:
+        return torch.float32 if self.precision == "float32_as_published" else super()._number_type
 
     def _split(self, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the descriptors in codes, first that of the image, (n_images, 1 + n_patches, n_components)."""
@@ -240,72 +245,6 @@ class PatchNetVLAD(NeuralDescriptor):
             raise BadInput(f"method.candidates={self.candidates}: give at least 1 place")
         if self.components.get(self.configuration, 0) < 1:
             raise BadInput(f"method.components={dict(self.components)}: give those of {self.configuration}, at least 1")
-
-
-class PatchNetwork(Network):
-    """Images (n, 3, height, width) to the unit vectors of image and patches, (n, (1 + n_patches) * n_components)."""
-
-    def __init__(self, clusters: int, components: int, sides: tuple[int, ...]) -> None:
-        super().__init__(clusters, components)
-        self.sides = sides
-
-    def forward(self, images: Tensor) -> Tensor:
-        """Describe images and, one image after the other for they take much memory, their patches."""
-        local, shares = self.pool.assigned(self.encoder(images))
-        whole = self.described(self.pool.gathered(local, shares))
-        return torch.stack(
-            [
-                torch.cat([vector, *(vectors.flatten() for vectors in self._parts(*one))])
-                for vector, *one in zip(whole, local, shares, strict=True)
-            ]
-        )
-
-    def _parts(self, local: Tensor, shares: Tensor) -> Iterator[Tensor]:
-        """Yield the descriptors of the patches of each size, (n_patches, n_components), row by row."""
-        residuals = local - self.pool.centroids.float()[:, :, None, None]  # (clusters, channels, h, w)
-        residuals *= shares[:, None]
-        for side in self.sides:
-            means = functional.avg_pool2d(functional.avg_pool2d(residuals, (side, 1), 1), (1, side), 1)
-            yield self.described(means.flatten(2).permute(2, 0, 1))
-
-
-def mutual(best_of_query: npt.NDArray[np.int64], best_of_reference: npt.NDArray[np.int64]) -> Pairs:
-    """Return the pairs of patches that are nearest to one another, in the order of the reference's patches.
-
-    The arguments are, for each patch of the reference, the nearest of the query, and the other way round.
-    """
-    patches = np.arange(len(best_of_query))
-    kept = best_of_reference[best_of_query] == patches
-    return best_of_query[kept], patches[kept]
-
-
-def score(geometry: Geometry, grid: npt.NDArray[np.int64], side: int, pairs: Pairs) -> float:
-    """Return how well pairs of patches fit together, 0 or more. `grid` is (n_patches, 2).
-
-    Fewer than 4 pairs have no homography and score 0; of displacements one pair is enough.
-    """
-    query, reference = (grid[ends] for ends in pairs)
-    if len(query) < _FEWEST_PAIRS[geometry]:
-        return 0.0
-    if geometry == "homography":
-        return inliers(centres(query, side), centres(reference, side)) / len(grid)
-    displacements = reference - query
-    residuals = np.abs(displacements - displacements.mean(0))
-    return float(((grid.max(0) - residuals) ** 2).sum() / len(grid))
-
-
-def centres(cells: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.float32]:
-    """Return the middle of what patches see of the image, whole pixels, (n, 2), from their first columns and rows."""
-    first = STRIDE * cells - _PADDING
-    last = first + STRIDE * (side - 1) + _RECEPTIVE_FIELD - 1
-    return np.trunc((first + last) / 2).astype(np.float32)
-
-
-def inliers(query: npt.NDArray[np.float32], reference: npt.NDArray[np.float32]) -> int:
-    """Return how many points (n, 2) of the reference one homography takes to within 24 pixels of the query's."""
-    cv2.setRNGSeed(0)  # the answer must not depend on what was asked before
-    _, fitting = cv2.findHomography(reference, query, cv2.RANSAC, _TOLERANCE)
-    return 0 if fitting is None else int(np.count_nonzero(fitting))
 
 
 def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores:

@@ -31,12 +31,20 @@ def slope(line, i):
     return (line[i + 1] - line[i - 1]) / 2
 
 
-def orientation_maps(image):
+def vlfeat_atan2(y, x):
+    """VLFeat's vl_fast_atan2_f."""
+    above = abs(y) + 2**-23
+    ratio, turned = ((x - above) / (x + above), 1) if x >= 0 else ((x + above) / (above - x), 3)
+    angle = turned * math.pi / 4 + 0.1821 * ratio**3 - 0.9675 * ratio
+    return -angle if y < 0 else angle
+
+
+def orientation_maps(image, arctan=math.atan2):
     maps = np.zeros((8, *image.shape))
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             down, right = slope(image[:, x], y), slope(image[y], x)
-            turn = math.atan2(down, right) / (2 * math.pi) * 8 % 8
+            turn = arctan(down, right) / (2 * math.pi) * 8 % 8
             lower = math.floor(turn)
             maps[lower % 8, y, x] += (1 - (turn - lower)) * math.hypot(down, right)
             maps[(lower + 1) % 8, y, x] += (turn - lower) * math.hypot(down, right)
@@ -49,7 +57,7 @@ def window(size, number):
     return np.mean([math.exp(-0.5 * ((t - centre) / (1.5 * size)) ** 2) for t in range(1 - size, size)])
 
 
-def dense_sift(image):
+def dense_sift(image, arctan=math.atan2):
     """Return for each scale the unit descriptors, (n, 128), of a grey image from 0 to 1; zero where contrast is low."""
     image = np.asarray(image, np.float64)
     scales = []
@@ -59,7 +67,8 @@ def dense_sift(image):
         total = sum(math.exp(-0.5 * (t / sigma) ** 2) for t in range(-reach, reach + 1))
         smooth = filtered_image(image, lambda t, s=sigma, z=total: math.exp(-0.5 * (t / s) ** 2) / z, reach)
         summed = [
-            filtered_image(one, lambda t, n=size: max(0, 1 - abs(t) / n), size) for one in orientation_maps(smooth)
+            filtered_image(one, lambda t, n=size: max(0, 1 - abs(t) / n), size)
+            for one in orientation_maps(smooth, arctan)
         ]
         first = math.floor(1 + 3 / 2 * (10 - size)) - 1  # the specification counts from 1
         frame = 3 * size + 1
@@ -88,11 +97,11 @@ def root_sift(descriptor):
     return np.sqrt(levels / (levels.sum() + 1e-12))
 
 
-def vlad(descriptors, words):
+def vlad(descriptors, words, word_of_zero=0):
     sums = np.zeros(words.shape)
     for descriptor in descriptors:
         distances = [np.sum((descriptor - word) ** 2) for word in words]
-        nearest = 0 if not descriptor.any() else int(np.argmin(distances))
+        nearest = word_of_zero if not descriptor.any() else int(np.argmin(distances))
         sums[nearest] += descriptor - words[nearest]
     laid_out = []
     for residual in sums:

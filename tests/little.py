@@ -19,8 +19,9 @@ from vprbench import frames, networks
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image, Method, NotFittedError, Places, Scores
 from vprbench.ranking import Outcome
-from vprbench.records import Failure, Run, Store
+from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing
+from vprbench.store import Store
 
 
 def picture(number: int) -> Image:
@@ -169,7 +170,7 @@ def a_run(**changes: Any) -> Run:
         harness_seconds=0.125,
         method_seconds=11.75,
         timing=Timing(
-            first_query_seconds=0.5,
+            first_query_seconds=0.05,
             warmup_queries=11,
             streaming=laps([0.010] * 5, [0.0025] * 5),
             offline=(laps([0.010] * 4, [0.0025] * 4), laps([0.040] * 3, [0.010] * 3, images_per_call=8)),
@@ -270,9 +271,9 @@ def replace_and_die(root: Path, step: int) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
 
     store = Store(root)
-    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=21))
     sys.addaudithook(die)
-    store.save(a_run(n_references=2))
+    store.save(a_run(n_references=22))
 
 
 def destination(path: Path, method: Method, dataset: Dataset, replace: bool = False) -> networks.Destination:

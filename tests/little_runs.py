@@ -39,7 +39,11 @@ def table(n_queries: int, n_places: int, levels: int = 1000) -> Scores:
 @contextmanager
 def quiet_surroundings() -> Iterator[SimpleNamespace]:
     """Leave out of runs what is tested on its own and takes long; yields the surroundings that they see instead."""
-    quick = {"capture": lambda device, threads: {}, "canary_seconds": lambda: 1.0, "cpu_pressure": lambda: 0.0}
+    quick = {
+        "capture": lambda device, threads: {"processor": "Abacus 9", "time_utc": "2025-01-31T12:00:00Z"},
+        "canary_seconds": lambda: 1.0,
+        "cpu_pressure": lambda: 0.0,
+    }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(environment), **quick})
         patch.setattr(runner, "environment", stand_in)

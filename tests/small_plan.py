@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import io
-import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from vprbench import cli, fill, paper
+from vprbench import cli, ending, fill, paper
 from vprbench.plan import read_plan
-from vprbench.sweep import IN_SWEEP
+from vprbench.sweep import IN_SWEEP, Ending
 
 PLAN = """
+seeds: [0, 1]
 rows:
   SAD: {method: sad, boundary: match, training: none}
   PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}
@@ -58,12 +59,14 @@ class Apart:
     def __init__(self) -> None:
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], stdout: int | None = None) -> subprocess.CompletedProcess[str]:
+    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
         self.asked.append(list(options))
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
+        words: dict[str, Any] = {}
+        with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ending, "tell", lambda **told: words.update(told))
             code = cli.main(options)
-        return subprocess.CompletedProcess(list(options), code, printed.getvalue())
+        known = {name: words[name] for name in ("missing", "error", "recorded") if name in words}
+        return Ending(code, **known)
 
 
 def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> Apart:

@@ -96,6 +96,7 @@ def run(
         search=None,
         timing=timing,
         outcome=answers(hits, n_places),
+        positives=tuple(np.array([i * n_places // len(hits)]) for i in range(len(hits))),
     )
     return replace(made, **changes)
 

@@ -13,7 +13,9 @@ from matplotlib.lines import Line2D
 
 from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.figures.style import Drawn, pdf
+from vprbench.figures.tradeoff import against_rate
 from vprbench.interface import BadInput
+from vprbench.intervals import share_interval
 from vprbench.ranking import outcome
 from vprbench.records import Run
 
@@ -153,6 +155,16 @@ def test_recall_at_n_is_that_worked_by_hand_in_percent_with_wilsons_interval() -
     assert edges[10] == pytest.approx((51.01, 100), abs=0.01)  # and of 4 of 4
 
 
+@pytest.mark.parametrize("draw", [recall_at_n, recall_at_tolerance])
+def test_where_neighbouring_queries_are_alike_the_band_is_that_of_blocks(draw: Any) -> None:
+    hits = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
+    drawn = draw([series("SAD", answers([0.5] * 200, (hits == 1).tolist()))])
+    expected = share_interval(hits)
+    assert expected is not None
+    assert expected.kind == "blocks"
+    assert band(drawn)[points(named_lines(drawn)[0])[0][0]] == pytest.approx((100 * expected.low, 100 * expected.high))
+
+
 def test_recall_at_n_goes_from_1_to_25_and_counts_ties_by_their_expected_value() -> None:
     """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
     flat = np.zeros((8, 50), np.float32)
@@ -172,7 +184,7 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
     assert band(drawn)[x] == pytest.approx((35.20, 64.80), abs=0.01)  # Wilson's interval of 20 of 40
     assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
     assert "VPRTempo (3 seeds): the line is the mean, thin lines are the seeds" in drawn.caption
-    assert "95 % intervals (Wilson)" in drawn.caption
+    assert "95 % intervals: the wider" in drawn.caption
 
 
 def test_recall_against_tolerance_is_that_worked_by_hand() -> None:
@@ -201,6 +213,14 @@ def test_captions_name_the_dataset_its_queries_places_and_the_interval(draw: Any
     assert "VPRTempo (3 seeds)" in text
     assert "no right place" not in text
     assert re.search(r"  |\.\.|None", text) is None
+
+
+@pytest.mark.parametrize("draw", [*ALL, against_rate])
+def test_captions_say_which_row_was_tuned_on_what(draw: Any) -> None:
+    tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
+    caption = draw([series("SAD", run("sad", 0.4)), series("Mine", tuned)]).caption
+    assert "Mine: tuned on the first 9 places of railway, so in no contest on railway." in caption
+    assert "SAD: tuned" not in caption
 
 
 @pytest.mark.parametrize("draw", ALL)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
+import tempfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench import registry
+from vprbench import cli, registry
 from vprbench.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,8 +49,8 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert code == 2, captured.err
     assert captured.out == ""
     lines = captured.err.strip().splitlines()
-    assert lines[-1].startswith("vprbench: ")
-    assert not any(line.startswith("Traceback") for line in lines)
+    assert [line[:10] for line in lines if line.startswith("vprbench: ")] == [lines[-1][:10]]
+    assert "Traceback" not in captured.err
     assert not list(Path().rglob("run.json"))
     assert not list(Path().rglob(".partial-*"))
     return lines[-1]
@@ -65,6 +67,47 @@ def frames(folder: Path, count: int, size: tuple[int, int] = (16, 12), mode: str
 
 def own_frames(references: Path, queries: Path) -> list[str]:
     return ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *QUICK[2:]]
+
+
+@pytest.fixture
+def write_protected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no folder be made below `results`; root, who may run these tests, has every right."""
+    make = Path.mkdir
+
+    def refuse(path: Path, *arguments: object, **options: object) -> None:
+        if "results" in path.parts and not path.exists():
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        make(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+
+
+def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made(
+    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    main(["method=sad", *QUICK])
+    request.getfixturevalue("write_protected")
+    capsys.readouterr()
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is True
+    assert main(["method=sad", *QUICK, "seed=1"]) == 2
+    assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("_run_apart", ["-m"], 1)])
+def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
+) -> None:
+    temporary = tmp_path / "temporary"
+    old = temporary / ".partial-0-vprbench-sweep"
+    old.mkdir(parents=True)
+    os.utime(old, (0, 0))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    seen: list[int] = []
+    monkeypatch.setattr(cli, one, lambda *_: seen.append(len({*temporary.iterdir()} - {old})) or 0)
+    assert main([*options, "method=sad", *QUICK]) == 0
+    assert (seen, old.exists()) == ([n_folders], not n_folders)
+    assert {*temporary.iterdir()} <= {old}
 
 
 def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,7 +256,7 @@ def test_list_shows_a_broken_method_with_its_reason(
 
 def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "method=sad"]) == 0
-    assert "14 rules: 13 kept, 1 excepted, 0 broken" in capsys.readouterr().out
+    assert "15 rules: 14 kept, 1 excepted, 0 broken" in capsys.readouterr().out
 
 
 def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -296,6 +339,24 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["search", "dataset=nordland_64x32"], "nordland_64x32"),
         (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
+        (["results=~nobody_here/r"], "results=~nobody_here/r"),
+        (["save=~nobody_here/n.safetensors"], "save=~nobody_here/n.safetensors"),
+        (["load=~nobody_here/n.safetensors"], "load=~nobody_here/n.safetensors"),
+        (["dataset=nordland", "dataset.root=~nobody_here"], "dataset.root=~nobody_here"),
+        (["dataset=folders", "dataset.references=['~nobody_here']"], "dataset.references=~nobody_here"),
+        (["method=cosplace", "method.weights.path=~nobody_here/w"], "method.weights.path=~nobody_here/w"),
+        (["table", "nordland=~nobody_here"], "nordland=~nobody_here"),
+        (["search", "results=~nobody_here"], "results=~nobody_here"),
+        (["--resolve"], "--resolve"),
+        (["--colour", "method=sad"], "--colour"),
+        (["--cfg"], "--cfg"),
+        (["-m"], "-m: say what to run"),
+        (["-m", "--cfg", "job", "method=sad"], "--multirun"),
+        (["seed=1,2", "method=sad"], "seed=1,2: give -m too"),
+        (["seed=1,2", "-m", "dataset=nowhere"], "dataset=nowhere is unknown"),
+        (["method=s\nvprbench: done\x1b[2J"], r"method=s\nvprbench: done\x1b[2J is unknown: there are"),
+        (["dataset=nordland", "dataset.root=/q\nvprbench: \x1b[2Jx"], r"\x1b[2J"),
+        (["limit_minutes=0"], "limit_minutes=0"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
 )
@@ -350,6 +411,19 @@ def test_an_all_black_image_is_accepted(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     Path("file").write_text("no folder")
     assert "results=file/inside cannot be written" in refused(["results=file/inside", *QUICK], capsys)
+
+
+def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vprbench import runner
+
+    ran: list[object] = []
+    monkeypatch.setattr(runner, "run", lambda *_: ran.append(True))
+    Path("results").mkdir()
+    Path("results/synthetic").symlink_to("/nowhere/synthetic")
+    assert "results/synthetic cannot be written" in refused(["method=sad", *QUICK], capsys)
+    assert not ran
 
 
 def test_what_a_full_disk_refuses_is_still_shown(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -36,8 +37,15 @@ def configuration(name: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", METHODS)
-def test_method_keeps_the_rule(name: str, rule: str, results: dict[str, dict[str, str]]) -> None:
-    assert results[name][rule] in ("", "excepted")
+def test_method_keeps_the_rule(name: str, rule: str) -> None:
+    assert complaints(name)[rule] in ("", "excepted")
+
+
+@cache
+def complaints(name: str) -> dict[str, str]:
+    """Put a method to all rules, once; by rule: nothing where it is kept, else what broke it."""
+    results = check(configuration(name))
+    return {result.rule: {"kept": "", "excepted": "excepted"}.get(result.state, str(result)) for result in results}
 
 
 def test_the_rules_are_put_to_every_network_where_its_weights_are_written() -> None:
@@ -71,18 +79,6 @@ def puts_the_rules(text: str) -> bool:
 )
 def test_only_a_call_in_a_test_puts_the_rules(text: str, puts: bool) -> None:
     assert puts_the_rules(text) is puts
-
-
-@pytest.fixture(scope="module")
-def results() -> dict[str, dict[str, str]]:
-    """Per method and rule: nothing where it is kept, else what broke it."""
-    return {
-        name: {
-            result.rule: {"kept": "", "excepted": "excepted"}.get(result.state, str(result))
-            for result in check(configuration(name))
-        }
-        for name in METHODS
-    }
 
 
 @dataclass
@@ -281,12 +277,26 @@ class KeepsNoNetwork(DescriptorMethod):
         return colours / np.maximum(np.linalg.norm(colours, axis=1, keepdims=True), 1e-12)
 
 
+class Overwrites(Pixels):
+    """Gives the same array of scores each time, as far as it is long enough."""
+
+    _given: Scores | None = None
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        scores = super().match(codes)
+        if self._given is None or len(self._given) < len(scores):
+            self._given = scores
+        self._given[: len(scores)] = scores
+        return self._given[: len(scores)]
+
+
 WRONG = {
     "the constructor only stores its arguments": ChangesArguments,
     "fit returns the method": ReturnsNothing,
     "fit forgets an earlier fit": Remembers,
     "query before fit raises NotFittedError": AnswersUnfitted,
     "inputs are never modified": WritesOnImages,
+    "what was returned is never modified": Overwrites,
     "the same seed gives the same scores": Random,
     "a batch gives what its single images give": LooksAtTheBatch,
     "the order of queries does not matter": DependsOnOrder,
@@ -389,9 +399,8 @@ def test_a_query_without_any_candidate_breaks_the_rule_on_scores() -> None:
 
 @pytest.mark.parametrize("index", ["hnsw", "sq8"])
 @pytest.mark.parametrize("neighbours", [5, 100])
-@pytest.mark.parametrize("method", ["hog", "densevlad"])
-def test_an_approximate_index_breaks_no_rule(method: str, neighbours: int, index: str) -> None:
-    config = {**configuration(method), "index": index, "neighbours": neighbours}
+def test_an_approximate_index_breaks_no_rule(neighbours: int, index: str) -> None:
+    config = {"_target_": "wrong_methods.KeepsNoNetwork", "index": index, "neighbours": neighbours}
     assert [str(result) for result in check(config) if result.state == "broken"] == []
 
 

@@ -8,7 +8,7 @@ import pytest
 from stopped_clock import Clock
 
 from vprbench import console, progress
-from vprbench.console import progress_shown
+from vprbench.console import answers_alone, progress_shown
 
 
 class Terminal(io.StringIO):
@@ -134,6 +134,38 @@ def test_a_bar_starts_again_with_each_stage() -> None:
 def test_a_bar_never_reaches_the_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
     drawn(("fit", 0.5), ("query", 0.5))
     assert capsys.readouterr().out == ""
+
+
+class Gone(io.StringIO):
+    """A stream whose reader has gone."""
+
+    def write(self, _: str) -> int:
+        raise BrokenPipeError
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_reader_that_has_gone_ends_no_run(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Gone()
+    monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    with progress_shown("sad on nordland", stream):
+        progress.report("fit", 0.5)
+    monkeypatch.setattr("sys.stdout", stream)
+    with answers_alone() as say:
+        say("an answer")
+
+
+def test_what_is_printed_beside_the_answer_goes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with answers_alone() as say:
+        print("a plug-in's word")
+        say("the answer")
+    assert capsys.readouterr() == ("the answer\n", "a plug-in's word\n")
+
+
+def test_names_in_progress_are_not_obeyed() -> None:
+    stream = io.StringIO()
+    with progress_shown("a\nvprbench: b", stream):
+        progress.report("\x1b[2Jfit", 0)
+    assert stream.getvalue() == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
 # Listening

@@ -26,7 +26,7 @@ def misses(*wrong: int, n_queries: int = 60) -> Run:
 
 
 def spread(count: int) -> Run:
-    """Return a run of ten queries for each miss; the misses are ten apart, so that every block of ten holds one."""
+    """Return a run of ten queries for each miss; the misses are ten apart and never come together."""
     return misses(*range(0, 10 * count, 10), n_queries=10 * count)
 
 
@@ -44,17 +44,28 @@ def test_more_rows_need_a_smaller_chance() -> None:
 
 
 def test_the_interval_allows_for_as_many_comparisons_as_the_test_does() -> None:
-    # McNemar: p = 2 / 2^9 = 0.0039 < 0.05 / 9. Of the 60 stretches of ten queries 27 hold none of the misses, so of all
-    # draws of six (27 / 60)^6 = 0.8 % show no difference: less than 2.5 % and more than 2.5 % / 9.
+    # McNemar: p = 2 / 2^9 = 0.0039 < 0.05 / 9. Of the 60 stretches of four queries, which is how long blocks are here,
+    # 42 hold none of the misses, so of all draws of 15 (42 / 60)^15 = 0.5 % show no difference: less than 2.5 % (1.3 %
+    # with the allowance for few blocks) and more than 2.5 % / 9.
     first, second = misses(), misses(0, 1, 2, 20, 21, 22, 29, 30, 31)
     beaten = [row(str(i), misses(*range(60))) for i in range(8)]
     assert best_recall([row("a", first), row("b", second)]) == "a"
     assert best_recall([row("a", first), row("b", second), *beaten]) is None
 
 
-def test_a_difference_of_one_stretch_of_the_route_separates_nothing() -> None:
-    # p = 2 / 2^10, but most draws of blocks miss the ten queries or hold few of them
-    assert best_recall([row("a", misses()), row("b", misses(*range(20, 30)))]) is None
+@pytest.mark.parametrize(("length", "n_queries"), [(10, 60), (60, 600)])
+def test_a_difference_of_one_stretch_of_the_route_separates_nothing(length: int, n_queries: int) -> None:
+    # p < 2 / 2^10, but many draws of blocks miss the stretch
+    stretch = misses(*range(n_queries // 3, n_queries // 3 + length), n_queries=n_queries)
+    assert best_recall([row("a", misses(n_queries=n_queries)), row("b", stretch)]) is None
+
+
+def test_queries_out_of_order_are_put_into_that_of_their_places_first() -> None:
+    # the queries whose misses make one stretch of the route are asked all over the run
+    order = np.random.default_rng(0).permutation(600)
+    places = tuple(np.array([place]) for place in order)
+    stretch = run(hits=[int(not 200 <= place < 260) for place in order], n_places=600, positives=places)
+    assert best_recall([row("a", run(hits=[1] * 600, n_places=600, positives=places)), row("b", stretch)]) is None
 
 
 def test_every_pair_of_seeds_has_to_agree() -> None:
@@ -148,6 +159,14 @@ def test_no_rate_is_best_on_a_busy_machine() -> None:
     assert best_rate([row("fast", timed(FAST)), row("slow", busy)]) is None
 
 
+@pytest.mark.parametrize("note", ["caching: images seen before", "audit failed: other answers"])
+def test_a_rate_that_an_audit_found_wanting_is_never_best_and_keeps_others_from_it(note: str) -> None:
+    untrue = timed(FAST, notes=(note,))
+    assert best_rate([row("untrue", untrue), row("slow", timed(SLOW))]) is None
+    assert best_rate([row("untrue", timed(FAST), untrue), row("slow", timed(SLOW))]) is None
+    assert best_rate([row("fast", timed(FAST)), row("untrue", timed(SLOW, notes=(note,)))]) == "fast"
+
+
 def test_no_rate_is_best_across_machines() -> None:
     other = timed(SLOW, machine={**ABACUS, "processor": "Loom 3"})
     assert best_rate([row("fast", timed(FAST)), row("slow", other)]) is None
@@ -193,6 +212,12 @@ def test_training_is_fastest_where_every_seed_is_a_quarter_faster(
     fast: list[Run], slow: list[Run], best: str | None
 ) -> None:
     assert best_training([row("slow", *slow), row("fast", *fast)]) == best
+
+
+def test_work_left_to_the_first_query_is_part_of_the_training() -> None:
+    (fast,) = trained(60)
+    late = replace(fast, timing=replace(fast.timing, first_query_seconds=20.0))
+    assert best_training([row("slow", *trained(75)), row("fast", late)]) is None
 
 
 def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:

@@ -23,7 +23,8 @@ from vprbench.cli import main
 from vprbench.data_record import DataRecord, data_record
 from vprbench.images import Images
 from vprbench.interface import Dataset
-from vprbench.records import Run, Store
+from vprbench.records import Run
+from vprbench.store import Store
 
 RECORD: dict[str, Any] = {
     "names_sha256": "5f74d2dc7bb3" + "0" * 52,

@@ -5,6 +5,7 @@ import pytest
 from image_folders import answer, fill, reds, rights, used
 from scipy.io import savemat
 
+from vprbench import mat_files
 from vprbench.datasets.dbstruct import dbstruct
 from vprbench.interface import NotThere
 
@@ -112,11 +113,12 @@ def test_a_missing_image_is_named_and_counted(root, name, told):
         {"utmDb": np.array(METRES).T},
         {"utmQ": np.array(METRES)},
         {"utmDb": np.array(METRES) * np.nan},
+        {"utmDb": np.array(METRES) * 1e300},
         {"dbImageFns": np.zeros((3, 1))},
         {"qImageFns": cells([1.0, 2.0])},
         {"qImageFns": cells([])},
     ],
-    ids=["transposed", "too many", "no numbers", "no names", "numbers for names", "no queries"],
+    ids=["transposed", "too many", "no numbers", "no metres", "no names", "numbers for names", "no queries"],
 )
 def test_fields_that_hold_something_else_are_numbered(root, damage):
     savemat(root / "set.mat", {"dbStruct": structure(**damage)})
@@ -141,6 +143,20 @@ def test_a_file_of_version_7_3_is_answered_with_how_to_save_it(root):
 def test_a_damaged_file_is_refused(root, keep):
     (root / "set.mat").write_bytes((root / "set.mat").read_bytes()[:keep])
     assert "cannot be read as a .mat file" in answer(read, root)
+
+
+@pytest.mark.parametrize("bit", [2432, 2702, 3362, 3937, 5252])  # scipy 1.17 crashes on each
+def test_a_file_with_one_wrong_bit_that_crashes_its_reader_is_refused(root, bit):
+    content = bytearray((root / "set.mat").read_bytes())
+    content[bit // 8] ^= 1 << bit % 8
+    (root / "set.mat").write_bytes(content)
+    assert f"{root / 'set.mat'} cannot be read as a .mat file" in answer(read, root)
+
+
+def test_a_small_file_that_unpacks_to_a_large_one_is_refused(root, monkeypatch):
+    monkeypatch.setattr(mat_files, "_LEAST_BYTES", 1 << 24)
+    savemat(root / "set.mat", {"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
+    assert "more than 16 MB of memory" in answer(read, root)
 
 
 @pytest.mark.parametrize("mat", [None, "nowhere.mat"])

@@ -349,6 +349,37 @@ def test_a_published_vocabulary_decides_the_codes(published):
     np.testing.assert_allclose(code, vlad.vlad(blocks, torch.from_numpy(unit(centres.T)).double()), atol=2e-3)
 
 
+@pytest.fixture(scope="module")
+def authors(tmp_path_factory):
+    """A grey image with flat parts, 128 words in the two layouts of the published ones, and the slow VLAD of both."""
+    image = np.repeat(np.round(255 * scene())[:, :, None].astype(np.uint8), 3, axis=2)
+    words = unit(np.random.default_rng(6).random((128, 128))).astype(np.float32)
+    folder = tmp_path_factory.mktemp("vocabulary")
+    scipy.io.savemat(folder / "dnscnt_RDSIFT_K128.mat", {"CX": 3 * words.T})
+    np.save(folder / "dnscnt_RDSIFT_K128.cx_norm.npy", words)
+    descriptors = np.concatenate(oracle.dense_sift(image[:, :, 0] / 255, oracle.vlfeat_atan2))
+    roots = [oracle.root_sift(descriptor) for descriptor in descriptors]
+    assert 0.1 < np.mean([not root.any() for root in roots]) < 0.9
+    return folder, image, [oracle.vlad(roots, words.astype(np.float64), zero) for zero in (60, 0)]
+
+
+@pytest.mark.parametrize("file", ["dnscnt_RDSIFT_K128.mat", "dnscnt_RDSIFT_K128.cx_norm.npy"])
+def test_with_the_authors_words_and_arc_tangent_a_vlad_is_theirs(authors, file):
+    folder, image, (theirs, zeros_elsewhere) = authors
+    trained = DenseVLAD(vocabulary=str(folder / file), arctan="vlfeat", n_components=0).fit(colours(2), np.arange(2))
+    (code,) = trained.encode(Images.from_arrays([image]))
+    np.testing.assert_allclose(code, theirs, atol=1e-5)
+    assert np.abs(theirs - zeros_elsewhere).max() > 0.02
+
+
+def test_the_arc_tangent_may_be_vlfeats():
+    grey = torch.from_numpy(scene())
+    slow = np.concatenate(oracle.dense_sift(scene(), oracle.vlfeat_atan2))
+    fast = torch.cat(list(dense_sift.dense_sift(grey, "vlfeat"))).numpy()
+    np.testing.assert_allclose(fast, slow, atol=1e-7)
+    assert np.abs(fast - sift(grey).numpy()).max() > 1e-3
+
+
 def test_a_vocabulary_may_stand_in_the_home_folder(published, monkeypatch):
     path, centres = published
     for variable in ("HOME", "USERPROFILE"):
@@ -380,6 +411,14 @@ def test_a_file_that_is_no_vocabulary_is_refused(tmp_path, content):
     path = tmp_path / "broken.mat"
     path.write_bytes(content)
     with pytest.raises(BadInput, match=r"broken\.mat could not be read"):
+        fitted(vocabulary=str(path))
+
+
+@pytest.mark.parametrize("content", [b"", b"no array", b"\x93NUMPY\x01\x00"])
+def test_a_file_that_is_no_array_of_words_is_refused(tmp_path, content):
+    path = tmp_path / "broken.npy"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=r"broken\.npy could not be read"):
         fitted(vocabulary=str(path))
 
 

@@ -7,7 +7,6 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 import tracemalloc
 
 import numpy as np
@@ -118,13 +117,13 @@ def test_descriptors_go_through_memory_block_by_block(tmp_path):
     assert peak < 10 * 100 * 1000 * 4
 
 
-def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    dead = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    left, living = (
-        tmp_path / f".partial-{socket.gethostname()}-{pid}-abc.npy" for pid in (dead.stdout.strip(), os.getpid())
-    )
-    left.write_bytes(b"half")
-    living.write_bytes(b"half")
+def test_what_nobody_touched_for_a_day_is_removed_and_what_another_writes_is_not(tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    old, new = (tmp_path / f".partial-{socket.gethostname()}-{gone.pid}-{name}.npy" for name in ("old", "new"))
+    for path in (old, new):
+        path.write_bytes(b"half")
+    os.utime(old, (0, 0))
     DescriptorCache(tmp_path).keep("key", 10, in_blocks(some()), {})
-    assert not left.exists()
-    assert living.exists()
+    assert not old.exists()
+    assert new.exists()

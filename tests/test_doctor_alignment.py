@@ -127,6 +127,24 @@ def test_places_of_another_road_are_not_called_aligned_nor_shifted() -> None:
     assert found.text.startswith("summer and spring look too different to tell whether they are aligned")
 
 
+@pytest.mark.parametrize("seed", [8, 9, 10])
+def test_what_looks_no_more_alike_than_places_elsewhere_is_not_called_aligned(seed: int) -> None:
+    noise = np.random.default_rng(seed).integers(0, 256, (PLACES, 32, 64, 3), np.uint8)
+
+    (found,) = compared([season(0)], [*noise], tolerance=20)  # the best shift is no wrong one
+
+    assert found.text.startswith("summer and spring look too different to tell whether they are aligned")
+
+
+def test_what_looks_more_alike_a_lap_further_on_is_not_called_aligned() -> None:
+    lap = 25  # places, more than a single query is compared with
+    noise = np.random.default_rng(6).integers(0, 256, (lap, 32, 64, 3), np.uint8)
+
+    (found,) = compared([[*noise, *season(0, lap) * 4]], season(1, lap) * 5)
+
+    assert found.text.startswith("summer and spring look too different to tell whether they are aligned")
+
+
 def test_every_fifth_frame_as_a_query_is_compared_with_the_place_it_stands_for() -> None:
     right = [[place] for place in range(0, 300, 5)]
 

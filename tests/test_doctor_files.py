@@ -135,6 +135,16 @@ def test_images_that_are_not_used_are_counted_and_the_black_ones_among_them(tmp_
     ]
 
 
+def test_a_file_that_cannot_be_read_as_a_frame_and_is_not_used_is_noted(tmp_path: Path) -> None:
+    winter, summer = healthy(tmp_path)
+    (winter / "031.heic").touch()
+    (winter / "list.csv").touch()
+
+    found = quick(dataset_of([winter], summer))
+
+    assert notes(found, "files") == [f"1 file of {winter} is no image that can be read, and not used: 031.heic"]
+
+
 def test_the_cheap_checks_decode_nothing(tmp_path: Path) -> None:
     winter, summer = healthy(tmp_path)
     dataset = dataset_of([winter], summer)

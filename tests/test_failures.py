@@ -13,7 +13,8 @@ from little import a_failure, a_run
 
 from vprbench.cli import main
 from vprbench.interface import BadInput, NotThere
-from vprbench.records import Failure, Store
+from vprbench.records import Failure
+from vprbench.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
 

@@ -331,6 +331,17 @@ def test_what_an_interrupted_download_has_left_is_not_counted_twice(
     assert get(entry, root) == 0
 
 
+def test_an_empty_folder_on_another_disk_is_refused_before_anything_is_asked_for(
+    server: Server, root: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "disk").mkdir()
+    root.mkdir(parents=True)
+    (root / "spring").symlink_to(tmp_path / "disk")
+    with pytest.raises(BadInput, match=f"{root / 'spring'} is a link"):
+        get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root)
+    assert server.asked == []
+
+
 def test_folders_that_are_there_in_part_are_not_mixed_with_others(server: Server, root: Path) -> None:
     url = server.serve("/both", SPRING)
     part = Part("both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(), "summer": Held()})

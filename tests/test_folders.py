@@ -4,9 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from image_folders import REAL, needs_real_frames
 from PIL import Image as PillowImage
 
 from vprbench.datasets.folders import folders
+from vprbench.datasets.image_files import images_in
 from vprbench.interface import BadInput
 
 
@@ -103,11 +105,55 @@ def test_a_sub_folder_that_cannot_be_read_is_refused_by_name(fill, monkeypatch):
     assert f"{Path(references) / 'closed'} cannot be read (Permission denied)" in message
 
 
-def test_files_that_are_no_images_are_left_out(fill):
-    dataset = folders(
-        references=[fill("a", ["1.png", "poses.txt", "2.JPG", "Thumbs.db"])], queries=fill("b", numbered(2))
-    )
+def test_lists_documents_and_what_systems_add_are_left_out(fill):
+    beside = ["poses.txt", "GT.npz", "ground_truth.csv", "1.json", "README", "Thumbs.db", ".DS_Store", "@eaDir/1.jpg"]
+    dataset = folders(references=[fill("a", ["1.png", "2.JPG", *beside])], queries=fill("b", numbered(2)))
     assert dataset.references.names == ("1.png", "2.JPG")
+
+
+@pytest.mark.parametrize("deep", [True, False])
+@pytest.mark.parametrize("kind", ["2.heic", "2.gif", "2.png~", "2.exr", "2", "a folder", "a pipe", "a linked folder"])
+def test_what_may_be_a_frame_and_cannot_be_read_is_refused_by_name(fill, tmp_path, kind, deep):
+    top = Path(fill("a", ["1.png", "3.png"]))
+    stranger = top / (kind if kind.startswith("2") else "2.png")
+    if kind == "a folder":
+        fill("a/2.png", ["2.png"])
+    elif kind == "a linked folder":
+        stranger.symlink_to(fill("b", ["2.png"]))
+    elif kind == "a pipe":
+        os.mkfifo(stranger)
+    else:
+        stranger.touch()
+    with pytest.raises(BadInput) as error:
+        images_in(top, "dataset.queries", "", deep=deep)
+    assert str(error.value).startswith(f"dataset.queries: {stranger} is ")
+
+
+@needs_real_frames
+@pytest.mark.parametrize(
+    ("name", "count"), [("corridor", 222), ("nordland_64x32", 7152), ("brisbane_events_7x7", 1365)]
+)
+def test_what_lies_beside_real_frames_is_known(name, count):
+    assert len(images_in(REAL / name, "", "")) == count
+
+
+@pytest.mark.parametrize("suffix", [".jpe", ".JFIF", ".pnm", ".pbm"])
+def test_other_suffixes_of_formats_that_are_read_are_images(fill, suffix):
+    names = ("1.png", f"2{suffix}", "3.png")
+    assert folders(references=[fill("a", names)], queries=fill("b", numbered(3))).references.names == names
+
+
+def test_folders_that_link_to_one_another_are_read_once(fill, tmp_path):
+    first, second = Path(fill("a", ["1.png"])), Path(fill("b", ["2.png"]))
+    (first / "on").symlink_to(second)
+    (second / "back").symlink_to(first)
+    assert [path.name for path in images_in(first, "", "")] == ["1.png", "2.png"]
+
+
+def test_a_folder_that_links_lead_to_twice_is_refused_by_name(fill):
+    top = Path(fill("a", ["1.png", "inner/2.png"]))
+    (top / "link").symlink_to(top / "inner")
+    assert str(top / "link") in answer(references=[str(top)], queries=fill("b", numbered(1)))
 
 
 def test_the_images_are_those_of_the_files(tmp_path):
@@ -217,7 +263,7 @@ def test_queries_too_far_from_every_reference_are_left_out_where_asked(fill):
 
 
 @pytest.mark.parametrize(
-    "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@inf@.png"]
+    "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@-1e308@.png"]
 )
 @pytest.mark.parametrize("side", ["references", "queries"])
 def test_a_name_without_a_position_is_named(fill, name, side):

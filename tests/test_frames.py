@@ -6,6 +6,7 @@ import errno
 import io
 import logging
 import multiprocessing
+import tracemalloc
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -16,7 +17,7 @@ import pytest
 from little import keep_frames_often
 from PIL import Image as PillowImage
 
-from vprbench import frames, progress
+from vprbench import ahead, frames, images, progress
 from vprbench.cli import main
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, Image
@@ -71,6 +72,20 @@ def path(root: Path) -> Path:
     return root / "frames" / "0123456789abcdef.npz"
 
 
+def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_BYTES", 4 << 20)
+    monkeypatch.setattr(images, "_READERS", 2)
+    names = [str(i) for i in range(40)]
+    large = Images(lambda i: plain(i, (700, 500)), names)  # 1 MB each
+    dataset = Dataset("large", large, np.arange(40), large, tuple(np.array([i]) for i in range(40)), {})
+    kept(tmp_path, two_traverses())  # imports what it needs
+    tracemalloc.start()
+    frames.keep(tmp_path, "f" * 64, dataset)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 << 20
+
+
 # The right frame
 
 
@@ -104,6 +119,63 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
 ) -> None:
     found = kept(tmp_path, world([plain(9, size)], [0], [plain(9, size)], [[0]]))
     assert decoded(found.query(0)).shape[:2] == decoded(found.reference(0)).shape[:2] == small
+
+
+# A large dataset
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> Dataset:
+    """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
+    for name, number in (("_ALL", 40), ("_OF_RUN", 8), ("_MOST", 12)):
+        monkeypatch.setattr(frames, name, number)
+    return world([plain(level) for level in range(30)], range(30), [plain(9)] * 20, [[i] for i in range(20)])
+
+
+def there(root: Path) -> tuple[list[int], list[int]]:
+    found = frames.find(root, FINGERPRINT)
+    assert found is not None
+    assert (len(found.query_names), len(found.reference_names)) == (20, 30)
+    queries, places = ([i for i, frame in enumerate(kind) if frame] for kind in (found.queries, found.references))
+    return queries, places
+
+
+def test_of_a_large_dataset_what_a_run_shows_first_is_kept_and_no_more(tmp_path: Path, large: Dataset) -> None:
+    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
+    assert there(tmp_path) == ([3, 4, 7], [1, 2, 5])
+    found = frames.find(tmp_path, FINGERPRINT)
+    assert found is not None
+    assert level(found.reference(5)) == pytest.approx(5, abs=2)
+    assert found.query(0) == b""
+
+
+def test_another_run_adds_its_frames_until_a_page_holds_no_more(tmp_path: Path, large: Dataset) -> None:
+    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
+    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
+    assert there(tmp_path) == ([3, 7, 8], [1, 2, 5, 20, 21])
+    frames.keep(tmp_path, FINGERPRINT, large, [(10, {11}), (11, {12}), (12, {13})])
+    assert there(tmp_path) == ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])
+
+
+def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown(tmp_path: Path, large: Dataset) -> None:
+    read: list[int] = []
+
+    def reading(i: int) -> Image:
+        read.append(i)
+        return plain(i % 256)
+
+    many = Images(reading, [f"{i}.png" for i in range(5000)])
+    whole = Dataset("world", many, np.arange(5000), large.queries, large.positives, {})
+    frames.keep(tmp_path, FINGERPRINT, whole, [(7, {4000, 4001})])
+    assert {4000, 4001} <= set(read)
+    assert len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
+
+
+def test_a_small_dataset_is_kept_whole_whatever_a_run_shows(tmp_path: Path) -> None:
+    frames.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
+    found = frames.find(tmp_path, FINGERPRINT)
+    assert found is not None
+    assert all([*found.queries, *found.references])
 
 
 # Examples
@@ -187,14 +259,14 @@ def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(to: Path, **_: Any) -> NoReturn:
-        to.write_bytes(b"half")
+    def refuse(to: Path, _: bytes) -> NoReturn:
+        to.touch()
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", refuse)
+    monkeypatch.setattr(Path, "write_bytes", refuse)
     with pytest.raises(OSError, match="No space left"):
         frames.keep(tmp_path, FINGERPRINT, two_traverses())
-    assert list(tmp_path.iterdir()) == []
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_a_frame_that_cannot_be_read_leaves_nothing_behind(tmp_path: Path) -> None:

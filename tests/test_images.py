@@ -7,10 +7,11 @@ from concurrent import futures
 
 import numpy as np
 import pytest
+from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import images
+from vprbench import ahead, images
 from vprbench.images import Images, read_image
 from vprbench.interface import BadInput
 
@@ -129,7 +130,7 @@ def test_an_index_outside_raises_index_error_with_the_length(index):
 
 def test_images_come_in_order_however_long_each_takes_to_read(monkeypatch):
     monkeypatch.setattr(images, "_READERS", 2)
-    size, n = images._CHUNK, 152
+    size, n = ahead.CHUNK, 152
     last_read = [threading.Event() for _ in range(n // size)]
     ended = []
 
@@ -206,6 +207,13 @@ def test_blocks_hold_the_images_in_order_under_their_names():
     assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(20)]
 
 
+def test_a_block_ends_before_its_bytes_exceed_those_asked_for_or_holds_one_image():
+    sizes = [1, 1, 30, 3, 4, 3, 10, 11, 1]  # pixels; ten of them are 30 bytes
+    whole = Images(lambda i: np.zeros((1, sizes[i], 3), np.uint8), [str(i) for i in range(len(sizes))])
+    blocks = [[image.shape[1] for image in block] for block in whole.blocks(3, 30)]
+    assert blocks == [[1, 1], [30], [3, 4, 3], [10], [11], [1]]
+
+
 def test_a_block_is_decoded_already():
     reader = Reader()
     block = next(reader.images(6).blocks(6))
@@ -240,7 +248,7 @@ def test_reading_while_the_caller_works_is_no_reading_time(clock, chunks):
     caller_works = threading.Event()
 
     def reading(i):
-        if i >= images._CHUNK:
+        if i >= ahead.CHUNK:
             assert caller_works.wait(PATIENCE)
             clock.spend(1)
 
@@ -266,6 +274,16 @@ def test_files_of_different_sizes_keep_their_own(tmp_path, suffix):
     sizes = [(4, 6), (7, 3), (1, 1)]
     paths = [save(tmp_path / f"{i}.{suffix}", noise(*size)) for i, size in enumerate(sizes)]
     assert [image.shape for image in Images.from_files(paths)] == [(*size, 3) for size in sizes]
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(PillowImage, "MAX_IMAGE_PIXELS", 100)
+    fits, too_large = save(tmp_path / f"a.{suffix}", noise(10, 10)), save(tmp_path / f"b.{suffix}", noise(11, 10))
+    assert read_image(fits).shape == (10, 10, 3)
+    with pytest.raises(BadInput, match=rf"b\.{suffix} .*10 x 11 pixels; at most 100 "):
+        read_image(too_large)
 
 
 def test_a_file_is_named_without_its_folder(tmp_path):
@@ -362,6 +380,14 @@ def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path(tmp
     message = answer(lambda: read_image(path))
     assert str(path) in message
     assert "\n" not in message
+
+
+def test_no_image_starts_another_program(tmp_path, monkeypatch):
+    started = []
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: started.append(True))
+    (tmp_path / "frame.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n")
+    answer(lambda: read_image(tmp_path / "frame.png"))
+    assert not started
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path):

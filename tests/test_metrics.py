@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from itertools import permutations, product
@@ -213,6 +214,19 @@ def test_scores_that_are_not_numbers_are_refused_and_the_query_is_named(value: f
 def test_scores_beyond_float32_are_refused_as_infinite() -> None:
     with pytest.raises(BadInput, match=r"hold \+inf"):
         outcome(np.array([[1e300, 0.0]]), places([0]))
+
+
+@pytest.mark.parametrize("kind", ["complex64", "object", "U4", "S4", "datetime64[s]"])
+def test_scores_that_are_no_real_numbers_are_refused_and_the_type_is_named(kind: str) -> None:
+    scores = np.array([[1, 0], [0, 1]]).astype(kind)
+    for judge in (outcome, pr_curve_multi):
+        with pytest.raises(BadInput, match=re.escape(str(scores.dtype))):
+            judge(scores, places([0], [1]))
+
+
+@pytest.mark.parametrize("kind", ["bool", "uint8", "int64", "float16", "float64"])
+def test_real_scores_of_any_type_are_ranked(kind: str) -> None:
+    assert list(hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
 
 
 @pytest.mark.parametrize("place", [-1, 3])

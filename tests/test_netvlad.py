@@ -267,11 +267,14 @@ def test_images_are_resized_antialiased_as_pillow_does(networks, files) -> None:
     assert np.abs(code - aliased).max() > 1e-2
 
 
-def test_an_image_that_is_too_long_shrinks(networks, files) -> None:
-    images = pictures((64, 96))
-    code = netvlad(files["matconvnet"], "matconvnet", longest_side=64).encode(Images.from_arrays(images))
-    right = expected(networks["matconvnet"], images, "matconvnet", resized=lambda image: pillow(image, 43, 64))
+def test_an_image_that_is_too_long_shrinks_to_unrounded_means(networks, files) -> None:
+    images = pictures((128, 192))
+    code = netvlad(files["matconvnet"], "matconvnet", longest_side=96, resize="area").encode(Images.from_arrays(images))
+    levels = networks["matconvnet"], images, "matconvnet"
+    right = expected(*levels, resized=lambda image: image.reshape(64, 2, 96, 2, 3).mean((1, 3)))
+    other = expected(*levels, resized=lambda image: pillow(image, 64, 96))
     np.testing.assert_allclose(code, right, atol=1e-4)
+    assert np.abs(code - other).max() > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -457,10 +460,18 @@ def test_the_licence_of_a_converted_file_is_that_of_its_origin() -> None:
     assert composed("method=netvlad")["weights"]["licence"].startswith("MIT, that of github.com/Relja/netvlad;")
 
 
+def test_a_checkpoint_with_the_recalls_of_its_training_is_read(networks, codes, tmp_path: Path) -> None:
+    progress = {"recalls": {1: np.float64(0.852), 5: np.float64(0.948)}, "best_score": np.float64(0.948)}
+    path = write_checkpoint(tmp_path / "checkpoint.pth.tar", networks["pytorch"], **progress)
+    found = netvlad(path, "pytorch").encode(Images.from_arrays(pictures(*SIZES)))
+    np.testing.assert_array_equal(found, codes["pytorch"])
+
+
 def test_the_file_of_the_pytorch_family_has_to_be_fetched_by_hand() -> None:
     weights = composed("method=netvlad_pytorch")["weights"]
     assert weights["url"] is None
     assert "https://drive.google.com/open?id=17luTjZFCX639guSVy00OUtzfTQo4AMF2" in weights["by_hand"]
+    assert "checkpoints/checkpoint.pth.tar" in weights["by_hand"]
 
 
 def test_the_yaml_states_sizes_and_hashes() -> None:

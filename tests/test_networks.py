@@ -35,7 +35,7 @@ from safetensors.numpy import save_file
 from vprbench import networks, tables
 from vprbench.cli import main
 from vprbench.interface import BadInput, Dataset, Method, NotFittedError
-from vprbench.records import Store
+from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 WORLD = journey(8, 4)
@@ -408,9 +408,27 @@ def test_a_file_that_appeared_during_the_training_stays(path: Path) -> None:
     store(path, Prototypes())
     before = path.read_bytes()
     with pytest.raises(BadInput, match="is there already"):
-        networks.save(where, fitted(Prototypes(seed=1)), "", 1.0, 1.0)
+        networks.save(where, fitted(Prototypes(seed=1)), "of another run", 1.0, 1.0)
     assert path.read_bytes() == before
     assert only_file(path)
+
+
+def test_a_file_that_the_same_run_stored_elsewhere_during_the_training_is_replaced(path: Path) -> None:
+    where = destination(path, Prototypes(seed=1), WORLD)
+    store(path, Prototypes(seed=1))
+    networks.save(where, fitted(Prototypes(seed=1)), "0123", 1.0, 1.0)
+    assert only_file(path)
+
+
+def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path: Path) -> None:
+    path.parent.mkdir(parents=True)
+    old, new, other = (path.parent / f".partial-{i}-{name}" for i, name in enumerate([path.name, path.name, "notes"]))
+    for left in (old, new, other):
+        left.touch()
+    for left in (old, other):
+        os.utime(left, (0, 0))
+    destination(path, Prototypes(), WORLD)
+    assert sorted(path.parent.iterdir()) == [new, other]
 
 
 def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -779,6 +797,14 @@ def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monke
         patch.setattr(Prototypes, "match", fail)
         assert main([*RUN, "save=net.safetensors"]) == 1
     assert ask("load=net.safetensors")["queries"] > 0
+
+
+def test_the_command_of_a_run_that_was_killed_after_its_network_was_stored_is_given_again(
+    stored: dict[str, Any], ask: Ask
+) -> None:
+    Path(stored["run_folder"], "run.json").unlink()
+    assert ask("save=net.safetensors")["from_store"] is False
+    assert ask("save=net.safetensors")["from_store"] is True
 
 
 def test_a_training_that_fails_leaves_no_network(untrainable: None, here: Path) -> None:

@@ -255,6 +255,13 @@ def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_
     assert f"2 of {n_wanted} expected frames are missing" in message
 
 
+def test_a_folder_under_the_name_of_a_frame_is_no_frame(tiny_root):
+    frame = tiny_root / "fall" / "images-00208.png"
+    frame.unlink()
+    frame.mkdir()
+    assert f"{frame.name} is missing from {tiny_root / 'fall'}" in answer(NotThere, root=str(tiny_root), **TINY)
+
+
 @pytest.mark.parametrize(
     ("count", "told"),
     [

@@ -10,6 +10,7 @@ import pytest
 from small_plan import RUN, Apart, install
 
 from vprbench.cli import main
+from vprbench.paper_figures import listed
 
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
 OF_A_COLUMN = (
@@ -50,6 +51,14 @@ def test_every_figure_is_there_as_pdf_and_png(drawn: tuple[Path, Apart]) -> None
 def test_every_figure_has_a_caption(drawn: tuple[Path, Apart]) -> None:
     text = (drawn[0] / "results" / "figures" / "captions.md").read_text()
     assert {line.split("**")[1].rstrip(".") for line in text.splitlines() if line.startswith("**")} == NAMES
+
+
+def test_a_name_in_a_caption_is_no_markup() -> None:
+    text = listed([("rate-<b>", "R@1 of <script>alert(1)</script> & [here](javascript:go) with *stars*.")])
+    assert text == (
+        "# Captions\n\n**rate-&lt;b&gt;.** R@1 of &lt;script&gt;alert(1)&lt;/script&gt; &amp; "
+        "\\[here\\](javascript:go) with \\*stars\\*.\n"
+    )
 
 
 def test_the_growth_runs_once_at_each_size_with_few_queries(drawn: tuple[Path, Apart]) -> None:

@@ -14,7 +14,8 @@ from small_plan import PLAN, RUN, Apart, install
 
 from vprbench.cli import main
 from vprbench.metrics import recall_at
-from vprbench.records import Run, Store
+from vprbench.records import Run
+from vprbench.store import Store
 
 Cells = dict[tuple[str, str, str], dict[str, str]]
 

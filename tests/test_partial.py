@@ -192,11 +192,13 @@ def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path: Path, monkeypat
         assert kept.get("part") is not None
 
 
-def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_unfinished_is_removed_after_a_day(tmp_path: Path) -> None:
     home = interrupt(tmp_path, part=FOUR)
-    (home / ".partial-part.safetensors-0a1b2c3d").touch()
+    for name in (".partial-old", ".partial-new"):
+        (home / name).touch()
+    aged(home / ".partial-old", 1.1)
     with partial.training(WHAT, tmp_path):
-        assert [path.name for path in home.iterdir()] == ["part.safetensors"]
+        assert sorted(path.name for path in home.iterdir()) == [".partial-new", "part.safetensors"]
 
 
 # Where they are, and how long

@@ -25,7 +25,9 @@ from vprbench import conformance
 from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError, held_together
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines, centres, inliers, mutual, score
+from vprbench.methods.patch_geometry import centres, inliers, mutual, score
+from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
+from vprbench.methods.patch_network import PatchNetwork
 from vprbench.weights import Weights
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -127,6 +129,37 @@ def test_descriptors_equal_those_of_direct_loops(code: np.ndarray, tensors: Tens
     np.testing.assert_allclose(code, expected(tensors, features, (2, 5, 8)), atol=1e-4)
 
 
+def as_published(tensors: Tensors, features: Tensor, side: int) -> np.ndarray:
+    """Descriptors of patches by the public code's steps: an integral image in float32, and its corners."""
+    local = functional.normalize(features.float(), dim=0)
+    shares = torch.softmax(torch.einsum("kd,dhw->khw", tensors["pool.conv.weight"][:, :, 0, 0], local), dim=0)
+    residuals = shares[:, None] * (local - tensors["pool.centroids"][:, :, None, None])
+    integral = functional.pad(residuals.cumsum(3).cumsum(2), (1, 0, 1, 0))
+    near, far = slice(None, -side), slice(side, None)
+    sums = integral[..., far, far] + integral[..., near, near] - integral[..., near, far] - integral[..., far, near]
+    flat = sums.flatten(2).permute(2, 0, 1)
+    return np.stack([described(tensors, patch.double()) for patch in flat])
+
+
+def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
+    """Most clusters get hardly a share of most local descriptors: what an integral image leaves of it is rounding."""
+    tensors = drawn()
+    tensors["pool.conv.weight"] *= 40
+    path, image = written(tmp_path / "x.pth.tar", tensors), picture(144, 160)
+    x = (image.astype(np.float64) / 255 - np.array(MEAN)) / np.array(DEVIATION)
+    features = oracle.vgg16(tensors, "encoder.", torch.from_numpy(x).permute(2, 0, 1)[None], 28)[0]
+    exact = expected(tensors, features, (5,))[1:]
+
+    def cosines(precision: str) -> np.ndarray:
+        method = made(path, configuration="speed", precision=precision)
+        return (unit(method.encode(Images.from_arrays([image])).reshape(-1, 10))[1:] * exact).sum(1)
+
+    assert cosines("float32").min() > 0.99999
+    spoilt = cosines("float32_as_published") < 0.97
+    assert spoilt.any()
+    np.testing.assert_array_equal(spoilt, (as_published(tensors, features, 5) * exact).sum(1) < 0.97)
+
+
 def test_the_patches_come_size_by_size(code: np.ndarray) -> None:
     assert len(code) == 1 + 8 * 9 + 5 * 6 + 2 * 3
 
@@ -143,7 +176,7 @@ def test_codes_are_unit_vectors(file: Path) -> None:
 
 @pytest.mark.parametrize(("side", "patches"), [(2, 1131), (5, 936), (8, 759)])
 def test_a_published_size_has_the_published_number_of_patches(side: int, patches: int) -> None:
-    network = patch_netvlad.PatchNetwork(1, 2, (side,))
+    network = PatchNetwork(1, 2, (side,))
     network.encoder = nn.Sequential(nn.Conv2d(3, 512, 16, stride=16))
     with torch.no_grad():
         for values in network.parameters():

@@ -91,11 +91,52 @@ def test_a_row_on_request_has_a_name_of_its_own(plan: Plan) -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("group", ["rows", "columns", "growth"])
+def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
+    methods = registry.entries("method")
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        assert len({*row.seeds}) == (3 if "seed" in methods[row.method].options else 1), row.name
+
+
+def test_networks_of_an_ensemble_are_in_no_two_runs_of_its_row(plan: Plan) -> None:
+    row = plan.more_rows["vprtempo_ensemble"]  # members of seed s: s to s + 4
+    assert len({seed + member for seed in row.seeds for member in range(5)}) == 15
+
+
+@pytest.mark.parametrize(("method", "seeds", "training"), [("vprtempo_tuned", (0, 1, 2), "own"), ("hog", (0,), "map")])
+def test_a_method_outside_the_plan_trains_with_its_seeds_where_it_learns_from_one(
+    method: str, seeds: tuple[int, ...], training: str
+) -> None:
+    here = chosen(rows=["SAD"], methods=[method], columns=["nordland_64x32"], devices=["cpu"])
+    assert (here.rows[-1].seeds, here.rows[-1].training) == (seeds, training)
+    assert tuple(run.seed for run in wanted(here, here.columns[0], here.rows[-1:])) == seeds
+
+
+def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(plan: Plan) -> None:
+    calibrated = []
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        if "calibrated_scores" in registry.entries("method")[row.method].options:
+            asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
+            config = composing.composed([f"method={row.method}", *asked])["method"]
+            assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
+            calibrated += [row.method] * (config["calibrated_scores"] is True)
+    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble"]
+
+
+def test_every_rendered_column_says_that_its_hardness_was_set_by_hand(plan: Plan) -> None:
+    rendered = [column for column in plan.columns.values() if column.stand_in_for]
+    assert [column.name for column in rendered if "set by hand" not in (column.remark or "")] == []
+
+
+@pytest.mark.parametrize("group", ["rows", "columns", "growth", "seeds"])
 def test_a_plan_without_a_part_is_refused_by_its_file(group: str, content: Any, tmp_path: Path) -> None:
     del content[group]
     with pytest.raises(BadInput, match=rf"table\.yaml is no plan of a table.*{group}"):
         read_plan(written(content, tmp_path))
+
+
+def test_a_plan_without_any_seed_is_refused(content: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"table\.yaml is no plan of a table"):
+        read_plan(written({**content, "seeds": []}, tmp_path))
 
 
 def test_an_unknown_part_of_a_row_is_refused(content: Any, tmp_path: Path) -> None:
@@ -159,10 +200,11 @@ def test_rows_name_methods_and_arguments_that_there_are(plan: Plan) -> None:
         ("vprsnn_ensemble", ["method=vprsnn_ensemble"]),
     ],
 )
-def test_a_row_of_vprsnn_is_one_run_with_its_arguments(name: str, options: list[str]) -> None:
+def test_a_row_of_vprsnn_is_a_run_a_seed_with_its_arguments(name: str, options: list[str]) -> None:
     here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"])
-    (run,) = wanted(here, here.columns[0], here.rows[-1:])
-    assert [option for option in run.options() if option.startswith("method")] == options
+    runs = [*wanted(here, here.columns[0], here.rows[-1:])]
+    assert [run.seed for run in runs] == [0, 1, 2]
+    assert {option for run in runs for option in run.options() if option.startswith("method")} == {*options}
 
 
 def test_rows_of_vprsnn_run_at_225_places_unless_all_is_to_run_in_full() -> None:

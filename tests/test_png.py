@@ -181,13 +181,22 @@ def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    "rows",
-    [bytes([9]) + filtered(0, 3)[1:], b""],
-    ids=["no such filter", "no rows"],
-)
-def test_a_png_whose_checksums_are_right_but_whose_rows_are_not_is_an_error(tmp_path: Path, rows: bytes) -> None:
+SHORT = filtered(0, 3)[:-22]  # eight of nine rows
+BAD_ROWS = {
+    "no such filter": png_of(bytes([9]) + filtered(0, 3)[1:], 7, 9),
+    "no rows": png_of(b"", 7, 9),
+    "a row too few": png_of(SHORT, 7, 9),
+    "a row too few, grey": png_of(filtered(0, 1)[:-8], 7, 9, colour=0),
+    "a row too few beside what is left to Pillow": png_of(SHORT, 7, 9, extra=chunk(b"sBIT", b"\x08\x08\x08")),
+    "a row too few of 16 bits": png_of(filtered(0, 6)[:-43], 7, 9, bits=16),
+    "a row too few of single bits": png_of(b"\0\x80" * 8, 7, 9, bits=1, colour=0),
+    "a pass too few of those interlaced": png_of(b"\0\1" * 2, 2, 2, colour=0, interlaced=1),
+}
+
+
+@pytest.mark.parametrize("content", BAD_ROWS.values(), ids=BAD_ROWS)
+def test_a_png_whose_checksums_are_right_but_whose_rows_are_not_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "frame.png"
-    path.write_bytes(png_of(rows, 7, 9))
+    path.write_bytes(content)
     with pytest.raises(BadInput, match=r"frame\.png cannot be read as an image"):
         read_image(path)

@@ -65,7 +65,7 @@ def test_a_position_may_be_negative_and_zone_and_letter_may_be_left_out():
     assert position_in(Path("a@b/@-0012.50@0000003.25@@@@@.jpg")) == (-12.5, 3.25, "")
 
 
-@pytest.mark.parametrize("radius", [0, -3, float("nan"), float("inf")])
+@pytest.mark.parametrize("radius", [0, -3, float("nan"), float("inf"), 1e308])
 def test_a_radius_that_is_no_length_is_refused(radius):
     with pytest.raises(BadInput, match=r"dataset\.radius_metres="):
         by_radius(np.zeros((1, 2)), np.zeros((1, 2)), radius)

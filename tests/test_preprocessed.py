@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -345,6 +346,34 @@ def test_the_seconds_that_frames_from_the_cache_once_took_are_part_of_the_fit(
     assert runs[0].scores is not None
     for each in runs[1:]:
         np.testing.assert_array_equal(each.scores, runs[0].scores)
+
+
+class AtOnce(ReadersThatWait):
+    """Does what it is asked for at once."""
+
+    def submit(self, call: Any, *arguments: Any) -> SimpleNamespace:
+        call(*arguments)
+        return SimpleNamespace(done=lambda: True, result=lambda: None)
+
+
+def test_what_a_second_thread_computes_while_the_first_waits_for_images_is_computing(
+    frames: list[Path], folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worked = Clock()  # of the second thread, which does all its work while the first one waits
+
+    def normalise(self: PatchNormalisation, block: Any, levels: Any) -> None:
+        worked.spend(0.004 * len(block))
+        self._readable(block, levels)
+
+    monkeypatch.setattr(preprocess.PatchNormalisation, "_fused", normalise)
+    monkeypatch.setattr(preprocess.torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(preprocess, "ThreadPoolExecutor", AtOnce)
+    times = SimpleNamespace(perf_counter=clock.seconds, thread_time=worked.seconds)
+    monkeypatch.setattr(preprocess, "time", times)
+    for where in (None, folder, folder):
+        made = run(Matching(clock), dataset(frames), where)
+        assert made.fit_seconds == pytest.approx(0.01 * N_IMAGES + 2)
+        assert made.fit_compute_seconds == pytest.approx(0.004 * N_IMAGES / 2 + 2)
 
 
 def test_the_run_says_which_seconds_are_not_its_own(frames: list[Path], folder: Path, clock: Clock) -> None:

@@ -23,8 +23,9 @@ from vprbench.comparison import reasons
 from vprbench.growth_series import samples
 from vprbench.interface import BadInput
 from vprbench.plan import PlannedColumn, Row
-from vprbench.records import Failure, Run, Store
+from vprbench.records import Failure, Run
 from vprbench.report import words
+from vprbench.store import Store
 from vprbench.tuning.places import cut, querying, searchable
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import pytest
 from PIL import Image as PillowImage
 from stopped_clock import ReadersThatWait
 
-from vprbench import images
+from vprbench import ahead, images
 from vprbench.images import Images
 
 PATIENCE = 120  # seconds for what takes none unless something is broken
@@ -21,16 +21,19 @@ FRAME = 300 * 400 * 3  # bytes
 
 
 class Waiting(ReadersThatWait):
-    """Counts the images that were asked for and not yet given; they are read when somebody waits for them."""
+    """Knows which images were asked for and not yet given; they are read when somebody waits for them."""
 
-    now = most = 0
+    now: ClassVar[set[int]] = set()
+    seen: ClassVar[list[frozenset[int]]] = []  # the images under way, each time more were asked for
+    most = 0
 
     def submit(self, call: Any, start: int, size: int) -> SimpleNamespace:  # type: ignore[override]
-        Waiting.now += size
-        Waiting.most = max(Waiting.most, Waiting.now)
+        Waiting.now |= set(range(start, start + size))
+        Waiting.seen.append(frozenset(Waiting.now))
+        Waiting.most = max(Waiting.most, len(Waiting.now))
 
         def result() -> list[npt.NDArray[np.uint8]]:
-            Waiting.now -= size
+            Waiting.now -= set(range(start, start + size))
             found: list[npt.NDArray[np.uint8]] = call(start, size)
             return found
 
@@ -41,7 +44,9 @@ class Waiting(ReadersThatWait):
 def waiting(monkeypatch: pytest.MonkeyPatch) -> type[Waiting]:
     monkeypatch.setattr(images, "ThreadPoolExecutor", Waiting)
     monkeypatch.setattr(images, "_READERS", 8)
-    Waiting.now = Waiting.most = 0
+    Waiting.now.clear()
+    Waiting.seen.clear()
+    Waiting.most = 0
     return Waiting
 
 
@@ -61,7 +66,7 @@ def test_small_frames_are_bounded_by_their_number(waiting: type[Waiting], tmp_pa
 def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
-    monkeypatch.setattr(images, "_AHEAD_BYTES", room * FRAME + 1)
+    monkeypatch.setattr(ahead, "_BYTES", room * FRAME + 1)
     paths = frames(tmp_path, [(300, 400)])
     assert len(list(Images.from_files(paths * 50))) == 50
     assert waiting.most == room
@@ -70,22 +75,25 @@ def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
 def test_of_frames_larger_than_all_there_is_room_for_four_are_read_at_a_time(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(images, "_AHEAD_BYTES", FRAME // 2)
+    monkeypatch.setattr(ahead, "_BYTES", FRAME // 2)
     assert len(list(Images.from_files(frames(tmp_path, [(300, 400)]) * 9))) == 9
     assert waiting.most == 4
 
 
-def test_frames_that_grow_on_the_way_are_held_in_smaller_numbers(
+def test_frames_are_held_by_the_size_of_each_whatever_the_first_was(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(images, "_AHEAD_BYTES", 5 * FRAME)
-    small, large = frames(tmp_path, [(3, 4), (300, 400)])
-    iterator = iter(Images.from_files([small] * 200 + [large] * 200))
-    shapes = [next(iterator).shape for _ in range(340)]
-    waiting.most = waiting.now
-    shapes += [image.shape for image in iterator]
-    assert shapes == [(3, 4, 3)] * 200 + [(300, 400, 3)] * 200
-    assert waiting.most <= 5
+    monkeypatch.setattr(ahead, "_BYTES", 5 * FRAME)
+    monkeypatch.setattr(ahead, "_MOST_BYTES", 8 * FRAME)
+    kinds = frames(tmp_path, [(3, 4), (300, 400), (900, 800), (1500, 1600)])
+    n_bytes = [36, FRAME, 6 * FRAME, 20 * FRAME]
+    order = [0, *np.random.default_rng(3).choice(4, 150, p=[0.5, 0.3, 0.15, 0.05]).tolist(), 1, 1, 1, 1, 1, 1, 1]
+    shapes = [image.shape for image in Images.from_files([kinds[kind] for kind in order])]
+    assert shapes == [((3, 4, 3), (300, 400, 3), (900, 800, 3), (1500, 1600, 3))[kind] for kind in order]
+    for under_way in waiting.seen:
+        held = sum(n_bytes[order[number]] for number in under_way)
+        assert held <= 5 * FRAME or len(under_way) == 1 or (held <= 8 * FRAME and len(under_way) <= 4)
+    assert max(sum(n_bytes[order[number]] for number in held) for held in waiting.seen if len(held) > 4) > 4 * FRAME
 
 
 @pytest.mark.parametrize("readers", [1, 2, 8, 32, 64])

@@ -12,8 +12,9 @@ import hydra
 import pytest
 
 from vprbench import registry
-from vprbench.layout import HEADS
+from vprbench.layout import HEADS, TRAINING_TIME
 from vprbench.plan import QUANTITIES, read_plan
+from vprbench.report.words import TERMS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -59,6 +60,11 @@ def shown(name: str) -> str:
     found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", README, re.DOTALL)
     assert found
     return found.group(1)
+
+
+def test_the_time_of_training_is_told_in_one_sentence_here_and_on_the_page() -> None:
+    assert TRAINING_TIME in " ".join(README.split())
+    assert dict(TERMS)["Train"] == TRAINING_TIME
 
 
 def test_what_it_shows_of_a_run_is_filled_in() -> None:

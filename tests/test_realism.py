@@ -102,13 +102,11 @@ def rates(source, count, methods):
 
 @each_source
 def test_methods_that_need_no_weights_come_in_the_order_of_the_real_frames(source):
-    methods = (HOG(), SAD(), VPRTempo(max_module=400), PCA(), DenseVLAD())
-    hog, sad, vprtempo, pca, densevlad = rates(source, 400, methods)
+    hog, sad, vprtempo, pca = rates(source, 400, (HOG(), SAD(), VPRTempo(max_module=400), PCA()))
     assert hog > sad > max(vprtempo, pca)
-    assert min(vprtempo, pca) > densevlad
 
 
 @each_source
-def test_cohog_comes_after_pca_as_on_the_real_frames(source):
-    pca, cohog = rates(source, 100, (PCA(), CoHOG()))
-    assert pca > cohog
+def test_slow_methods_come_after_pca_as_on_the_real_frames(source):
+    pca, cohog, densevlad = rates(source, 100, (PCA(), CoHOG(), DenseVLAD()))
+    assert pca > max(cohog, densevlad)

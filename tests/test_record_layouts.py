@@ -6,9 +6,8 @@ import hashlib
 import json
 import logging
 import multiprocessing
+import os
 import shutil
-import socket
-import subprocess
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -19,10 +18,12 @@ import pytest
 from little import a_failure, a_run, save_keys
 
 from vprbench import records, replacing
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, load
+from vprbench import store as store_module
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.store import Store
 
 KEY = "0123456789abcdef"
-LAYOUTS = ["1, the first", "1", "2", "3", "4"]
+LAYOUTS = ["1, the first", "1", "2", "3", "4", "5"]
 SINCE = {"load_seconds": 2, "network": 2, "search": 3, "spikes": 4}  # the layout that first held it
 
 
@@ -58,7 +59,7 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
         "config": {"method": {"window": 5}, "dataset": {"name": "journey"}, "seed": 1, "device": "cpu", "depth": 2},
         "protocol": {"query": "summer"},
         "fingerprint": "f" * 64,
-        "environment": {"processor": "Abacus 8"},
+        "environment": {"processor": "Abacus 8", "time_utc": "2025-01-31T12:00:00Z"},
         "n_references": 6,
         "fit_seconds": 2.5,
         "fit_compute_seconds": 2.25,
@@ -86,7 +87,10 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
     if schema >= 3:
         summary |= {"search": {"index": "hnsw", "bytes_per_place": 8, "recall_at_1": 1.0, "recall_at_10": 0.5}}
     if schema >= 4:
-        summary |= {"spikes": {"queries": 2, "layers": []}}
+        counts = {"neurons": 3, "spikes_per_query": [1.0, 2.0], "active_share": 1.0, "amplitude_mean": None}
+        summary |= {"spikes": {"queries": 2, "layers": [{"name": "output", **counts}]}}
+    if schema >= 5:
+        summary |= {"data": {"names_sha256": "b" * 64}}
     summary |= changes
     if not first:
         text = json.dumps(summary, sort_keys=True, separators=(",", ":"))
@@ -150,15 +154,20 @@ def test_what_an_older_layout_did_not_hold_is_none_and_the_rest_is_there(store: 
 
 
 @each_layout
-def test_an_older_run_says_nothing_of_its_frames(store: Store, layout: str) -> None:
-    assert old(store, layout).data == {}
+def test_a_run_says_of_its_frames_what_its_layout_holds(store: Store, layout: str) -> None:
+    assert (old(store, layout).data == {}) == (int(layout[0]) < 5)
+
+
+@each_layout
+def test_an_older_run_does_not_say_on_what_its_method_was_tuned(store: Store, layout: str) -> None:
+    assert old(store, layout).tuned_on is None
 
 
 def test_runs_of_all_layouts_are_found_side_by_side(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     for number, layout in enumerate(LAYOUTS):
         write_run(store.root / "journey" / f"little-{number}", layout, key=str(number))
-    store.save(a_run(key="5"))
-    assert [run.key for run in store.runs()] == ["0", "1", "2", "3", "4", "5"]
+    store.save(a_run(key="6"))
+    assert [run.key for run in store.runs()] == ["0", "1", "2", "3", "4", "5", "6"]
     assert caplog.records == []
 
 
@@ -168,7 +177,7 @@ def test_an_older_run_that_is_stored_again_is_the_same_run(store: Store) -> None
     after = store.find("journey", "little", KEY)
     assert after is not None
     assert (after.network, after.search, after.fit_seconds) == ("a" * 64, None, 2.5)
-    assert json.loads((store.folder("journey", "little", KEY) / "run.json").read_text())["schema"] == 5
+    assert json.loads((store.folder("journey", "little", KEY) / "run.json").read_text())["schema"] == 6
 
 
 @pytest.mark.parametrize("layout", LAYOUTS[1:])
@@ -202,7 +211,7 @@ def test_a_run_of_a_layout_without_a_part_that_it_has_to_hold_is_damaged(store: 
 
 def newer(store: Store, key: str = KEY) -> Path:
     folder = store.save(a_run(key=key))
-    (folder / "run.json").write_text(json.dumps({"schema": 6, "parts": "of another kind"}))
+    (folder / "run.json").write_text(json.dumps({"schema": 7, "parts": "of another kind"}))
     return folder
 
 
@@ -218,7 +227,7 @@ def test_a_run_of_a_later_layout_is_named_in_one_line(store: Store, caplog: pyte
     folder = newer(store)
     list(store.runs())
     assert [record.getMessage() for record in caplog.records] == [
-        f"{folder} is left as it is: its layout is version 6, this program reads 1 to 5"
+        f"{folder} is left as it is: its layout is version 7, this program reads 1 to 6"
     ]
 
 
@@ -230,16 +239,15 @@ def test_a_run_of_a_later_layout_hides_no_other(store: Store) -> None:
 
 
 def test_a_later_run_whose_replacement_never_arrived_is_not_removed(store: Store) -> None:
-    process = subprocess.Popen(["true"])
-    process.wait()
-    left = store.root / f".partial-{socket.gethostname()}-{process.pid}-0a-replaced-1b"
+    left = store.root / ".partial-0a-replaced-1b"
     newer(store).rename(left)
+    os.utime(left, (0, 0))
     store.prepare()
     assert (left / "run.json").exists()
 
 
 def test_load_says_which_layouts_it_reads(store: Store) -> None:
-    with pytest.raises(NewerLayoutError, match=r"version 6, this program reads 1 to 5"):
+    with pytest.raises(NewerLayoutError, match=r"version 7, this program reads 1 to 6"):
         load(newer(store))
 
 
@@ -303,7 +311,7 @@ def test_reading_all_runs_never_misses_one_that_others_replace(
     keys = ["a", "b", "c"]
     save_keys(store.root, keys)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.records"])
+    context.set_forkserver_preload(["vprbench.store"])
     with ProcessPoolExecutor(2, mp_context=context) as pool:
         writers = [pool.submit(save_keys, store.root, keys * 10) for _ in range(2)]
         while not all(writer.done() for writer in writers):
@@ -324,25 +332,25 @@ def test_where_folders_cannot_be_exchanged_the_last_of_two_runs_stays_too(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replacing, "exchange", lambda first, second: False)
-    store.save(a_run(n_references=1))
-    store.save(a_run(n_references=2))
-    assert [run.n_references for run in store.runs()] == [2]
+    store.save(a_run(n_references=21))
+    store.save(a_run(n_references=22))
+    assert [run.n_references for run in store.runs()] == [22]
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 def test_a_damaged_run_that_is_replaced_meanwhile_is_read_anew_and_not_set_aside(
     store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (store.save(a_run(n_references=1)) / "arrays.npz").unlink()
-    read = records.load
+    (store.save(a_run(n_references=21)) / "arrays.npz").unlink()
+    read = load
 
     def read_after_another_saved(folder: Path) -> Run:
-        monkeypatch.setattr(records, "load", read)
+        monkeypatch.setattr(store_module, "load", read)
         try:
             return read(folder)
         finally:
-            store.save(a_run(n_references=2))
+            store.save(a_run(n_references=22))
 
-    monkeypatch.setattr(records, "load", read_after_another_saved)
-    assert [run.n_references for run in store.runs()] == [2]
+    monkeypatch.setattr(store_module, "load", read_after_another_saved)
+    assert [run.n_references for run in store.runs()] == [22]
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

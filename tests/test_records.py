@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import pickle
 import random
+import resource
 import shutil
 import socket
 import subprocess
@@ -35,8 +36,9 @@ from little import (
 
 from vprbench import records
 from vprbench.interface import BadInput
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, Store, content_key, load
+from vprbench.records import DamagedRunError, NewerLayoutError, Run, content_key, load
 from vprbench.replacing import replace_text
+from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 ARRAYS = ("arrays.npz", "scores.npy")
@@ -53,7 +55,7 @@ def store(tmp_path: Path) -> Store:
 def processes() -> multiprocessing.context.ForkServerContext:
     """Processes that start in no time, because one that has imported the store makes them."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.records"])
+    context.set_forkserver_preload(["vprbench.store"])
     return context
 
 
@@ -170,14 +172,14 @@ def test_a_run_is_found_only_by_its_own_key(store: Store) -> None:
 
 
 def test_of_two_runs_of_one_key_the_last_stays(store: Store) -> None:
-    store.save(a_run(n_references=1))
-    store.save(a_run(n_references=2))
-    assert [run.n_references for run in store.runs()] == [2]
+    store.save(a_run(n_references=21))
+    store.save(a_run(n_references=22))
+    assert [run.n_references for run in store.runs()] == [22]
 
 
 def test_nothing_unfinished_remains_after_a_run_was_replaced(store: Store) -> None:
-    store.save(a_run(n_references=1))
-    store.save(a_run(n_references=2))
+    store.save(a_run(n_references=21))
+    store.save(a_run(n_references=22))
     assert unfinished(store) == []
 
 
@@ -276,9 +278,70 @@ def test_other_runs_stay_readable_beside_a_damaged_one(store: Store, spoil: Call
 
 @damage
 def test_a_damaged_run_can_be_stored_anew(store: Store, spoil: Callable[[Path], None]) -> None:
-    spoil(store.save(a_run(n_references=1)))
-    store.save(a_run(n_references=2))
-    assert stored(store).n_references == 2
+    spoil(store.save(a_run(n_references=21)))
+    store.save(a_run(n_references=22))
+    assert stored(store).n_references == 22
+
+
+@pytest.fixture
+def refuse_to_open(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path, int], None]:
+    """Let the system refuse to open what is in a folder, as it does for other users than root."""
+
+    def refuse(folder: Path, number: int) -> None:
+        system = Path.open
+
+        def refusing(path: Path, *arguments: Any, **options: Any) -> Any:
+            if folder in path.parents:
+                raise OSError(number, os.strerror(number), str(path))
+            return system(path, *arguments, **options)
+
+        monkeypatch.setattr(Path, "open", refusing)
+
+    return refuse
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EIO, errno.EMFILE, errno.ESTALE])
+def test_a_run_that_cannot_be_opened_stays_where_it_is_and_hides_no_other(
+    store: Store, refuse_to_open: Callable[[Path, int], None], caplog: pytest.LogCaptureFixture, number: int
+) -> None:
+    for key in ("a", "b", "c"):
+        store.save(a_run(key=key))
+    refused = store.folder("journey", "little", "b")
+    refuse_to_open(refused, number)
+    assert [run.key for run in store.runs()] == ["a", "c"]
+    assert store.find("journey", "little", "b") is None
+    assert sorted(path.name for path in refused.parent.iterdir()) == ["little-a", "little-b", "little-c"]
+    assert [str(refused) in record.getMessage() for record in caplog.records] == [True, True]
+
+
+def test_where_no_file_can_be_opened_any_more_no_run_is_set_aside(store: Store) -> None:
+    folder = store.save(a_run())
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with Path(os.devnull).open() as lowest:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (lowest.fileno() + 1, limits[1]))
+        try:
+            assert store.find("journey", "little", KEY) is None
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert folder.exists()
+    assert stored(store).key == KEY
+
+
+def test_a_dataset_whose_folder_cannot_be_listed_hides_no_other(
+    store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for dataset in ("a", "b", "c"):
+        store.save(a_run(dataset=dataset))
+    system = Path.iterdir
+
+    def refusing(path: Path) -> Any:
+        if path.name == "b":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return system(path)
+
+    monkeypatch.setattr(Path, "iterdir", refusing)
+    assert [run.dataset for run in store.runs()] == ["a", "c"]
+    assert [str(store.root / "b") in record.getMessage() for record in caplog.records] == [True]
 
 
 def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
@@ -289,7 +352,7 @@ def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
 def test_the_reason_of_another_layout_names_both_versions(store: Store) -> None:
     folder = store.save(a_run())
     _change(folder, "schema", 7)
-    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 5"):
+    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 6"):
         load(folder)
 
 
@@ -312,45 +375,58 @@ def test_a_changed_number_in_the_summary_is_noticed(store: Store) -> None:
 
 # Leftovers
 
-
-def leftover(store: Store, host: str, pid: int) -> Path:
-    folder = store.root / f".partial-{host}-{pid}-0a1b2c3d"
-    folder.mkdir()
-    (folder / "arrays.npz").write_bytes(b"half")
-    return folder
+HOUR = 3600
 
 
-def a_dead_pid() -> int:
-    process = subprocess.Popen(["true"])
-    process.wait()
-    return process.pid
+def touched(path: Path, hours_ago: int) -> None:
+    """Let a file, or a folder and what is in it, look as if it was written so long ago."""
+    for part in (path, *path.rglob("*")):
+        os.utime(part, (time.time() - hours_ago * HOUR,) * 2)
 
 
-def test_what_a_dead_process_left_is_removed(store: Store) -> None:
-    folder = leftover(store, socket.gethostname(), a_dead_pid())
+def leftover(store: Store, owner: str = "0a1b2c3d", kind: str = "folder") -> Path:
+    path = store.root / f".partial-{owner}"
+    if kind == "folder":
+        path.mkdir()
+        (path / "arrays.npz").write_bytes(b"half")
+    elif kind == "empty":
+        path.mkdir()
+    else:
+        path.write_bytes(b"half")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["folder", "empty", "file"])
+@pytest.mark.parametrize("owner", ["0a1b2c3d", "elsewhere-1-0a1b2c3d"])
+def test_what_nobody_touched_for_a_day_is_removed(store: Store, kind: str, owner: str) -> None:
+    touched(leftover(store, owner, kind), 25)
     store.prepare()
-    assert not folder.exists()
+    assert unfinished(store) == []
 
 
-def test_what_a_living_process_writes_is_left_alone(store: Store) -> None:
-    with subprocess.Popen(["sleep", "1000"]) as living:
-        try:
-            folder = leftover(store, socket.gethostname(), living.pid)
-            store.prepare()
-        finally:
-            living.kill()
-    assert folder.exists()
-
-
-def test_what_another_machine_writes_is_left_alone(store: Store) -> None:
-    folder = leftover(store, "elsewhere", a_dead_pid())
+def test_what_was_touched_of_late_is_left_alone_whatever_process_its_name_tells(store: Store) -> None:
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    path = leftover(
+        store, f"{socket.gethostname()}-{gone.pid}-0a1b2c3d"
+    )  # as of another container, named like this one
+    touched(path, 23)
     store.prepare()
-    assert folder.exists()
+    assert unfinished(store) == [path.name]
+
+
+def test_the_age_of_a_folder_is_that_of_the_newest_file_in_it(store: Store) -> None:
+    path = leftover(store)
+    touched(path, 25)
+    os.utime(path / "arrays.npz")
+    os.utime(path, (0, 0))
+    store.prepare()
+    assert unfinished(store) == [path.name]
 
 
 def test_a_leftover_is_no_run(store: Store) -> None:
     store.save(a_run())
-    shutil.copytree(store.folder("journey", "little", KEY), leftover(store, "elsewhere", 1), dirs_exist_ok=True)
+    shutil.copytree(store.folder("journey", "little", KEY), leftover(store), dirs_exist_ok=True)
     assert len(list(store.runs())) == 1
 
 
@@ -384,10 +460,32 @@ def test_a_killed_process_leaves_only_whole_runs(
         kill_a_writer([f"number{number}" for number in range(10)], moments.uniform(0, 0.06))
         assert all(load(folder) for folder in (store.root / "journey").iterdir())
         assert caplog.records == []
+        for name in unfinished(store):
+            touched(store.root / name, 25)
         store.prepare()
         assert unfinished(store) == []
         store.save(a_run(key=f"after-kill-{kill}"))
         assert stored(store, f"after-kill-{kill}").n_references == 20
+
+
+def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "disk").mkdir()
+    (store.root / "journey").symlink_to(tmp_path / "disk")
+    rename = Path.rename
+
+    def on_one_disk(path: Path, target: Path) -> Path:
+        if path.parent.resolve() != target.parent.resolve():
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", on_one_disk)
+    for seconds in (1.0, 2.0):
+        store.save(a_run(harness_seconds=seconds))
+    assert [run.harness_seconds for run in store.runs()] == [2.0]
+    assert len([*(tmp_path / "disk").iterdir()]) == 1
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(
@@ -398,7 +496,7 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
         writer.start()
         writer.join()
         store.prepare()
-        assert stored(store).n_references in (1, 2), f"step {step}"
+        assert stored(store).n_references in (21, 22), f"step {step}"
         if writer.exitcode == 0:
             break
     assert step > 10
@@ -425,7 +523,7 @@ def test_ten_processes_that_write_one_key_leave_one_whole_run(store: Store, proc
 def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=21))
     folder = store.folder("journey", "little", KEY)
     rename = Path.rename
 
@@ -437,8 +535,8 @@ def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_err
             raise
 
     monkeypatch.setattr(Path, "rename", rename_while_another_replaces)
-    store.save(a_run(n_references=2))
-    assert stored(store).n_references == 2
+    store.save(a_run(n_references=22))
+    assert stored(store).n_references == 22
 
 
 def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(
@@ -520,11 +618,11 @@ def test_a_full_disk_leaves_no_part_of_a_run(store: Store, fill_the_disk: Callab
 def test_a_full_disk_leaves_the_earlier_run_whole(
     store: Store, fill_the_disk: Callable[[str], None], writer: str
 ) -> None:
-    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=21))
     fill_the_disk(writer)
     with pytest.raises(BadInput):
-        store.save(a_run(n_references=2))
-    assert stored(store).n_references == 1
+        store.save(a_run(n_references=22))
+    assert stored(store).n_references == 21
 
 
 def test_a_full_disk_found_at_the_last_moment_leaves_the_earlier_run_whole(
@@ -533,11 +631,11 @@ def test_a_full_disk_found_at_the_last_moment_leaves_the_earlier_run_whole(
     def refuse(_: int) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    store.save(a_run(n_references=1))
+    store.save(a_run(n_references=21))
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(BadInput, match="No space left"):
-        store.save(a_run(n_references=2))
-    assert stored(store).n_references == 1
+        store.save(a_run(n_references=22))
+    assert stored(store).n_references == 21
 
 
 def test_a_failure_that_cannot_be_stored_is_the_users_to_mend(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -49,6 +52,18 @@ def test_a_list_in_place_of_images_is_refused(made: SimpleNamespace, part: str) 
     made.dataset = replace(whole, **{part: list(getattr(whole, part))})
     told = refusal({"_target_": "mine.noise"})
     assert told.startswith(f"mine.noise gave {part} of type list; wanted is vprbench.images.Images")
+
+
+def test_a_name_too_long_for_a_folder_is_refused(made: SimpleNamespace) -> None:
+    made.dataset = replace(journey(4, 3), name="é" * 130)
+    assert refusal({"_target_": "mine.noise"}).startswith("dataset.name=ééé")
+
+
+def test_a_path_that_no_disk_takes_is_refused_by_name(tmp_path: Path) -> None:
+    root = tmp_path / ("long" * 100)
+    told = refusal({"_target_": "vprbench.datasets.vpr_bench.vpr_bench", "root": str(root)})
+    assert str(tmp_path) in told
+    assert os.strerror(errno.ENAMETOOLONG) in told
 
 
 def test_a_yaml_without_a_target_is_refused() -> None:

@@ -15,8 +15,9 @@ from vprbench.interface import Method
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.records import Run, Store
+from vprbench.records import Run
 from vprbench.registry import Entry
+from vprbench.store import Store
 
 
 @pytest.fixture

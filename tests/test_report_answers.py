@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from little import a_run
 from PIL import Image
-from report_page import answered
+from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
 from vprbench.metrics import recall_at
-from vprbench.report.answers import Answers, columns, judged, place_ranges, places_shown
+from vprbench.report.answers import Answers, by_interest, columns, judged, place_ranges, places_shown
 from vprbench.report.thumbnails import fitting, text_bytes
 
 NO = -np.inf  # the score of a place that is no candidate
@@ -175,6 +175,21 @@ def noise(seed: int, quality: int = 95) -> bytes:
     return written.getvalue()
 
 
+def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others() -> None:
+    run = journey_run(SAD_WRONG)
+    listed = dict(by_interest(run))
+    assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
+    assert sorted(listed) == list(range(len(run.outcome)))
+    assert all({right_place(query), *run.top_places[query, :3]} == listed[query] for query in (10, 40))
+
+
+def test_two_runs_list_the_queries_that_both_answer_right_in_one_order() -> None:
+    first, second = ([query for query, _ in by_interest(journey_run(wrong))] for wrong in (SAD_WRONG, TEMPO_WRONG))
+    common = {*first} - {*SAD_WRONG, *TEMPO_WRONG, UNANSWERABLE}
+    assert [query for query in first if query in common] == [query for query in second if query in common]
+    assert sorted(common) != [query for query in first if query in common]  # from all over the journey
+
+
 def test_frames_that_fit_stay_as_they_are() -> None:
     frames = [noise(seed) for seed in range(5)]
     assert fitting(frames, text_bytes(frames)) == frames
@@ -194,6 +209,13 @@ def test_frames_that_do_not_fit_become_coarser_and_stay_images_of_the_same_shape
 
 def test_frames_that_cannot_fit_are_none_at_all() -> None:
     assert fitting([noise(0), noise(1)], 50) is None
+
+
+def test_frames_that_are_not_kept_stay_empty_where_the_others_become_coarser() -> None:
+    frames = [noise(0), b"", noise(1), b""]
+    made = fitting(frames, text_bytes(frames) // 4)
+    assert made is not None
+    assert [bool(frame) for frame in made] == [True, False, True, False]
 
 
 def test_no_frames_always_fit() -> None:

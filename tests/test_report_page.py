@@ -210,6 +210,19 @@ def test_without_thumbnails_the_page_says_so_and_names_nothing() -> None:
     assert embedded(text) == {"queries": [], "places": {}}
 
 
+def test_of_frames_that_are_kept_in_part_the_others_are_named_and_the_page_says_so() -> None:
+    whole = journey_thumbnails()
+    queries = tuple(frame if query == 10 else b"" for query, frame in enumerate(whole.queries))
+    places = tuple(frame if place == 15 else b"" for place, frame in enumerate(whole.references))
+    text = made_up_page([journey_section(thumbnails=journey_thumbnails(queries=queries, references=places))])
+    (section,) = Parsed(text).data("answers")
+    assert section["framesMissing"].startswith("Of this large dataset some frames are stored")
+    assert section["placeNames"]["22"] == "noon/00022.png"
+    kept = embedded(text)
+    assert list(kept["places"]) == ["15"]
+    assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
+
+
 class Noise:
     """Thumbnails of so many bytes each: a few frames of noise, again and again."""
 

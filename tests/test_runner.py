@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import Lookup, journey, number_in
-from little_runs import quiet_surroundings, run_of, table
+from little import Lookup, journey, number_in, picture
+from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 
 from vprbench import runner
+from vprbench.descriptor_cache import DescriptorCache
 from vprbench.images import Images
-from vprbench.interface import BadInput, Places, Scores
+from vprbench.interface import BadInput, DescriptorMethod, LayerSpikes, Places, Scores
 from vprbench.ranking import Outcome, outcome
 
 
@@ -47,7 +49,7 @@ def test_queries_are_scored_in_order_and_each_once() -> None:
     scores = table(300, 4)
     method = Lookup(scores)
     run_of(method, journey(300, 4))
-    assert [number for numbers in method.asked[:3] for number in numbers] == list(range(300))
+    assert [number for numbers in method.asked[1:4] for number in numbers] == list(range(300))
 
 
 def test_best_places_come_first() -> None:
@@ -147,7 +149,64 @@ def test_a_query_of_a_later_block_is_named_by_its_own_number() -> None:
         run_of(Lookup(scores), journey(300, 4))
 
 
+@dataclass
+class Reusing(Lookup):
+    """Gives the same two arrays each time, overwritten."""
+
+    codes: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(1000, np.int64))
+    answer: Scores = field(default_factory=lambda: np.empty((1000, 4), np.float32))
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        self.codes[: len(images)] = super().encode(images)
+        return self.codes[: len(images)]
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        self.answer[: len(codes)] = super().match(codes)
+        return self.answer[: len(codes)]
+
+    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+        return [LayerSpikes("input", codes[:, None])]
+
+
+def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave() -> None:
+    scores = table(300, 4)
+    run = run_of(Reusing(scores), journey(300, 4))
+    assert run.scores is not None
+    assert np.array_equal(run.scores, scores)
+    assert run.spikes is not None
+    sample = np.linspace(0, 299, 256).astype(int)
+    assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
+
+
 # What a method is given
+
+
+@dataclass(kw_only=True)
+class Reading(DescriptorMethod):
+    """Notes the names of the images that it encodes after the fit."""
+
+    names: list[str] = field(default_factory=list)
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        if self.searched is not None:
+            self.names += images.names
+        return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
+
+    def keeps_descriptors(self) -> bool:
+        return True
+
+    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+        return [LayerSpikes("input", codes)]
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
+    named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
+    method, dataset = Reading(), replace(journey(6, 4), queries=named)
+    cache = DescriptorCache(tmp_path) if cached else None
+    runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, cache=cache)
+    assert len(method.names) > 3 * 6
+    assert all(name.startswith("image ") for name in method.names)
 
 
 def test_places_given_to_fit_cannot_be_written() -> None:
@@ -197,7 +256,7 @@ def test_many_places_are_scored_in_smaller_blocks_and_give_the_same(monkeypatch:
     monkeypatch.setattr(runner, "_RANKED_CELLS", 40 * 3)
     method = Lookup(scores)
     blocked = run_of(method, dataset)
-    assert [len(numbers) for numbers in method.asked[:43]] == [7] * 42 + [6]
+    assert [len(numbers) for numbers in method.asked[1:44]] == [7] * 42 + [6]
     assert np.array_equal(blocked.top_places, usual.top_places)
     assert np.array_equal(blocked.top_scores, usual.top_scores)
     assert all(np.array_equal(getattr(blocked.outcome, n), getattr(usual.outcome, n)) for n in Outcome.__annotations__)
@@ -209,4 +268,4 @@ def test_queries_of_large_codes_are_scored_in_smaller_blocks() -> None:
 
     method = Large(table(12, 4))
     run_of(method, journey(12, 4))
-    assert [len(numbers) for numbers in method.asked[:3]] == [5, 5, 2]
+    assert [len(numbers) for numbers in method.asked[1:4]] == [5, 5, 2]

@@ -38,20 +38,21 @@ def notes_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK) -> st
 
 @dataclass
 class Caching(Lookup):
-    """Needs 5 ms for an image, and 1 ms for one that is among the last `remembered` different ones."""
+    """Needs 5 ms for an image, and `known` s for one that is among the last `remembered` different ones."""
 
     clock: Clock = field(kw_only=True)
     remembered: int = 1
+    known: float = 0.001
     cache: dict[bytes, int] = field(default_factory=dict)
 
     def encode(self, images: Images) -> npt.NDArray[np.int64]:
         return np.array([self._number(image) for image in images])
 
     def _number(self, image: npt.NDArray[np.uint8]) -> int:
-        self.clock.spend(0.001)
+        self.clock.spend(self.known)
         pixels = image.tobytes()
         if pixels not in self.cache:
-            self.clock.spend(0.004)
+            self.clock.spend(0.005 - self.known)
             self.cache[pixels] = number_in(image)
             for oldest in list(self.cache)[: -self.remembered]:
                 del self.cache[oldest]
@@ -60,6 +61,14 @@ class Caching(Lookup):
 
 def test_a_method_that_remembers_the_last_image_is_said_to_cache(clock: Clock) -> None:
     assert "caching" in notes_of(Caching(table(12, 4), clock=clock), journey(12, 4))
+
+
+@pytest.mark.parametrize(("known", "caches"), [(0.0044, True), (0.0046, False)])
+def test_what_is_more_than_a_tenth_faster_on_known_images_is_said_to_cache(
+    clock: Clock, known: float, caches: bool
+) -> None:
+    # MLPerf's TEST04, as the timing rules have it: at most 10 % of 5 ms
+    assert ("caching" in notes_of(Caching(table(12, 4), clock=clock, known=known), journey(12, 4))) == caches
 
 
 def test_a_method_that_remembers_all_images_is_said_to_cache(clock: Clock) -> None:
@@ -98,7 +107,7 @@ def test_a_method_that_answers_differently_when_timed_fails_the_audit() -> None:
     @dataclass
     class Lazy(Lookup):
         def match(self, codes: npt.NDArray[np.int64]) -> Scores:
-            scored = sum(map(len, self.asked)) <= len(self.table)
+            scored = sum(map(len, self.asked)) <= 1 + len(self.table)  # the first query is asked before
             return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
 
     scores = np.eye(12, 4, k=-1, dtype=np.float32)  # query 1 shows place 0
@@ -143,6 +152,14 @@ def test_rates_without_their_minima_are_called_invalid(clock: Clock) -> None:
 
 def test_rates_that_meet_their_minima_are_not_called_invalid(clock: Clock) -> None:
     assert "invalid" not in notes_of(Working(table(12, 4), clock=clock), journey(12, 4))
+
+
+@pytest.mark.parametrize(("pressure", "noisy"), [(None, False), (15.0, False), (15.1, True)])
+def test_a_run_is_noisy_where_processes_waited_for_a_core(
+    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, pressure: float | None, noisy: bool
+) -> None:
+    monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
+    assert ("noisy: processes waited" in notes_of(Lookup(table(12, 4)), journey(12, 4))) is noisy
 
 
 @pytest.mark.parametrize(("after", "noisy"), [(1.04, False), (1.06, True), (0.94, True), (0.96, False)])

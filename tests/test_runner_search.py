@@ -20,8 +20,9 @@ from vprbench import runner, tables
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.images import Images
 from vprbench.interface import DescriptorMethod, Places, Scores
-from vprbench.records import Run, Store
+from vprbench.records import Run
 from vprbench.search import Audit, Kind
+from vprbench.store import Store
 
 
 @pytest.fixture(scope="module", autouse=True)

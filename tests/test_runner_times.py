@@ -14,7 +14,7 @@ from little import Lookup, journey, slow_pictures
 from little_runs import quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import images, progress, runner
+from vprbench import images, progress, runner, tables
 from vprbench.images import Images
 from vprbench.interface import Dataset, Places, Scores
 from vprbench.records import Run
@@ -81,7 +81,36 @@ def test_fit_compute_seconds_hold_the_computing_and_not_the_waiting_for_images(s
 
 
 def test_the_time_of_the_method_holds_fitting_and_answering_and_not_the_waiting_for_images(slow_run: Run) -> None:
-    assert slow_run.method_seconds == pytest.approx(0.06 + 8 * 0.006)
+    assert slow_run.method_seconds == pytest.approx(0.06 + 8 * 0.006 + 0.006)  # the first query is asked once before
+
+
+@dataclass
+class Late(Learning):
+    """Leaves 600 ms of the training, of which the fit has 60, to the first image that it is asked about."""
+
+    learnt: bool = False
+
+    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        if not self.learnt:
+            self.clock.spend(0.6)
+            self.learnt = True
+        return super().encode(images)
+
+
+@pytest.mark.parametrize(("kind", "excess"), [(Learning, 0), (Late, 0.6)])
+def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
+    clock: Clock, kind: type[Learning], excess: float
+) -> None:
+    run = run_of(kind(table(8, 8), clock=clock), slow_journey(clock))
+    shown = tables.numbers(run)
+    assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
+    assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((0.22, 0.06))
+    assert (shown["training_seconds"], shown["training_compute_seconds"]) == pytest.approx(
+        (0.22 + excess, 0.06 + excess)
+    )
+    assert tables.readable_row(run)["fit s"] == f"{0.22 + excess:.1f}"
+    assert any("first query" in note for note in run.notes) is bool(excess)
+    assert run.harness_seconds == pytest.approx(0)
 
 
 def test_a_second_run_on_the_same_dataset_does_not_count_the_reading_of_the_first(clock: Clock) -> None:

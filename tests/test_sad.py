@@ -10,6 +10,7 @@ import pytest
 from vprbench.datasets.nordland import nordland
 from vprbench.images import Images
 from vprbench.interface import NotFittedError
+from vprbench.intervals import block_bootstrap, share_interval
 from vprbench.methods.sad import SAD
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -140,9 +141,9 @@ def test_raw_sad_on_corridor_finds_47_of_111():
     assert np.count_nonzero(np.abs(best - np.arange(111)) <= 2) == 47
 
 
-@needs_shared
-def test_sad_on_nordland_64x32_reaches_the_recall_of_independent_code():
-    # Source of the rates: table "Orientation on real frames" of the VPRTempo rules document.
+@pytest.fixture(scope="module")
+def ranks() -> np.ndarray:
+    """How many places score above the right one, for each query of nordland_64x32."""
     dataset = nordland(
         root=str(SHARED / "data" / "nordland_64x32"),
         references=["winter"],
@@ -153,6 +154,28 @@ def test_sad_on_nordland_64x32_reaches_the_recall_of_independent_code():
         frame_multiple=10,
     )
     scores = SAD().fit(dataset.references, dataset.places).query(dataset.queries)
-    better = np.count_nonzero(scores > np.diagonal(scores)[:, None], axis=1)
-    rates = [float(np.mean(better < n)) for n in (1, 5, 10, 25)]
+    return np.count_nonzero(scores > np.diagonal(scores)[:, None], axis=1)
+
+
+@needs_shared
+def test_sad_on_nordland_64x32_reaches_the_recall_of_independent_code(ranks):
+    # Source of the rates: table "Orientation on real frames" of the VPRTempo rules document.
+    rates = [float(np.mean(ranks < n)) for n in (1, 5, 10, 25)]
     assert rates == pytest.approx([0.2503, 0.4006, 0.4636, 0.5531], abs=0.003)
+
+
+@needs_shared
+@pytest.mark.parametrize(("block", "half_width"), [(1, 0.016), (10, 0.028), (50, 0.046), (100, 0.061)])
+def test_the_interval_of_sad_on_nordland_64x32_widens_with_the_blocks_as_independent_code_found(
+    ranks, block, half_width
+):
+    found = block_bootstrap(ranks == 0, block)
+    assert (found.high - found.low) / 2 == pytest.approx(half_width, abs=0.0015)
+
+
+@needs_shared
+def test_frames_of_nordland_64x32_are_alike_over_many_more_than_ten_and_the_interval_knows(ranks):
+    found = share_interval(ranks == 0)
+    assert found.kind == "blocks"
+    assert 50 < found.block <= 158  # 3 sqrt(2761)
+    assert found.high - found.low > 4 * 0.016  # at least twice as wide as without blocks

@@ -23,9 +23,10 @@ from vprbench.interface import BadInput, Dataset, Method, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.records import Run, Store
+from vprbench.records import Run
 from vprbench.spikes import LayerSpikes, summary
 from vprbench.stopwatch import Protocol
+from vprbench.store import Store
 
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}

@@ -6,13 +6,16 @@ import gc
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from little import number_in, numbers_in, pictures
+from PIL import Image as PillowImage
 
+from vprbench import stopwatch
 from vprbench.images import Images
 from vprbench.interface import BadInput, Method, Places, Scores
 from vprbench.stopwatch import (
@@ -455,6 +458,30 @@ def test_the_repeated_time_is_the_median_over_images_asked_again() -> None:
 def test_a_sample_covers_the_traverse_from_its_first_to_its_last_image() -> None:
     timing, _ = measured(short(sample=4), images=10)
     assert timing.sample.tolist() == [0, 3, 6, 9]
+
+
+def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopwatch, "_SAMPLE_BYTES", 4 * 3 * 40 * 50)
+    paths = [tmp_path / f"{i}.png" for i in range(20)]
+    for path in paths:
+        PillowImage.new("RGB", (50, 40) if path.name != "0.png" else (5, 4)).save(path)
+    method = Timed(lambda _: None, lambda _: 0, lambda _: 0)
+    method.match = lambda codes: np.zeros((len(codes), 2), np.float32)  # type: ignore[method-assign]
+    assert Stopwatch(short(sample=16)).measure(method, Images.from_files(paths)).sample.tolist() == [0, 6, 12, 19]
+
+
+def test_the_first_batch_of_each_size_is_not_timed() -> None:
+    seen: set[int] = set()
+
+    def cost(numbers: list[int]) -> int:
+        new = len(numbers) not in seen
+        seen.add(len(numbers))
+        return (100 if new else 3) * MS
+
+    timing, _ = measured(short(batch_sizes=[2, 4], minimum_queries=8), cost, images=8)
+    assert [laps.encode_seconds.tolist() for laps in timing.offline] == [[0.003] * 4, [0.003] * 2]
 
 
 # Percentiles: counts of spec timing.md 2.3

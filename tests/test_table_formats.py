@@ -18,6 +18,7 @@ from made_table import GPU, OTHER, RECALL, cell, found, measured, paper, row, sm
 
 from vprbench import table_formats
 from vprbench.cells import Cell, Column, Table
+from vprbench.layout import TRAINING_TIME
 from vprbench.plan import QUANTITIES, Quantity
 
 HEADS = ("R@1 %", "train CPU min", "query CPU Hz", "train GPU min", "query GPU Hz")
@@ -126,6 +127,8 @@ def test_a_line_of_csv_holds_all_that_is_known_of_a_cell() -> None:
         "value": "22345.6",
         "low": "",
         "high": "",
+        "interval": "",
+        "block": "",
         "spread": "100.0",
         "seeds": "0 1 2",
         "total": "20999.5",
@@ -279,9 +282,9 @@ def test_recall_of_several_seeds_shows_its_spread_and_the_interval_of_its_mean()
     assert in_markdown(made) == ["46.8 ± 1.3 [44.9, 48.7]"]
     assert in_html(made) == ("measured", ["46.8 ± 1.3 [44.9, 48.7]"])
     assert r" & 46.8 ± 1.3 [44.9, 48.7] &" in table_formats.latex(made)
-    said = "95 % Wilson interval of R@1 over the queries"
-    assert f"{said}; of several seeds, of their mean." in table_formats.markdown(made)
-    assert f"{said}." in table_formats.markdown(alone(found(RECALL, low=44.7531, high=48.5153)))
+    said = "95 % interval of R@1 over the queries"
+    assert f"{said}; of several seeds, of their mean: the wider" in table_formats.markdown(made)
+    assert f"{said}: the wider" in table_formats.markdown(alone(found(RECALL, low=44.7531, high=48.5153)))
 
 
 def test_a_rate_of_one_step_shows_that_of_both_in_brackets() -> None:
@@ -305,9 +308,17 @@ def test_training_shows_the_time_with_the_images_in_brackets() -> None:
     assert in_markdown(made, "train_cpu") == ["0.069 (0.25)"]
     assert in_html(made, "train_cpu") == ("measured", ["0.069 (0.25)"])
     text = table_formats.markdown(made)
-    assert "in brackets with reading or rendering the images too." in text
+    assert f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}" in text
     assert "Query rates" not in text
     assert "Training:" not in table_formats.markdown(alone(found(0.0691), "train_cpu"))
+
+
+@pytest.mark.parametrize(("compared", "told"), [(True, True), (False, False)])
+def test_the_brackets_of_the_papers_line_are_explained_where_there_are_any(compared: bool, told: bool) -> None:
+    one = found(46.6, 48.0) if compared else replace(found(46.6, 48.0), difference=None)
+    texts = (table_formats.markdown(alone(one)), table_formats.html(alone(one)), table_formats.latex(alone(one)))
+    assert ["measured less printed" in text for text in texts] == [told] * 3
+    assert ["(-1.4)" in text or "($-$1.4)" in text for text in texts] == [told] * 3
 
 
 def test_a_disturbed_measurement_has_a_tilde() -> None:

@@ -17,6 +17,7 @@ import pytest
 from little import a_run, laps, unanswerable_run
 
 from vprbench import tables
+from vprbench.ranking import outcome
 from vprbench.records import Failure, Run
 from vprbench.summary import StageRates, summarise
 from vprbench.tables import readable_row
@@ -53,8 +54,9 @@ def test_recalls_are_shares_of_all_queries() -> None:
 
 
 def test_the_interval_of_two_of_four_is_wilsons() -> None:
-    summary = summarise(a_run())  # 0.5 -+ 1.96 sqrt(0.25 / 4 + 1.96^2 / 64) / (1 + 1.96^2 / 4)
-    assert (summary.recall_at_1_low, summary.recall_at_1_high) == pytest.approx((0.1500, 0.8500), abs=5e-5)
+    interval = summarise(a_run()).recall_at_1_interval  # 0.5 -+ 1.96 sqrt(0.25 / 4 + 1.96^2 / 64) / (1 + 1.96^2 / 4)
+    assert interval is not None
+    assert (interval.low, interval.high) == pytest.approx((0.1500, 0.8500), abs=5e-5)
 
 
 def test_both_areas_of_the_worked_curve_are_one_half() -> None:
@@ -109,8 +111,7 @@ def test_five_queries_carry_no_percentile() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "recall_at_1_low",
-        "recall_at_1_high",
+        "recall_at_1_interval",
         "recall_at_1_answerable",
         "recall_at_1_pessimistic",
         "recall_at_1_optimistic",
@@ -306,3 +307,13 @@ def test_stage_rates_are_plain_numbers() -> None:
     rates = summarise(a_run()).streaming
     assert {type(rate) for rate in (rates.encode, rates.match, rates.total)} == {float}
     assert isinstance(rates, StageRates)
+
+
+def test_the_interval_of_blocks_holds_the_recall_where_every_query_ties() -> None:
+    scores, right = np.ones((40, 2), np.float32), (np.array([0]),) * 40
+    shown = tables.numbers(a_run(outcome=outcome(scores, right), positives=right))
+    low, recall, high = (shown[f"recall_at_1{end}"] for end in ("_block_low", "", "_block_high"))
+    assert low is not None
+    assert high is not None
+    assert recall == 0.5
+    assert low <= recall <= high

@@ -16,7 +16,8 @@ from vprbench.datasets.synthetic import synthetic
 from vprbench.interface import BadInput
 from vprbench.metrics import hits_at, recall_at
 from vprbench.ranking import best_places, outcome
-from vprbench.records import Run, Store
+from vprbench.records import Run
+from vprbench.store import Store
 from vprbench.summary import summarise
 from vprbench.tolerance import hits_within
 

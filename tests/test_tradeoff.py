@@ -6,15 +6,18 @@ from itertools import product
 
 import figure_runs
 import little
+import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+from stored_runs import answers
 
 from vprbench.figures.style import Drawn, png
 from vprbench.figures.tradeoff import against_memory, against_rate, front
 from vprbench.interface import BadInput
+from vprbench.intervals import share_interval
 from vprbench.series import Series
 
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
@@ -89,11 +92,24 @@ def test_points_stand_at_the_total_rate_and_the_recall_in_percent() -> None:
     assert points(axes) == [pytest.approx((80, 50)), pytest.approx((2, 25))]
 
 
-def test_bars_are_wilson_s_interval() -> None:
-    # of 200 of 400: (1/2 + z^2/800 -+ z sqrt(1/1600 + z^2/640000)) / (1 + z^2/400), z = 1.959964
-    (axes,) = against_rate([method("SAD", 0.5)]).figure.axes
+def bar(one: Series) -> tuple[float, float]:
+    (axes,) = against_rate([one]).figure.axes
     ((_, low), (_, high)) = axes.containers[0].lines[2][0].get_segments()[0]
-    assert (low, high) == pytest.approx((45.123, 54.877), abs=0.001)
+    return low, high
+
+
+def test_the_bar_of_independent_queries_is_wilsons_interval() -> None:
+    # of 400 of 400: 1 / (1 + z^2 / 400) to 1, z = 1.959964
+    assert bar(method("SAD", 1.0)) == pytest.approx((99.0488, 100), abs=0.001)
+
+
+def test_where_neighbouring_queries_are_alike_the_bar_is_that_of_blocks() -> None:
+    hits = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
+    expected = share_interval(hits)
+    assert expected is not None
+    assert expected.kind == "blocks"
+    run = figure_runs.run("SAD", n_queries=200, n_places=450, outcome=answers(hits.tolist(), 450))
+    assert bar(figure_runs.series("SAD", run)) == pytest.approx((100 * expected.low, 100 * expected.high))
 
 
 def test_several_seeds_are_one_point_at_their_means() -> None:
@@ -173,7 +189,7 @@ def test_a_caption_says_that_memory_of_a_gpu_is_not_counted() -> None:
 def test_a_caption_says_dataset_interval_and_machine() -> None:
     for caption in (against_rate([method("SAD", 0.5)]).caption, against_memory([method("SAD", 0.5)]).caption):
         assert "railway (400 queries, 450 places)" in caption
-        assert "95 % intervals of R@1 (Wilson)" in caption
+        assert "95 % intervals of R@1: the wider" in caption
         assert "Measured on Abacus 9" in caption
 
 

@@ -36,7 +36,7 @@ def of(best: Sequence[npt.NDArray[np.float64]], paper: Sequence[npt.NDArray[np.f
     [
         ([RIGHT] * 5, "better"),
         ([RIGHT] * 4 + [WRONG], "better"),
-        ([RIGHT] * 3 + [WRONG] * 2, "not told apart"),  # the interval is [0.2, 0.2] all the same
+        ([RIGHT] * 3 + [WRONG] * 2, "not told apart"),  # the interval lies above 0 all the same
         ([WRONG] * 4 + [RIGHT], "worse"),
         ([WRONG] * 2 + [RIGHT] * 3, "not told apart"),
     ],
@@ -45,7 +45,8 @@ def test_a_verdict_needs_four_of_five_seeds(best: list[npt.NDArray[np.float64]],
     compared = of(best, [1 - row for row in best])
     assert compared.interval is not None
     gain = np.mean([2 * row.mean() - 1 for row in best])
-    assert [compared.interval.low, compared.interval.high] == pytest.approx([gain, gain])  # all queries are alike
+    assert compared.interval.low < gain <= compared.interval.high
+    assert compared.interval.low * compared.interval.high > 0
     assert compared.verdict == verdict
 
 
@@ -59,11 +60,11 @@ def test_seeds_that_agree_are_no_verdict_where_few_neighbouring_queries_made_it(
 
 def test_the_interval_takes_neighbouring_queries_together() -> None:
     together = of([at(*range(20))] * 5, [WRONG] * 5).interval
-    spread = of([at(*range(0, 40, 2))] * 5, [WRONG] * 5).interval  # as many hits, 5 in each block of 10
+    spread = of([at(*range(0, 40, 2))] * 5, [WRONG] * 5).interval  # as many hits, in any block half of all
     assert together is not None
     assert spread is not None
-    assert together.high - together.low > 0.5
-    assert [spread.low, spread.high] == pytest.approx([0.5, 0.5])
+    assert (together.kind, spread.kind) == ("blocks", "independent")
+    assert together.high - together.low > 0.5 > 0.35 > spread.high - spread.low
 
 
 def test_means_deviations_and_differences_are_those_over_the_seeds() -> None:
@@ -74,7 +75,7 @@ def test_means_deviations_and_differences_are_those_over_the_seeds() -> None:
     assert [(test.b, test.c) for test in compared.tests] == [(0, 4), (0, 0), (4, 0), (8, 0), (12, 0)]
 
 
-def test_fewer_queries_than_two_blocks_give_no_verdict() -> None:
+def test_too_few_queries_give_no_verdict() -> None:
     compared = compare(19, SEEDS, by_seed([np.ones(19)] * 5), by_seed([np.zeros(19)] * 5))
     assert (compared.interval, compared.verdict) == (None, "not told apart")
 

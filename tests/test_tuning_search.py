@@ -21,7 +21,7 @@ import vprbench
 from vprbench import environment, registry
 from vprbench.bench_report import chosen
 from vprbench.interface import BadInput
-from vprbench.records import Store
+from vprbench.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training, Tried
 from vprbench.tuning.search import QUICK, Found, Settings, explore, search

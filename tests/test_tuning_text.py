@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vprbench import composing, registry
-from vprbench.intervals import Interval, McNemar
+from vprbench.intervals import McNemar, WiderInterval
 from vprbench.plan import read_plan
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
@@ -49,7 +49,7 @@ def comparison(gain: float, low: float, high: float) -> Comparison:
     recalls = (0.3, 0.4, 0.5, 0.6, 0.7)
     tests = tuple(McNemar(n, 2 * n, 1 / 2**n) for n in range(5))
     paper = repeated(*(recall - gain for recall in recalls))
-    return Comparison(40, 36, SEEDS, repeated(*recalls), paper, Interval(low, high), tests)
+    return Comparison(40, 36, SEEDS, repeated(*recalls), paper, WiderInterval(low, high, "blocks", 7), tests)
 
 
 BETTER = comparison(0.25, 0.125, 0.375)

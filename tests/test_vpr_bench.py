@@ -108,6 +108,23 @@ def test_a_csv_of_other_columns_is_answered_with_them(root):
     assert "has the columns a, b" in answer(vpr_bench, root=str(root), ground_truth="ground_truth.csv")
 
 
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "has the columns none"),
+        (b"\xef\xbb\xbf", "has the columns none"),
+        (b"query,matching_refs" + b",x" * 200_000 + b"\n0,0\n", "has 200002 columns"),
+        (b"query,matching_refs\n0,0,1\n", "line 2 of"),
+    ],
+    ids=["nothing", "a byte order mark", "too many columns", "references with commas between them"],
+)
+def test_a_csv_that_is_no_table_of_queries_is_named(root, content, told):
+    (root / "ground_truth.csv").write_bytes(content)
+    message = answer(vpr_bench, root=str(root), ground_truth="ground_truth.csv")
+    assert told in message
+    assert str(root / "ground_truth.csv") in message
+
+
 def test_a_csv_that_is_no_text_or_has_an_endless_cell_is_named(root):
     file = root / "ground_truth.csv"
     for content in ("query,matching_refs\n0,1\n".encode("utf-16"), b"query,matching_refs\n0," + b"1 " * 70_000):

@@ -1,5 +1,7 @@
 """Gardens Point, St Lucia and SFU Mountain of VPR_Tutorial: hard and soft ground truth, and what is missing."""
 
+import re
+
 import numpy as np
 import pytest
 import yaml
@@ -135,6 +137,17 @@ def test_a_missing_matrix_is_named(drives):
 def test_a_damaged_file_is_refused(drives, content):
     file = drives / "GT.npz"
     file.write_bytes(file.read_bytes()[:200] if content == "half" else content)
+    assert f"{file} cannot be read" in answer(read, drives)
+
+
+@pytest.mark.parametrize(("field", "value"), [(6, 1), (6, 0x40), (8, 97), (8, 14)])
+def test_a_file_that_is_encrypted_or_compressed_in_an_unknown_way_is_refused(drives, field, value):
+    file = drives / "GT.npz"
+    content = bytearray(file.read_bytes())
+    for signature, shift in ((b"PK\3\4", 0), (b"PK\1\2", 2)):  # a member's own header, and that of the directory
+        for start in (found.start() for found in re.finditer(re.escape(signature), content)):
+            content[start + field + shift] = value
+    file.write_bytes(content)
     assert f"{file} cannot be read" in answer(read, drives)
 
 

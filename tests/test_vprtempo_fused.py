@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -110,6 +112,21 @@ def test_a_net_input_that_overflows_shows_in_the_weights(rule_set: RuleSet) -> N
     fused.train_features(features, spikes(), schedules[0], RATES, 1e37, 0.15, RULES[rule_set], lambda _: None)
     with pytest.raises(TrainingDivergedError, match="feature layer"):
         training.check_weights(features, "feature")
+
+
+@pytest.mark.parametrize("one_sign", [False, True])
+def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign: bool) -> None:
+    rules = replace(RULES["paper"], one_sign_per_synapse=one_sign, homeostasis_gain=1000.0)
+    found = []
+    for engine in (fused, training):
+        features, _, schedules = drawn("paper", [200])
+        features.excitation.zero_()  # nothing ever fires: of each step homeostasis alone is left
+        features.constant.zero_()
+        layer = replace(features, excitation_limits=(torch.zeros_like(features.excitation),) * 2)
+        engine.train_features(layer, spikes(), schedules[0], RATES, 0.005, 0.0, rules, lambda _: None)
+        found.append(layer.inhibition)
+    torch.testing.assert_close(*found, rtol=1e-3, atol=0)
+    assert float(found[1].max()) < 1e-5
 
 
 def test_the_readable_engine_preprocesses_readably_too(monkeypatch: pytest.MonkeyPatch) -> None:

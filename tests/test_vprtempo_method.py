@@ -333,6 +333,15 @@ def test_absurd_learning_rates_raise_a_diverged_training(rules: RuleSet) -> None
         fitted(rules=rules, stdp_rate=50.0)
 
 
+@pytest.mark.parametrize(("size", "n_alike"), [((48, 64), 11), ((48, 64), 20), ((1, 1), 20)])
+def test_references_that_show_nothing_are_called_so_and_no_diverged_training(
+    size: tuple[int, int], n_alike: int
+) -> None:
+    empty = [np.zeros((*size, 3), np.uint8)] * n_alike
+    with pytest.raises(BadInput, match=f"{n_alike} of 20 images.* same input"):
+        VPRTempo(**SMALL).fit(images([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
+
+
 def test_a_diverged_training_leaves_the_method_unfitted() -> None:
     method = fitted()
     method.stdp_rate = 50.0

@@ -20,7 +20,7 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
-from vprbench.records import Store
+from vprbench.store import Store
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 

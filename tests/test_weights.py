@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from described_images import composed
 from safetensors.torch import save_file
 from torch import nn
 
@@ -108,6 +109,27 @@ class TestConfiguration:
     def test_what_weights_do_not_have_is_refused(self, wrong: dict[str, Any]) -> None:
         with pytest.raises(BadInput, match=r"method\.weights="):
             checked("method.weights", {"file": "a", "licence": "MIT", "trained_on": "b", **wrong}, Weights)
+
+    @pytest.mark.parametrize(
+        ("method", "option", "file", "size_bytes", "sha256"),
+        [
+            ("dinov2", "weights", "dinov2_vitb14_pretrain.pth", 346_378_731, "0b8b82f8"),
+            ("megaloc", "weights", "MegaLoc.safetensors", None, "d4f9f2bc"),
+            ("anyloc", "centres", "dinov2_vitg14_l31_value_c32_urban_c_centers.pt", 197_425, "a684e571"),
+        ],
+    )
+    def test_what_third_parties_state_of_a_file_is_uncertain(
+        self, method: str, option: str, file: str, size_bytes: int | None, sha256: str
+    ) -> None:
+        weights = checked("method.weights", composed(f"method={method}")[option], Weights)
+        assert weights.file == file
+        stated = weights.stated[file]
+        assert (stated.size_bytes, stated.sha256[:8], len(stated.sha256)) == (size_bytes, sha256, 64)
+        assert not stated.certain
+
+    @pytest.mark.parametrize("method", ["cosplace", "eigenplaces", "netvlad"])
+    def test_a_licence_that_a_repository_states_is_named(self, method: str) -> None:
+        assert composed(f"method={method}")["weights"]["licence"].startswith("MIT, that of ")
 
 
 class TestFinding:
@@ -299,9 +321,43 @@ class TestReading:
             read(path)
         assert not mark.exists()
 
-    def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path) -> None:
-        path = write_torch({"state_dict": TENSORS, "best": np.float64(0.5)}, tmp_path / "net.pth")
-        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*multiarray\.scalar\)"):
+    @pytest.mark.parametrize("zipped", [True, False])
+    @pytest.mark.parametrize(
+        "value", [np.float64(0.852), np.float32(0.5), np.int64(-7), np.bool_(True), np.str_("vgg16"), np.dtype(">f8")]
+    )
+    def test_numpy_scalars_beside_tensors_are_read(self, tmp_path: Path, value: Any, zipped: bool) -> None:
+        if isinstance(value, np.dtype):
+            value = np.array([0.25], value)[0]
+        path = write_torch({"recalls": {1: value}, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped)
+        content = read(path)
+        assert content["recalls"][1] == value
+        assert torch.equal(content["state_dict"]["bias"], TENSORS["bias"])
+
+    @pytest.mark.parametrize("module", [b"numpy.core.multiarray", b"numpy._core.multiarray"])
+    def test_numpy_scalars_are_read_under_old_and_new_names(self, tmp_path: Path, module: bytes) -> None:
+        path = write_torch({"best_score": np.float64(0.852)}, tmp_path / "net.pth", zipped=False)
+        written = path.read_bytes()
+        ours = next(name for name in (b"numpy._core.multiarray", b"numpy.core.multiarray") if name in written)
+        path.write_bytes(written.replace(b"c" + ours + b"\n", b"c" + module + b"\n"))
+        assert read(path) == {"best_score": 0.852}
+
+    def test_a_method_may_let_arrays_be_read_too(self, tmp_path: Path) -> None:
+        value, number = np.array([0.5, 2.0]), np.float64(0.5)
+        path = write_torch({"pca": value, "best": number, "state_dict": TENSORS}, tmp_path / "net.pth")
+        rebuilders = [value.__reduce__()[0], number.__reduce__()[0]]
+        with torch.serialization.safe_globals([np.ndarray, np.dtype, type(value.dtype), *rebuilders]):
+            content = read(path)
+        assert content["pca"].tolist() == [0.5, 2.0]
+        assert content["best"] == 0.5
+
+    @pytest.mark.parametrize(
+        "value",
+        [np.array([(1, 2.0)], "i4,f8")[0], np.datetime64("2026-01-01"), np.array([0.5])],
+        ids=["record", "date", "array"],
+    )
+    def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path, value: Any) -> None:
+        path = write_torch({"state_dict": TENSORS, "best": value}, tmp_path / "net.pth")
+        with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*\)"):
             read(path)
 
     def test_a_file_that_would_run_a_program_is_called_dishonest(self, tmp_path: Path) -> None:
@@ -322,7 +378,7 @@ class TestReading:
     def test_the_conversion_that_a_refusal_names_works(
         self, content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        path = write_torch({**content, "best": np.float64(0.5)}, tmp_path / "net.pth")
+        path = write_torch({**content, "best": np.array([0.5])}, tmp_path / "net.pth")
         with pytest.raises(BadInput) as error:
             read(path)
         named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))

@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import os
+from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
-from vprbench import environment, frames, networks, registry, runner
+from vprbench import ending, environment, frames, networks, registry, runner
 from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.doctor import insist
@@ -16,54 +19,88 @@ from vprbench.interface import BadInput, Dataset
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
-from vprbench.records import Run, Store
+from vprbench.printable import printable
+from vprbench.records import Run
+from vprbench.report.answers import by_interest
+from vprbench.store import Store, insist_on_writing
 from vprbench.weights import content_hash
 
 
-def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> int:
-    """Find the run in the store or make it, and print it; `asked` is its configuration.
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
+    """Find the run in the store or make it, and say it; `asked` is its configuration.
+
+    Neither a change of the working folder by a plug-in nor a fork of this process changes what is stored, and where.
 
     Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
     """
+    asked["method"], tuned_on = registry.declared(name, asked["method"])
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    threads = n_threads(settings)
-    store.prepare()
+    threads, process = n_threads(settings), os.getpid()
+    refused = _refused(store)
     environment.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
-    method = registry.make_method(asked["method"])
-    dataset = _checked(registry.make_dataset(asked["dataset"]))
+    with chdir("."):
+        method = registry.make_method(asked["method"])
+        dataset = _checked(registry.make_dataset(asked["dataset"]))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         fingerprint = runner.fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
-    run = None if settings.force else store.find(dataset.name, name, key)
-    if run is not None and files.save is not None and networks.made_by(files.save) != key:
-        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
-        run = None
-    if run is not None and not settings.cache and run.fit_seconds is None and run.network is None:
-        logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
-        run = None
+    if files.save is not None and networks.made_by(files.save) == key:
+        files = dataclasses.replace(files, replace=True)  # its own, left by a run that was killed before it was stored
+    run = None if settings.force else _usable(store.find(dataset.name, name, key), settings, files)
     from_store = run is not None
+    if run is None and refused is not None:
+        raise refused
     with ledger():  # what was trained is kept until the run is stored
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
+            insist_on_writing(store.root / dataset.name)
             caches = _caches(store, threads) if settings.cache else (None, None)
-            with progress_shown(f"{name} on {dataset.name}"):
+            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
                 run = runner.run(
                     name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
                 )
+        ending.leave_if_forked(process)
+        known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
+        run = dataclasses.replace(run, tuned_on=tuned_on)
         try:
-            folder = store.folder(dataset.name, name, key) if from_store else store.save(run)
+            folder = store.folder(dataset.name, name, key) if known else store.save(run)
         except BadInput:
-            _print(run, None, from_store, settings.output)  # what was measured is shown even where it cannot be kept
+            say(_text(run, None, from_store, settings.output))  # what was measured is shown even if it cannot be kept
             raise
-    _print(run, folder, from_store, settings.output)
+    ending.tell(code=0)
+    say(_text(run, folder, from_store, settings.output))
     if settings.frames:
-        _keep_frames(store, fingerprint, dataset)
+        _keep_frames(store, run, dataset)
     return 0
+
+
+def _refused(store: Store) -> BadInput | None:
+    """Return why nothing can be written to a store, None where it can; raises it where nothing can be read either."""
+    try:
+        store.prepare()
+    except BadInput as error:
+        if not store.root.is_dir():
+            raise
+        return error
+    return None
+
+
+def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
+    """Return a stored run; None where it lacks a network that is to be saved, or what was asked for without a cache."""
+    if run is None:
+        return None
+    if files.save is not None and not files.replace:
+        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+        return None
+    if not settings.cache and run.fit_seconds is None and run.network is None:
+        logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
+        return None
+    return run
 
 
 def _checked(dataset: Dataset) -> Dataset:
@@ -73,47 +110,46 @@ def _checked(dataset: Dataset) -> Dataset:
 
 def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
     """Return what keeps descriptors, and what keeps preprocessed frames, beside the runs."""
-    return DescriptorCache(store.root / "descriptors"), Preprocessed(store.root / "preprocessed", threads)
+    root = store.root.absolute()  # for a method may change the working folder
+    return DescriptorCache(root / "descriptors"), Preprocessed(root / "preprocessed", threads)
 
 
-def _keep_frames(store: Store, fingerprint: str, dataset: Dataset) -> None:
-    """Keep small pictures of the dataset; where that fails, the run is stored all the same."""
+def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
+    """Keep small pictures of what the report shows of a run; where that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            frames.keep(store.root, fingerprint, dataset)
+            frames.keep(store.root, run.fingerprint, dataset, by_interest(run))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
 
 
-def _print(run: Run, folder: Path | None, from_store: bool, output: str) -> None:
+def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
     from vprbench import tables  # what it imports does not count as the run's memory
+    from vprbench.tuned import all_notes
 
     if output == "json":
-        print(
-            json.dumps(
-                {
-                    "method": run.method,
-                    "dataset": run.dataset,
-                    "protocol": dict(run.protocol),
-                    "data": dict(run.data),
-                    **tables.numbers(run),
-                    "network": run.network,
-                    "notes": list(run.notes),
-                    "from_store": from_store,
-                    "run_folder": None if folder is None else str(folder),
-                },
-                allow_nan=False,
-            )
+        return json.dumps(
+            {
+                "method": run.method,
+                "dataset": run.dataset,
+                "protocol": dict(run.protocol),
+                "data": dict(run.data),
+                **tables.numbers(run),
+                "network": run.network,
+                "tuned_on": run.tuned_on or None,
+                "notes": list(all_notes(run)),
+                "from_store": from_store,
+                "run_folder": None if folder is None else str(folder),
+            },
+            allow_nan=False,
         )
-        return
-    print(tables.protocol_line(run))
-    print(tables.plain_row(tables.readable_row(run)))
+    lines = [tables.protocol_line(run), *tables.plain_row(tables.readable_row(run)).splitlines()]
     if (line := tables.tolerance_line(run)) is not None:
-        print(line)
-    for note in run.notes:
-        print(f"note: {note}")
+        lines.append(line)
+    lines += [f"note: {note}" for note in all_notes(run)]
     if from_store:
-        print(f"from the store: {folder} (force=true runs again)")
+        lines.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
-        print(f"stored in {folder}")
+        lines.append(f"stored in {folder}")
+    return "\n".join(map(printable, lines))

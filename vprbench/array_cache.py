@@ -6,8 +6,6 @@ import contextlib
 import json
 import logging
 import os
-import socket
-import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +13,12 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import psutil
+
+from vprbench.replacing import remove_leftovers, unfinished
 
 logger = logging.getLogger(__name__)
 
 Array = npt.NDArray[Any]
-
-_PARTIAL = ".partial-"
 
 
 @dataclass(frozen=True)
@@ -85,9 +82,9 @@ class ArrayCache:
 
         Where it cannot be kept it is returned all the same. An error of `fill` leaves nothing behind.
         """
-        partial = self.folder / f"{_PARTIAL}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}.npy"
+        partial = unfinished(self.folder, ".npy")
         about = partial.with_suffix(".json")
-        self._remove_leftovers()
+        remove_leftovers(self.folder)
         try:
             array, on_disk = self._room(partial, shape, dtype)
             fill(array)
@@ -105,15 +102,6 @@ class ArrayCache:
             return array
         finally:
             for path in (partial, about):
-                with contextlib.suppress(OSError):
-                    path.unlink(missing_ok=True)
-
-    def _remove_leftovers(self) -> None:
-        """Remove what killed processes of this machine left unfinished."""
-        prefix = f"{_PARTIAL}{socket.gethostname()}-"
-        for path in self.folder.glob(f"{prefix}*"):
-            pid = path.name.removeprefix(prefix).partition("-")[0]
-            if pid.isdigit() and not psutil.pid_exists(int(pid)):
                 with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)
 

@@ -14,13 +14,13 @@ from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.comparison import other_timing, reasons
 from vprbench.contests import Contestant
 from vprbench.entries import RATES, TRAINING, Entry
-from vprbench.intervals import wilson
 from vprbench.metrics import hits_at, recall_at
 from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
+from vprbench.recall_intervals import recall_interval
 from vprbench.records import Run
+from vprbench.tuned import tuned_here, tuned_note
 
 _BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
-_OF_RATES = ("caching", "audit failed")
 _RESUMED = "fit was resumed"
 _OF_TRAINING = ("descriptors of", _RESUMED)
 
@@ -45,7 +45,7 @@ def assemble(
         for row in ordered
     }
     best = {
-        (column.name, quantity): _best([entries[row.name][i] for row in ordered], quantity, plan)
+        (column.name, quantity): _best([entries[row.name][i] for row in ordered], quantity)
         for (i, column), quantity in itertools.product(enumerate(columns), QUANTITIES)
     }
     timed = {
@@ -81,21 +81,21 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     )
 
 
-def _best(entries: Sequence[Entry], quantity: Quantity, plan: Plan) -> str | None:
-    """Return the row of a column that is best by a test; what only builds a map is in no contest of training."""
+def _best(entries: Sequence[Entry], quantity: Quantity) -> str | None:
+    """Return the row of a column that is best by a test.
+
+    What was tuned on its places is in no contest, and what only builds a map in none of training.
+    """
     rows = [
         Contestant(entry.row.name, runs, entry.row.boundary, not entry.found[entry.device(quantity)].missing_seeds)
         for entry in entries
-        if (runs := entry.runs(quantity)) and not (quantity in TRAINING and _only_maps(entry.row, plan))
+        if (runs := entry.runs(quantity))
+        and not any(map(tuned_here, runs))
+        and not (quantity in TRAINING and entry.row.training == "map")
     ]
     if quantity == "recall_at_1":
         return contests.best_recall(rows)
     return contests.best_training(rows) if quantity in TRAINING else contests.best_rate(rows)
-
-
-def _only_maps(row: Row, plan: Plan) -> bool:
-    """Tell whether a row is outside the plan, so that nothing is known of its training."""
-    return row.name not in {known.name for known in (*plan.rows.values(), *plan.more_rows.values())}
 
 
 @dataclass
@@ -124,7 +124,7 @@ class _Sheet:
             difference=None,
             notes=(),
         )
-        if quantity in TRAINING and row.training != "own":
+        if quantity in TRAINING and not row.learns_here:
             return empty if row.training == "none" else self._quoted(empty, row, quantity)
         runs = entry.runs(quantity)
         if quantity == "recall_at_1" and runs and contests.mean_recall(runs) is None:
@@ -135,7 +135,7 @@ class _Sheet:
         measured = self._measured(entry, quantity, runs)
         found = entry.found[entry.device(quantity)]
         texts = [stored_seeds(row, found)] if found.missing_seeds else []
-        texts += _remarks(entry, quantity, runs, self.plan)
+        texts += _remarks(entry, quantity, runs)
         texts += filter(None, [self.timed.get((entry.column.name, quantity), {}).get(row.name)])
         if value is not None:
             texts += reasons(row, entry.group.asked.planned, entry.column.stand_in_for, quantity, runs[0])
@@ -143,7 +143,7 @@ class _Sheet:
             empty,
             mark="unfinished" if found.missing_seeds else "measured",
             measured=measured,
-            difference=None if value is None else measured.value - value,
+            difference=None if value is None or entry.column.stand_in_for else measured.value - value,
             notes=self._numbers(texts),
         )
 
@@ -177,29 +177,29 @@ class _Sheet:
         return absent(entry.row, device, found, elsewhere, self.left_out.get(place))
 
     def _measured(self, entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Measured:
-        low = high = total = None
+        interval = total = None
         if quantity == "recall_at_1":
-            hits = [hits_at(run.outcome, 1) for run in runs]
-            values = [100 * float(per_query.mean()) for per_query in hits]
-            interval = wilson(mean(float(per_query.sum()) for per_query in hits), len(hits[0]))
-            low, high = (100 * interval.low, 100 * interval.high) if interval else (None, None)
+            values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
+            interval = recall_interval(runs)
         elif quantity in TRAINING:
-            values = [run.fit_compute_seconds / 60 for run in runs if run.fit_compute_seconds is not None]
-            total = median(run.fit_seconds / 60 for run in runs if run.fit_seconds is not None)
+            values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
+            total = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
         else:
             values = [contests.rate(run, entry.row.boundary) for run in runs]
             if entry.row.boundary is not None:
                 total = mean(contests.rate(run, None) for run in runs)
         return Measured(
             value=median(values) if quantity in TRAINING else mean(values),
-            low=low,
-            high=high,
+            low=100 * interval.low if interval else None,
+            high=100 * interval.high if interval else None,
             spread=stdev(values) if len(values) > 1 else None,
             seeds=tuple(run.config["seed"] for run in runs),
             total=total,
             best=self.best[entry.column.name, quantity] == entry.row.name,
             disturbed=quantity != "recall_at_1" and any(map(contests.disturbed, runs)),
             machine=self._machine(runs),
+            interval=interval.kind if interval else None,
+            block=interval.block if interval else None,
         )
 
     def _machine(self, runs: Sequence[Run]) -> int:
@@ -213,10 +213,11 @@ class _Sheet:
         return tuple(sorted(self.notes.setdefault(text, len(self.notes) + 1) for text in dict.fromkeys(texts)))
 
 
-def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) -> Iterator[str]:
+def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Iterator[str]:
     """Yield what a reader of a number has to know, from the notes of its runs among others."""
+    yield from (one_sentence(note, sentences=False) for note in map(tuned_note, runs) if note)
     if quantity in TRAINING:
-        if _only_maps(entry.row, plan):
+        if entry.row.training == "map":
             yield "the time to build the map from the references"
         for note in (note for run in runs for note in run.notes if note.startswith(_RESUMED)):
             yield one_sentence(note, sentences=False)
@@ -229,5 +230,5 @@ def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run], plan: Plan) 
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
             yield f"scores tie: R@1 is {low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
     for note in (note for run in runs for note in run.notes if not note.startswith((*_BUSY, *_OF_TRAINING))):
-        if note.startswith(_OF_RATES) == (quantity in RATES):
+        if note.startswith(contests.FAILED_AUDITS) == (quantity in RATES):
             yield one_sentence(note, sentences=False)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, get_type_hints
 
 from vprbench import registry
+from vprbench.homes import insist_on_homes
 from vprbench.interface import BadInput
 from vprbench.measures import Fit, Rates
 from vprbench.preprocess import Engine
@@ -324,6 +325,7 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
         except ValueError:
             value = _listed(text) if re.fullmatch(r"\[.+\]", text) else text
         given[name] = registry.checked(name, value, hints[name])
+    insist_on_homes(given)
     return kind(**{**(quick if given.get("quick") else {}), **given})
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from vprbench.intervals import IntervalKind
 from vprbench.plan import Quantity
 
 Mark = Literal[
@@ -33,6 +34,8 @@ class Measured:
     best: bool  # a paired test separates it from every other row
     disturbed: bool  # the machine did other things meanwhile, or the laps were too few; never of R@1
     machine: int  # which of the table's machines, from 0
+    interval: IntervalKind | None = None  # of R@1: what low and high are of
+    block: int | None = None  # of R@1: consecutive queries that were taken to be alike
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Cell:
     quoted: float | None  # where mark is "quoted"
     published: float | None  # None: the paper printed "-", or has no such cell
     published_mark: Literal["measured", "quoted", "not applicable", "none"]  # none: the paper has no such cell
-    difference: float | None  # measured less published; None where there are not both
+    difference: float | None  # measured less published; None where there are not both, or they are of other data
     notes: tuple[int, ...]  # numbers, from 1, into the table's notes: reasons
 
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
-import logging
 import os
 import re
 import signal
 import sys
-import tempfile
+import textwrap
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -23,14 +21,14 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench import registry
+from vprbench import ending, registry
 from vprbench.commands import COMMANDS
-from vprbench.composing import check_names, explained, readable
+from vprbench.composing import check_names, explained, in_order, readable
+from vprbench.console import answers_alone, log_lines
 from vprbench.interface import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
-
-if TYPE_CHECKING:
-    from vprbench.records import Failure, Store
+from vprbench.printable import printable
+from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
@@ -60,7 +58,7 @@ Options of fetch: parts, root, keep_archives; of doctor: those of the dataset, o
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, 1 for a run that failed, 2 for input to be mended."""
-    logging.basicConfig(format="%(message)s", level=logging.INFO)
+    log_lines()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that knows no arrows shows something else
             stream.reconfigure(errors="replace")
@@ -71,19 +69,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in COMMANDS:
-            return COMMANDS[arguments[0]](arguments[1:])
+            return _command(arguments[0], arguments[1:])
         if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
-        return _run_or_sweep(readable(arguments))
+        return _run_or_sweep(in_order(readable(arguments)))
     except BadInput as error:
-        return _complain(str(error))
+        return _complain(str(error) or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(explained(error, arguments))
+    except BrokenPipeError:
+        return _complain("standard output was closed before all was printed", 1)
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         reason = "interrupted; what was finished before is kept: give the same command again"
-        return _complain(reason, 128 + signal.SIGINT)
+        return _complain(reason, 128 + (error.args or (signal.SIGINT,))[0])
+
+
+def _command(name: str, options: list[str]) -> int:
+    """Run one of the commands beside a run."""
+    try:
+        return COMMANDS[name](options)
+    except SystemExit as error:
+        return _complain(_told(error), 1)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:
@@ -96,17 +104,19 @@ def _run_or_sweep(arguments: list[str]) -> int:
     def task(config: DictConfig) -> None:
         try:
             sweeping = HydraConfig.get().mode == RunMode.MULTIRUN
-            codes.append(_run_apart() if sweeping else _run(config))
+            codes.append(run_apart(HydraConfig.get().overrides.task).code if sweeping else _run(config))
         except Exception as error:  # Hydra would print lines of its own; it is raised again below
             errors.append(error)
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
     sys.argv = [kept[0], *arguments]
-    with tempfile.TemporaryDirectory() as scratch:  # where Hydra leaves its notes on a sweep
-        sys.argv += [f"hydra.sweep.dir={scratch}"]
+    with _hydra_options(arguments) as options:
+        sys.argv += options
         try:
             task()
+        except ValueError as error:  # of flags that do not go together
+            raise BadInput(" ".join(str(error).split())) from error
         finally:
             sys.argv = kept
     if errors:
@@ -114,11 +124,14 @@ def _run_or_sweep(arguments: list[str]) -> int:
     return max(codes, default=0)
 
 
-def _run_apart() -> int:
-    """Run one configuration of a sweep in a process of its own."""
-    from vprbench.sweep import run_apart
-
-    return run_apart(HydraConfig.get().overrides.task).returncode
+@contextlib.contextmanager
+def _hydra_options(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the options by which Hydra leaves its notes on a sweep in a folder that is removed; none for one run."""
+    if not any(text == "-m" or "multirun" in text.lower() for text in arguments):
+        yield []
+        return
+    with scratch() as folder:
+        yield [f"hydra.sweep.dir={folder}"]
 
 
 def _run(config: DictConfig) -> int:
@@ -126,53 +139,71 @@ def _run(config: DictConfig) -> int:
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     settings = checked_settings(plain)
     choices = HydraConfig.get().runtime.choices
-    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
+    registry.insist_on_one("method", choices["method"])
+    registry.insist_on_one("dataset", choices["dataset"])
+    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load", "limit_minutes")}
     asked["overrides"] = list(HydraConfig.get().overrides.task)
     from vprbench import environment
     from vprbench.answer import answer
-    from vprbench.records import Failure, Store
+    from vprbench.records import Failure
+    from vprbench.store import Store
 
-    store = Store(Path(settings.results).expanduser())
+    whose = {"method": choices["method"], "dataset": asked["dataset"].get("name", choices["dataset"]), "config": asked}
+    store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
+    output = settings.output if os.environ.get(IN_SWEEP) else "row"
+    ending.tell(run=whose, results=str(store.root.absolute()), threads=threads, output=output)
+    _limit(settings.limit_minutes)
+    with answers_alone() as say:
+        try:
+            return answer(choices["method"], asked, settings, store, say)
+        except (Exception, SystemExit) as error:
+            ending.leave_if_forked(process)
+            failure = Failure(
+                **whose,
+                error=_public(_told(error).splitlines()[0]),
+                environment=environment.capture(settings.device, threads),
+                missing=isinstance(error, NotThere),
+            )
+            if isinstance(error, BadInput) and not os.environ.get(IN_SWEEP):
+                raise
+            record(failure, store.root)
+            ending.tell(recorded=True, missing=failure.missing)
+            if output == "json":
+                say(as_json(failure))
+            if isinstance(error, BadInput):
+                raise
+            if not isinstance(error, TrainingDivergedError):
+                print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
+            return _complain(f"{failure.method} failed: {failure.error}", 1)
+
+
+def _limit(minutes: float | None) -> None:
+    """Let the system end this process after so many minutes, whatever it is stuck in; the one that waits says so."""
+    if minutes is not None and ending.waited_for():
+        ending.tell(limit_minutes=minutes)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, 60 * minutes)
+
+
+def _told(error: BaseException) -> str:
+    """Return an error in words, whatever a plug-in has made of it."""
+    if isinstance(error, SystemExit):
+        return f"SystemExit: the method or dataset ended the program, with exit code {error.code or 0}"
     try:
-        return answer(choices["method"], asked, settings, store)
-    except Exception as error:
-        from vprbench.sweep import IN_SWEEP
-
-        text = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-        failure = Failure(
-            choices["method"],
-            asked["dataset"].get("name", choices["dataset"]),
-            asked,
-            _public(text.splitlines()[0]),
-            environment.capture(settings.device, n_threads(settings)),
-            isinstance(error, NotThere),
-        )
-        if os.environ.get(IN_SWEEP):
-            _record(failure, store, settings.output)
-        if isinstance(error, BadInput):
-            raise
-        if not isinstance(error, TrainingDivergedError):
-            traceback.print_exc()
-        if not os.environ.get(IN_SWEEP):
-            _record(failure, store, "row")
-        return _complain(f"{failure.method} failed: {failure.error}", 1)
+        text = str(error)
+    except Exception as unsaid:  # a plug-in's error may fail to say what it is
+        text = f"(its text fails: {type(unsaid).__name__})"
+    return (text if isinstance(error, BadInput) else f"{type(error).__name__}: {text}") or type(error).__name__
 
 
 def _public(text: str) -> str:
     """Return an error without the name of a person's home, for it may be printed in a table."""
-    return text.replace(str(Path.home()), "~")
-
-
-def _record(failure: Failure, store: Store, output: str) -> None:
-    """Store a failure; in a sweep that reads JSON, say it there too."""
-    with contextlib.suppress(OSError, BadInput):  # the error itself is told in any case
-        store.root.mkdir(parents=True, exist_ok=True)
-        store.save_failure(failure)
-    if output == "json":
-        told = ("method", "dataset", "error", "missing")
-        print(json.dumps({name: getattr(failure, name) for name in told}))
+    home = os.path.expanduser("~")  # noqa: PTH111 - which leaves it as it is where nobody knows the home
+    return text if home in ("~", "/", "") else text.replace(home, "~")
 
 
 def _complain(message: str, code: int = 2) -> int:
-    print(f"vprbench: {message}", file=sys.stderr)
+    ending.tell(error=message)
+    with contextlib.suppress(OSError):  # nobody may be there to read it
+        print(printable(f"vprbench: {message}"), file=sys.stderr, flush=True)
     return code

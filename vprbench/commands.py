@@ -12,6 +12,7 @@ from vprbench import registry
 from vprbench.composing import check_names, composed, readable
 from vprbench.interface import BadInput, Method
 from vprbench.options import checked_settings, n_threads
+from vprbench.printable import printable
 
 if TYPE_CHECKING:
     from vprbench.paper import Asked, Compose
@@ -60,7 +61,7 @@ def search_parameters(options: list[str]) -> int:
     """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
     from vprbench.bench_report import chosen
     from vprbench.console import progress_shown
-    from vprbench.records import Store
+    from vprbench.store import Store
     from vprbench.tuning import search, text
 
     settings = chosen(search.Settings, options, search.QUICK)
@@ -119,7 +120,7 @@ def _prepared(title: str, device: str, threads: int | None, results: str, seed: 
     """Check what all commands share, pin the threads and show the progress; yields the results folder."""
     from vprbench import environment
     from vprbench.console import progress_shown
-    from vprbench.records import Store
+    from vprbench.store import Store
 
     run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
     settings = checked_settings(run)
@@ -159,9 +160,9 @@ def list_plugins(options: list[str]) -> int:
             except BadInput as error:
                 line = f"BROKEN: {error}"
             origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
-            print(f"  {name:<{width}}  {line}{origin}")
-    for provider, reason in registry.broken_plugins().items():
-        print(f"plug-in {provider} BROKEN: {reason}")
+            print(printable(f"  {name:<{width}}  {line}{origin}"))
+    for provider, reason in registry.broken_plugins():
+        print(printable(f"plug-in {provider} BROKEN: {reason}"))
     return 0
 
 
@@ -180,7 +181,7 @@ def check_method(options: list[str]) -> int:
     with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
         results = list(conformance.check(config["method"], asked))
     for result in results:
-        print(result)
+        print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
     return 1 if broken else 0
@@ -191,7 +192,7 @@ def doctor(options: list[str]) -> int:
 
     Raises BadInput where none is named, and for options that are neither its own nor output=json.
     """
-    from vprbench.console import progress_shown
+    from vprbench.console import answers_alone, progress_shown
     from vprbench.doctor import command
 
     if not any(option.startswith("dataset=") for option in options):
@@ -204,9 +205,12 @@ def doctor(options: list[str]) -> int:
     name = config["dataset"].get("name", "dataset")
     output = registry.checked("output", config["output"], Literal["row", "json"])
 
-    with progress_shown(f"doctor, {name}"):
+    with progress_shown(f"doctor, {name}"), answers_alone() as say:
         return command(
-            name, lambda: registry.make_dataset(config["dataset"]), print, "json" if output == "json" else "text"
+            name,
+            lambda: registry.make_dataset(config["dataset"]),
+            lambda text: say(printable(text, but="\n")),
+            "json" if output == "json" else "text",
         )
 
 

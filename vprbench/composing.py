@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
@@ -43,6 +44,38 @@ def readable(arguments: Sequence[str]) -> list[str]:
     return quoted
 
 
+def in_order(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of a run with Hydra's flags before the options.
+
+    An option of the method or the dataset follows the choice in each run of a sweep: Hydra applies the others to its
+    default choice too. Raises BadInput for flags that do not fit.
+    """
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]
+    parsed = parser.parse_intermixed_args(list(arguments))
+    if parsed.resolve and not parsed.cfg:
+        raise BadInput("--resolve: give --cfg job too")
+    if parsed.multirun and not parsed.overrides:
+        raise BadInput("-m: say what to run, as in method=sad,pca seed=0,1,2")
+    flags = list(arguments)
+    for option in parsed.overrides:
+        flags.remove(option)
+    options = [_swept(option) if parsed.multirun else option for option in parsed.overrides]
+    return [*flags, *options]
+
+
+def _refuse(message: str) -> NoReturn:
+    raise BadInput(f"{message}: see python -m vprbench --help")
+
+
+def _swept(option: str) -> str:
+    """Return an option of method or dataset with one value as a choice of one, which a sweep leaves to each run."""
+    key, equals, value = option.partition("=")
+    if not equals or key.lstrip("+").split(".")[0] not in ("method", "dataset") or "." not in key:
+        return option
+    return option if OverridesParser.create().parse_override(option).is_sweep_override() else f"{key}=choice({value})"
+
+
 def check_names(arguments: Sequence[str]) -> None:
     """Raise BadInput for a method or dataset that does not exist, with the near names."""
     groups: tuple[registry.Group, ...] = ("method", "dataset")
@@ -51,6 +84,7 @@ def check_names(arguments: Sequence[str]) -> None:
         for argument in arguments:
             if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
                 for name in argument.split("=", 1)[1].split(","):
+                    registry.insist_on_one(group, name)
                     if name not in known:
                         raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
 
@@ -58,14 +92,22 @@ def check_names(arguments: Sequence[str]) -> None:
 def explained(error: Exception, arguments: Sequence[str]) -> str:
     """Turn an error of Hydra into one line that names the option and what to do."""
     text = " ".join(str(error).split())
+    if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
+        name, _, values = several[1].partition("=")
+        return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
+    if sought := re.search(r"Could not find '(method|dataset)/(.*?)'\s+Available", str(error), re.DOTALL):
+        group: registry.Group = "method" if sought[1] == "method" else "dataset"
+        return f"{group}={sought[2]} is unknown: {registry.near(sought[2], registry.entries(group))}"
+    if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
+        return f"{unresolved[2]}: {unresolved[1]}"
     option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
     if option is None:
         return text
     path = option.group(1)
-    group, _, name = path.partition(".")
-    if group in ("method", "dataset") and name:
-        return _unfit("method" if group == "method" else "dataset", name, arguments)
-    if group == "timing" and name:
+    above, _, name = path.partition(".")
+    if above in ("method", "dataset") and name:
+        return _unfit("method" if above == "method" else "dataset", name, arguments)
+    if above == "timing" and name:
         return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
     return f"option {path} is unknown: {registry.near(path, KNOWN)}"
 

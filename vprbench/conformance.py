@@ -15,7 +15,7 @@ import numpy.typing as npt
 from vprbench import networks
 from vprbench.images import Images
 from vprbench.interface import Dataset, Image, Method, NotFittedError, Places
-from vprbench.registry import checked, make_method
+from vprbench.registry import arguments, checked, make_method
 
 N_PLACES = 20
 _RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
@@ -79,8 +79,8 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     """
     method = make_method(config)
     method.files()
-    arguments = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
-    config = {**config, **arguments}
+    own = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
+    config = {**arguments(config), **own}
     exceptions = dict(method.conformance_exceptions)
     if not networks.keeps_a_network(method):
         exceptions.setdefault(_STORED_RULE, "it keeps no network")
@@ -147,6 +147,20 @@ def _inputs(make: Make, _: Mapping[str, Any]) -> None:
     for seen, as_drawn in zip(world.references + world.queries, untouched.references + untouched.queries, strict=True):
         if not np.array_equal(seen, as_drawn):
             _broken("an image was changed")
+
+
+def _kept_apart(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
+    before = {"encode": np.array(given["encode"], copy=True)}
+    later = method.encode(Images.from_arrays(world.queries[3:]))
+    given["match"] = method.match(before["encode"])
+    before["match"] = np.array(given["match"], copy=True)
+    method.match(later)
+    for name, array in given.items():
+        if not np.array_equal(np.asarray(array), before[name]):
+            _broken(f"a later call changes what {name} returned: return an array of its own")
 
 
 def _repeatable(make: Make, _: Mapping[str, Any]) -> None:
@@ -261,6 +275,7 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "fit forgets an earlier fit": _forgets,
     "query before fit raises NotFittedError": _needs_fit,
     "inputs are never modified": _inputs,
+    "what was returned is never modified": _kept_apart,
     "the same seed gives the same scores": _repeatable,
     "a batch gives what its single images give": _batches,
     "the order of queries does not matter": _order,

@@ -1,36 +1,93 @@
-"""What a person sees while something runs: one progress bar, or plain lines where there is no terminal."""
+"""What a person sees while something runs: one progress bar or plain lines, and standard output for the answer."""
 
 from __future__ import annotations
 
+import logging
+import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TextIO
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import Any, TextIO
 
 from tqdm import tqdm
 
+from vprbench import ending
+from vprbench.printable import printable
 from vprbench.progress import listening
 
 _LINE_EVERY = 10.0  # seconds between plain lines
 _STEPS = 1000  # resolution of the bar
 
 
+class _OneLine(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
+        return printable(super().formatMessage(record), but="\t")
+
+
+def log_lines() -> None:
+    """Let each logged message be a line on standard error."""
+    logging.basicConfig(level=logging.INFO)
+    for handler in logging.getLogger().handlers:
+        if type(handler) is logging.StreamHandler:
+            handler.setFormatter(_OneLine("%(message)s"))
+
+
+@contextmanager
+def answers_alone() -> Iterator[Callable[[str], None]]:
+    """Yield what prints a line on standard output; all else that is printed inside goes to standard error.
+
+    In a process that another one waits for that holds for compiled code too, and until the process ends.
+    """
+    stream = sys.stdout
+    if ending.waited_for():
+        stream.flush()
+        stream = os.fdopen(os.dup(1), "w", encoding=stream.encoding, errors="replace")
+        os.dup2(2, 1)
+
+    def say(line: str) -> None:
+        with suppress(OSError, ValueError):  # a reader that has gone, or a full disk, makes no stored run a failure
+            print(line, file=stream, flush=True)
+
+    with redirect_stdout(sys.stderr):
+        yield say
+
+
 @contextmanager
 def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
-    stream = sys.stderr if stream is None else stream
-    if stream.isatty():
-        with _Bar(title, stream) as bar, listening(bar.show):
+    shown = _Forgiving(sys.stderr if stream is None else stream)
+    title = printable(title)
+    if shown.isatty():
+        with _Bar(title, shown) as bar, listening(bar.show):
             yield
     else:
-        with listening(_Lines(title, stream).show):
+        with listening(_Lines(title, shown).show):
             yield
+
+
+class _Forgiving:
+    """A stream whose reader may go: what it would have read is lost, and nothing else."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError, ValueError):  # ValueError: it was closed
+            return self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError, ValueError):
+            self._stream.flush()
 
 
 class _Bar:
-    def __init__(self, title: str, stream: TextIO) -> None:
+    def __init__(self, title: str, stream: _Forgiving) -> None:
         columns, rows = shutil.get_terminal_size()  # 80 and 24 where a terminal does not tell
         layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
         self._bar = tqdm(
@@ -50,12 +107,12 @@ class _Bar:
         if stage != self._stage:
             self._stage = stage
             self._bar.reset()
-            self._bar.set_description_str(f"{self._title}: {stage}")
+            self._bar.set_description_str(f"{self._title}: {printable(stage)}")
         self._bar.update(int(done * _STEPS) - self._bar.n)
 
 
 class _Lines:
-    def __init__(self, title: str, stream: TextIO) -> None:
+    def __init__(self, title: str, stream: _Forgiving) -> None:
         self._title = title
         self._stream = stream
         self._stage = ""
@@ -66,8 +123,9 @@ class _Lines:
         now = time.perf_counter()
         if stage != self._stage:
             self._stage, self._started, self._last = stage, now, now
-            print(f"{self._title}: {stage}", file=self._stream, flush=True)
+            print(f"{self._title}: {printable(stage)}", file=self._stream, flush=True)
         elif now - self._last >= _LINE_EVERY and 0 < done < 1:
             self._last = now
             left = (now - self._started) * (1 - done) / done
-            print(f"{self._title}: {stage} {100 * done:.0f} %, {left:.0f} s left", file=self._stream, flush=True)
+            line = f"{self._title}: {printable(stage)} {100 * done:.0f} %, {left:.0f} s left"
+            print(line, file=self._stream, flush=True)

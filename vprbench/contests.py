@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
 import numpy as np
 
-from vprbench.intervals import block_bootstrap, mcnemar_exact
+from vprbench.intervals import mcnemar_exact
 from vprbench.metrics import hits_at, recall_at
 from vprbench.plan import Boundary
+from vprbench.recall_intervals import interval_between
 from vprbench.records import Run
 from vprbench.stopwatch import Seconds
 from vprbench.tables import machine_line
@@ -19,15 +20,17 @@ from vprbench.tables import machine_line
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
 RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
-BLOCK = 10  # consecutive frames that see nearly the same
+
+FAILED_AUDITS = ("caching", "audit failed")  # beginnings of the notes of a run whose rates are not to be trusted
 
 NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
 RULES = (
     "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
-    f"{CHANCE} / number of other rows, and the interval of the difference at that level, in blocks of {BLOCK} frames, "
-    "lies above 0.",
+    f"{CHANCE} / number of other rows, and the interval of the difference at that level, which allows for neighbouring "
+    "queries being alike, lies above 0.",
     f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
-    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary.",
+    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary, and "
+    "never where an audit found a rate wanting.",
 )
 
 Stage = Boundary | None  # None: encode and match together
@@ -46,9 +49,9 @@ class Contestant:
 def best_recall(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest R@1 where a paired test separates it from every other row; None where not.
 
-    For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the block bootstrap
-    interval of the mean difference at that level, in blocks of 10 queries, lies above 0. Ties are broken against the
-    best row and in favour of the other one. All runs answer the same queries.
+    For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the interval of the
+    difference at that level (`intervals.difference_interval`) lies above 0. Ties are broken against the best row and in
+    favour of the other one. All runs answer the same queries.
     """
     rows = [row for row in rows if mean_recall(row.runs) is not None]
     chance = CHANCE / max(1, len(rows) - 1)
@@ -60,8 +63,10 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
     fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
-    and match together, for rows of different boundaries do not do the same work.
+    and match together, for rows of different boundaries do not do the same work. A row with a run that caches, or that
+    answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
     """
+    rows = [replace(row, finished=row.finished and not any(map(failed_audit, row.runs))) for row in rows]
     if not _comparable(rows):
         return None
     return _winner(rows, lambda row: float(np.mean([rate(run, row.boundary) for run in row.runs])), _faster)
@@ -96,6 +101,11 @@ def disturbed(run: Run) -> bool:
     return any(note.startswith(("noisy", "invalid")) for note in run.notes)
 
 
+def failed_audit(run: Run) -> bool:
+    """Tell whether an audit found that a run's rates are not those of its answers, or not of images seen first."""
+    return any(note.startswith(FAILED_AUDITS) for note in run.notes)
+
+
 def machine(run: Run) -> str:
     """Return what a run's times were measured on, without the day."""
     return machine_line(run).rpartition(", ")[0]
@@ -123,7 +133,7 @@ def _separated(first: Run, second: Run, chance: float) -> bool:
     test = mcnemar_exact(ours, theirs)
     if test.b <= test.c or test.p_value >= chance:
         return False
-    interval = block_bootstrap(ours - theirs, BLOCK, confidence=1 - chance)
+    interval = interval_between(first, second, 1 - chance)
     return interval is not None and interval.low > 0
 
 
@@ -158,8 +168,8 @@ def _laps(run: Run, stage: Stage) -> Seconds:
 
 
 def _slowest(row: Contestant) -> float:
-    return max(run.fit_compute_seconds or 0.0 for run in row.runs)
+    return max(run.training_compute_seconds or 0.0 for run in row.runs)
 
 
 def _fastest(row: Contestant) -> float:
-    return min(run.fit_compute_seconds or 0.0 for run in row.runs)
+    return min(run.training_compute_seconds or 0.0 for run in row.runs)

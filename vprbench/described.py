@@ -9,7 +9,7 @@ from typing import Any
 from vprbench import environment, sources
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod, Method, encoded_together
+from vprbench.interface import DescriptorMethod, Method, encoded_blocks
 from vprbench.records import content_key
 from vprbench.weights import Weights
 
@@ -60,7 +60,7 @@ class Described:
 
         def blocks() -> Iterator[Descriptors]:
             count = 0
-            for block in images.blocks(encoded_together(images)):
+            for block in encoded_blocks(images):
                 yield encode(block)
                 count += len(block)
                 done(count)

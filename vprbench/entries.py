@@ -33,4 +33,4 @@ class Entry:
         there = self.found[self.device(quantity)].runs
         if quantity not in TRAINING:
             return there
-        return tuple(run for run in there if run.fit_compute_seconds is not None and self.row.training == "own")
+        return tuple(run for run in there if run.fit_compute_seconds is not None and self.row.learns_here)

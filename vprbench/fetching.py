@@ -162,8 +162,11 @@ def _checked(entry: Download, root: Path, check: Check | None) -> bool:
 
 
 def _is_there(name: str, part: Part, root: Path) -> bool:
-    """Return whether a part is in its folders; raises BadInput where it is in some of them."""
+    """Return whether a part is in its folders; raises BadInput where it is in some of them, or one is an empty link."""
     counts = {folder: count_files(root / folder) for folder in part.holds}
+    links = [root / folder for folder, n_files in counts.items() if not n_files and (root / folder).is_symlink()]
+    if links:
+        raise BadInput(f"{links[0]} is a link, and nothing is unpacked into one: remove it, or make {root} the link")
     if not all(counts.values()):
         if some := [folder for folder, n_files in counts.items() if n_files]:
             others = " and ".join(str(root / folder) for folder in counts if folder not in some)

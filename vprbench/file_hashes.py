@@ -15,9 +15,8 @@ from pathlib import Path
 from time import time_ns
 from typing import TypeVar
 
-import platformdirs
-
 from vprbench import progress
+from vprbench.homes import cache_folder
 from vprbench.interface import BadInput
 
 logger = logging.getLogger(__name__)
@@ -163,10 +162,7 @@ def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
 
 def hashes_folder() -> Path:
     """Return the folder that keeps the hashes of files: VPRBENCH_HASHES, or one in the user's cache."""
-    chosen = os.environ.get(_FOLDER)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_cache_path("vprbench", appauthor=False) / "hashes"
+    return cache_folder(_FOLDER, "hashes")
 
 
 @cache

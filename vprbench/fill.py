@@ -12,8 +12,9 @@ from typing import Any
 
 from vprbench import environment, registry
 from vprbench.plan import Row
-from vprbench.records import Failure, Store
-from vprbench.sweep import run_apart
+from vprbench.records import Failure
+from vprbench.store import Store
+from vprbench.sweep import Ending, run_apart
 
 logger = logging.getLogger(__name__)
 
@@ -60,15 +61,6 @@ class Wanted:
         )
 
 
-@dataclass(frozen=True)
-class Ending:
-    """How one run ended."""
-
-    code: int  # 0: it is stored
-    missing: bool  # method, weights or frames are not there
-    error: str
-
-
 def fill(wanted: Sequence[Wanted], options: Sequence[str], store: Store) -> list[Ending]:
     """Make what is not stored yet, one run after the other; returns how each ended.
 
@@ -96,30 +88,17 @@ def _made(run: Wanted, options: Sequence[str], store: Store) -> Ending:
     if run.row.method not in known:
         return _stored(run, f"there is no method {run.row.method} here yet", True, store)
     if run.device != "cpu" and "device" not in known[run.row.method].options:
-        return Ending(0, False, "")
-    child = run_apart([*run.options(), *options, f"results={store.root}", "output=json"], stdout=subprocess.PIPE)
-    if child.returncode == 0:
-        return Ending(0, False, "")
-    answer = _last_answer(child.stdout)
-    if "error" in answer:  # and the process has stored it
-        return Ending(child.returncode, bool(answer.get("missing")), str(answer["error"]))
-    ending = f"ended by signal {-child.returncode}" if child.returncode < 0 else "ended without a word"
-    return _stored(run, ending, False, store, child.returncode)
+        return Ending(0)
+    ending = run_apart([*run.options(), *options, f"results={store.root}"], stdout=subprocess.DEVNULL)
+    if ending.code and not ending.recorded:
+        return _stored(run, ending.error, ending.missing, store, ending.code)
+    return ending
 
 
 def _stored(run: Wanted, error: str, missing: bool, store: Store, code: int = 2) -> Ending:
     store.prepare()
     store.save_failure(run.failed(error, missing))
-    return Ending(code, missing, error)
-
-
-def _last_answer(printed: str) -> dict[str, Any]:
-    """Return the last JSON object that a process printed: where its run could not be stored, the failure follows it."""
-    try:
-        answer = json.loads(printed.strip().splitlines()[-1])
-    except (ValueError, IndexError):
-        return {}
-    return answer if isinstance(answer, dict) else {}
+    return Ending(code, missing, error, recorded=True)
 
 
 def results_folder(results: str) -> Path:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import io
 import logging
-import os
-import shutil
-import socket
-import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +18,7 @@ from PIL import Image as PillowImage
 from vprbench import progress
 from vprbench.images import Images
 from vprbench.interface import Dataset, Image
+from vprbench.replacing import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +27,8 @@ _EXAMPLE_SIDE = 640  # pixels, the longest
 _EXAMPLES = 4
 _THUMBNAIL_BYTES = 780  # on average: 3300 references and 2700 queries fit into 5 MB
 _LOOKS = ((96, 65), (96, 50), (96, 35), (96, 20), (80, 20), (64, 20))  # longest side in pixels, quality of WebP
+_ALL = 6000  # frames of a dataset that are all kept
+_OF_RUN, _MOST = 2000, 8000  # frames of a larger one that are kept for one run, and for all: a page holds no more
 _PROBES = 32  # frames of each traverse by which one of these is chosen
 _EFFORT = 4  # of WebP, 0 to 6
 
@@ -46,7 +45,7 @@ class Example:
 
 @dataclass(frozen=True)
 class Thumbnails:
-    """All frames of a dataset, small: each query, and the first reference image of each place."""
+    """Frames of a dataset, small: of queries, and the first reference image of places; empty where none is kept."""
 
     query_names: tuple[str, ...]
     reference_names: tuple[str, ...]  # by place
@@ -55,33 +54,37 @@ class Thumbnails:
     references: tuple[bytes, ...]
 
     def query(self, i: int) -> bytes:
-        """Return query i as WebP."""
+        """Return query i as WebP; empty where it is not kept."""
         return self.queries[i]
 
     def reference(self, place: int) -> bytes:
-        """Return the first reference image of a place as WebP."""
+        """Return the first reference image of a place as WebP; empty where it is not kept."""
         return self.references[place]
 
 
-def keep(root: Path, fingerprint: str, dataset: Dataset) -> None:
-    """Keep small pictures of a dataset below a results folder, unless they are there already.
+Shown = Iterable[tuple[int, Collection[int]]]  # queries, what matters most first, each with the places beside it
 
-    Several processes may do so at once; a reader finds a whole file or none. Raises OSError where the disk refuses and
-    BadInput where a frame cannot be read.
+
+def keep(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> None:
+    """Keep small pictures of a dataset below a results folder, but for those that are there already.
+
+    Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
+    reader finds a whole file or none, and what one adds while another does may have to be added again. Raises OSError
+    where the disk refuses and BadInput where a frame cannot be read.
     """
-    if find(root, fingerprint) is not None:
+    found = find(root, fingerprint)
+    _, first_of_place = np.unique(dataset.places, return_index=True)
+    references = dataset.references[first_of_place]
+    queries, places = _chosen(found, len(dataset.queries), len(references), shown)
+    if found is not None and not queries and not places:
         return
-    content = _content(fingerprint, dataset)
-    # The store removes such a folder where the process that made it is gone.
-    partial = Path(tempfile.mkdtemp(prefix=f".partial-{socket.gethostname()}-{os.getpid()}-", dir=root))
-    try:
-        whole = partial / "frames.npz"
-        np.savez_compressed(whole, allow_pickle=False, **content)
-        path = _path(root, fingerprint)
-        path.parent.mkdir(exist_ok=True)
-        whole.replace(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    path = _path(root, fingerprint)
+    content = _content(fingerprint, dataset, references, found, queries, places)
+    written = io.BytesIO()
+    np.savez_compressed(written, allow_pickle=False, **content)
+    path.parent.mkdir(exist_ok=True)
+    remove_leftovers(path.parent)
+    replace_bytes(path, written.getvalue())
 
 
 def find(root: Path, fingerprint: str) -> Thumbnails | None:
@@ -111,23 +114,54 @@ def _path(root: Path, fingerprint: str) -> Path:
     return root / _FOLDER / f"{fingerprint[:16]}.npz"
 
 
-def _content(fingerprint: str, dataset: Dataset) -> dict[str, npt.NDArray[Any]]:
-    """Return everything that is kept of a dataset, as named arrays."""
-    _, first_of_place = np.unique(dataset.places, return_index=True)
-    references = dataset.references[first_of_place]
+def _chosen(found: Thumbnails | None, n_queries: int, n_places: int, shown: Shown) -> tuple[list[int], list[int]]:
+    """Return the queries and places whose frames are to be added to those that are found, ascending."""
+    old_queries = {i for i, frame in enumerate(found.queries) if frame} if found else set()
+    old_places = {i for i, frame in enumerate(found.references) if frame} if found else set()
+    queries, places = set(range(n_queries)), set(range(n_places))
+    if n_queries + n_places > _ALL:
+        queries, places = set(), set()
+        for query, beside in shown:
+            wider = places.union(beside)
+            if len(queries) + 1 + len(wider) > _OF_RUN:
+                break
+            if len(old_queries | queries) + 1 + len(old_places | wider) > _MOST:
+                break
+            queries.add(query)
+            places = wider
+    return sorted(queries - old_queries), sorted(places - old_places)
+
+
+def _content(
+    fingerprint: str,
+    dataset: Dataset,
+    references: Images,
+    found: Thumbnails | None,
+    queries: Sequence[int],
+    places: Sequence[int],
+) -> dict[str, npt.NDArray[Any]]:
+    """Return everything that is kept of a dataset, as named arrays: what is found, and frames that are added."""
     answerable = [query for query, right in enumerate(dataset.positives) if len(right)]
     spread = np.linspace(0, len(answerable) - 1, min(_EXAMPLES, len(answerable))).astype(int).tolist()
     examples = [answerable[i] for i in spread]
     right = [int(dataset.positives[query][len(dataset.positives[query]) // 2]) for query in examples]
     look = _look([dataset.queries, references])
-    total = len(dataset.queries) + len(references)
+    total = len(queries) + len(places)
+    small = {
+        "queries": [*(found.queries if found else [b""] * len(dataset.queries))],
+        "references": [*(found.references if found else [b""] * len(references))],
+    }
+    for number, query in enumerate(queries):
+        small["queries"][query] = _small(dataset.queries[query], look, number, total)
+    for number, place in enumerate(places, len(queries)):
+        small["references"][place] = _small(references[place], look, number, total)
     return {
         "fingerprint": np.array(fingerprint),
         "query_names": np.array(dataset.queries.names),
         "reference_names": np.array(references.names),
         "examples": np.array([examples, right], np.int64),  # (2, n_examples)
-        **_packed("queries", _small(dataset.queries, look, 0, total)),
-        **_packed("references", _small(references, look, len(dataset.queries), total)),
+        **_packed("queries", small["queries"]),
+        **_packed("references", small["references"]),
         **_packed("example_queries", (_lossless(dataset.queries[query]) for query in examples)),
         **_packed("example_references", (_lossless(references[place]) for place in right)),
     }
@@ -135,22 +169,22 @@ def _content(fingerprint: str, dataset: Dataset) -> dict[str, npt.NDArray[Any]]:
 
 def _look(traverses: Sequence[Images]) -> tuple[int, int]:
     """Return the best side and quality at which some frames of each traverse take few enough bytes, or the least."""
-    probes = [
-        image
+    sides = {side for side, _ in _LOOKS}
+    probes = [  # shrunk one by one: frames may be large
+        {side: _shrunk(image, side) for side in sides}
         for images in traverses
         for image in images[np.linspace(0, len(images) - 1, min(_PROBES, len(images))).astype(np.int64)]
     ]
     for side, quality in _LOOKS:
-        if sum(len(_thumbnail(probe, side, quality)) for probe in probes) <= _THUMBNAIL_BYTES * len(probes):
+        if sum(len(_webp(probe[side], quality=quality)) for probe in probes) <= _THUMBNAIL_BYTES * len(probes):
             break
     return side, quality
 
 
-def _small(images: Images, look: tuple[int, int], done: int, total: int) -> Iterator[bytes]:
-    """Yield thumbnails of images, of which so many of `total` are done before the first."""
-    for number, image in enumerate(images, done):
-        progress.report("keeping small frames", number / total)
-        yield _thumbnail(image, *look)
+def _small(image: Image, look: tuple[int, int], done: int, total: int) -> bytes:
+    """Return the thumbnail of an image, the next one after so many of `total`."""
+    progress.report("keeping small frames", done / total)
+    return _thumbnail(image, *look)
 
 
 def _thumbnail(image: Image, side: int, quality: int) -> bytes:
@@ -174,7 +208,7 @@ def _webp(picture: PillowImage.Image, **options: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _packed(name: str, parts: Iterator[bytes]) -> dict[str, npt.NDArray[Any]]:
+def _packed(name: str, parts: Iterable[bytes]) -> dict[str, npt.NDArray[Any]]:
     """Return byte strings as one array of bytes and one of where each ends."""
     encoded = list(parts)
     ends = np.cumsum([len(part) for part in encoded], dtype=np.int64)
@@ -189,7 +223,7 @@ def _unpacked(content: dict[str, npt.NDArray[Any]], name: str) -> tuple[bytes, .
 def _thumbnails(content: dict[str, npt.NDArray[Any]]) -> Thumbnails:
     queries, places = content["examples"].tolist()
     pictures = zip(_unpacked(content, "example_queries"), _unpacked(content, "example_references"), strict=True)
-    return Thumbnails(
+    kept = Thumbnails(
         query_names=tuple(content["query_names"].tolist()),
         reference_names=tuple(content["reference_names"].tolist()),
         examples=tuple(
@@ -199,8 +233,11 @@ def _thumbnails(content: dict[str, npt.NDArray[Any]]) -> Thumbnails:
         queries=_unpacked(content, "queries"),
         references=_unpacked(content, "references"),
     )
+    if (len(kept.queries), len(kept.references)) != (len(kept.query_names), len(kept.reference_names)):
+        raise ValueError("it holds other numbers of frames than of names")
+    return kept
 
 
 def _decoded(webp: bytes) -> Image:
-    with PillowImage.open(io.BytesIO(webp)) as picture:
+    with PillowImage.open(io.BytesIO(webp), formats=["WEBP"]) as picture:
         return np.asarray(picture.convert("RGB"))

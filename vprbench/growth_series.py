@@ -62,7 +62,7 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
     for run in newest:
         chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
     kept = tuple(run for _, run in sorted(chosen.items(), key=lambda item: item[0]))
-    trained = [(run, run.fit_compute_seconds) for run in kept if run.fit_compute_seconds is not None]
+    trained = [(run, run.training_compute_seconds) for run in kept if run.training_compute_seconds is not None]
     return GrowthSamples(
         name=row.name,
         boundary=row.boundary,

@@ -16,13 +16,12 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench import png
+from vprbench.ahead import Window
 from vprbench.file_hashes import FileHash, file_hashes
+from vprbench.image_formats import opened
 from vprbench.interface import BadInput, Image
 
-_CHUNK = 4  # images a reading thread takes at a time, at most
-_AHEAD = 128  # images read ahead, at most
-_AHEAD_BYTES = 1 << 26  # that these have, at most ...
-_FEWEST_AHEAD = 4  # ... unless they are larger than so many of them may be
+_BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
 _READERS = min(64, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
@@ -34,6 +33,10 @@ class ReadingTime:
     def __init__(self) -> None:
         """Start at zero."""
         self.seconds = 0.0
+
+    def limit(self, before: float, most: float) -> None:
+        """Take back what exceeds `most` seconds since there were `before`: other threads worked on while one waited."""
+        self.seconds = min(self.seconds, before + max(0.0, most))
 
 
 class Keeper(Protocol):
@@ -142,22 +145,19 @@ class Images(Sequence[Image]):
         if self._in_memory or len(self) <= 1:
             yield from (self[i] for i in range(len(self)))
             return
-        start = under_way = 0  # images asked for, and those of them that were not handed out
-        largest = 1 if self._files is None else _decoded_bytes(self._files[0])  # of the images so far
+        window = Window(len(self), self._file_bytes if self._files else None, _READERS)
         with ThreadPoolExecutor(_READERS) as readers:
-            ahead: deque[Future[list[Image]]] = deque()
+            ahead: deque[tuple[range, Future[list[Image]]]] = deque()
             try:
-                while ahead or start < len(self):
-                    room = max(_FEWEST_AHEAD, min(_AHEAD, _AHEAD_BYTES // largest))
-                    size = min(_CHUNK, max(1, room // (2 * _READERS)), len(self) - start)
-                    if size and (not ahead or under_way + size <= room):
-                        ahead.append(readers.submit(self._read_chunk, start, size))
-                        start, under_way = start + size, under_way + size
+                while (chunk := window.take()) or ahead:
+                    if chunk:
+                        ahead.append((chunk, readers.submit(self._read_chunk, chunk.start, len(chunk))))
                         continue
-                    images = self._wait(ahead.popleft())
-                    largest = max(largest, *(image.nbytes for image in images))
-                    under_way -= len(images)
+                    chunk, reading = ahead.popleft()
+                    images = self._wait(reading)
+                    window.give(chunk, max(image.nbytes for image in images))
                     yield from images
+                    del images, reading  # or they would be held while the next ones are read
             finally:
                 readers.shutdown(cancel_futures=True)
 
@@ -166,16 +166,25 @@ class Images(Sequence[Image]):
         """Whether the images are decoded from files."""
         return self._files is not None
 
-    def blocks(self, size: int) -> Iterator[Images]:
-        """Yield consecutive views of up to `size` decoded images each."""
+    def decoded_bytes(self) -> int:
+        """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
+        if self._files is None and not self._in_memory:
+            return len(self) * self[0].nbytes if len(self) else 0
+        return sum(self._file_bytes(i) if self._files else self._read(i).nbytes for i in range(len(self)))
+
+    def blocks(self, size: int, n_bytes: int = _BLOCK_BYTES) -> Iterator[Images]:
+        """Yield consecutive views of decoded images, up to `size` of up to `n_bytes` together, or a single one."""
         block: list[Image] = []
-        start = 0
-        for image in self:
+        held = 0
+        for number, image in enumerate(self):
+            if block and (len(block) == size or held + image.nbytes > n_bytes):
+                yield Images.from_arrays(block, self.names[number - len(block) : number])
+                block, held = [], 0
             block.append(image)
-            if len(block) == size or start + len(block) == len(self):
-                yield Images.from_arrays(block, self.names[start : start + len(block)])
-                start += len(block)
-                block = []
+            held += image.nbytes
+            del image  # or the last one would be held with the next block
+        if block:
+            yield Images.from_arrays(block, self.names[-len(block) :])
 
     def unnamed(self) -> Images:
         """Return the same images under names that say nothing."""
@@ -244,6 +253,14 @@ class Images(Sequence[Image]):
                 digest.update(hashlib.sha256(repr(image.shape).encode() + image.tobytes()).digest())
         return digest.hexdigest()
 
+    def _file_bytes(self, number: int) -> int:
+        """Return the bytes of a file's image once it is decoded; looking takes part of the reading."""
+        assert self._files is not None
+        started = time.perf_counter()
+        n_bytes = _decoded_bytes(self._files[number])
+        self.reading.seconds += time.perf_counter() - started
+        return n_bytes
+
     def _read_chunk(self, start: int, size: int) -> list[Image]:
         return [self._read(i) for i in range(start, start + size)]
 
@@ -257,12 +274,14 @@ class Images(Sequence[Image]):
 def read_image(path: Path) -> Image:
     """Decode one image file to RGB uint8 (height, width, 3); grey is repeated, alpha dropped, 16 bit reduced to 8.
 
-    Raises BadInput with the path where the file is missing, truncated or no image.
+    Raises BadInput with the path where the file is missing, truncated or no image, and, undecoded, where it has more
+    pixels than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets another number).
     """
     try:
         if (pixels := _decoded_png(path)) is not None:
             return pixels
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
+            _insist_on_size(image)
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
             if image.mode == "RGB":
@@ -271,9 +290,21 @@ def read_image(path: Path) -> Image:
             return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
-    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError) as error:
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        PillowImage.DecompressionBombError,
+        PillowImage.DecompressionBombWarning,
+    ) as error:
         reason = str(error).replace(f" {str(path)!r}", "").replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
+
+
+def _insist_on_size(image: PillowImage.Image) -> None:
+    most = PillowImage.MAX_IMAGE_PIXELS
+    if most is not None and image.width * image.height > most:
+        raise ValueError(f"{image.width} x {image.height} pixels; at most {most:,} may be decoded")
 
 
 def _decoded_png(path: Path) -> Image | None:
@@ -286,9 +317,15 @@ def _decoded_png(path: Path) -> Image | None:
 def _decoded_bytes(path: Path) -> int:
     """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             return max(1, 3 * image.width * image.height)
-    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError):  # said when the image is read
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        PillowImage.DecompressionBombError,
+        PillowImage.DecompressionBombWarning,
+    ):  # said when the image is read
         return 1
 
 

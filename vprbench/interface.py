@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
@@ -171,16 +171,15 @@ class DescriptorMethod(Method):
         """Encode the references block by block, into one array, and learn the map from it."""
         self.searched = None
         self.insist_on_index(len(references))
-        blocks = references.blocks(encoded_together(references))
-        codes = self.encode(next(blocks))
-        if len(codes) == len(references):
-            return self.fit_descriptors(codes, places)
-        descriptors = np.empty((len(references), codes.shape[1]), np.float32)
-        descriptors[: len(codes)] = codes
-        done = len(codes)
-        for block in blocks:
-            descriptors[done : done + len(block)] = self.encode(block)
+        descriptors = np.empty((0, 0), np.float32)
+        done = 0
+        for block in encoded_blocks(references):
+            codes = self.encode(block)
+            if not done:
+                descriptors = np.empty((len(references), codes.shape[1]), np.float32)
+            descriptors[done : done + len(block)] = codes
             done += len(block)
+            del block, codes  # or they would be held while the next ones are made
         return self.fit_descriptors(descriptors, places)
 
     def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
@@ -236,9 +235,9 @@ class DescriptorMethod(Method):
         return self.searched
 
 
-def encoded_together(images: Images) -> int:
-    """Return how many of `images` are decoded and encoded together, fewer where they are large."""
-    return max(1, min(_BLOCK, _BLOCK_BYTES // images[0].nbytes))
+def encoded_blocks(images: Images) -> Iterator[Images]:
+    """Yield consecutive images that are decoded and encoded together, fewer where they are large."""
+    return images.blocks(_BLOCK, _BLOCK_BYTES)
 
 
 def held_together(method: Method, wanted: int) -> int:

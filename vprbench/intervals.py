@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from vprbench.block_length import FEWEST, block_length, finite_row
+
+Values = npt.NDArray[np.float64]
+IntervalKind = Literal["independent", "blocks"]  # Wilson's, of differences Agresti and Min's; a block bootstrap
+
+_PARTS = 12  # of a hit, at least, that sums are told apart by: halves, thirds and quarters are exact
+_GRID_POINTS = 1 << 14  # of a sum, about: few queries are told apart more finely
 
 
 @dataclass(frozen=True)
@@ -15,6 +25,43 @@ class Interval:
 
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class WiderInterval(Interval):
+    """The wider one of an interval that takes queries as independent and one that draws neighbours together."""
+
+    kind: IntervalKind
+    block: int  # length in queries
+
+
+def share_interval(hits: npt.ArrayLike, confidence: float = 0.95) -> WiderInterval | None:
+    """Return the interval of the mean of hits (n_queries,), 0 to 1, given in the order of the journey.
+
+    The wider one of Wilson's and that of a circular block bootstrap, whose length `block_length` finds in the hits and
+    which is expanded for few blocks; Wilson's where that length is 1. None without queries. Raises
+    ValueError for other values.
+    """
+    row = finite_row(hits)
+    independent = wilson(float(row.sum()), len(row), confidence)
+    return None if independent is None else _wider(row, independent, block_length(row), confidence)
+
+
+def difference_interval(ours: npt.ArrayLike, theirs: npt.ArrayLike, confidence: float = 0.95) -> WiderInterval | None:
+    """Return the interval of the mean of ours - theirs, hits 0 to 1 of two methods on the same queries in order.
+
+    The wider one of Agresti and Min's (2005), which takes queries as independent, and that of the block bootstrap as
+    in `share_interval`. Most differences are 0, which hides from the rule that the others come together: the block
+    length is the largest of those of both hits and of the differences. None for fewer than 20 queries, too few to see
+    whether neighbours are alike. Raises ValueError for hits on different queries.
+    """
+    first, second = finite_row(ours), finite_row(theirs)
+    if first.shape != second.shape:
+        raise ValueError(f"a difference needs hits on the same queries, not {first.shape} and {second.shape}")
+    row = first - second
+    if len(row) < FEWEST:
+        return None
+    return _wider(row, _agresti_min(row, confidence), max(map(block_length, (first, second, row))), confidence)
 
 
 def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | None:
@@ -37,38 +84,90 @@ def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | Non
     return Interval(max(centre - half, 0.0), min(centre + half, 1.0))
 
 
-def block_bootstrap(
-    values: npt.ArrayLike, block: int = 10, confidence: float = 0.95, resamples: int = 2000, seed: int = 0
-) -> Interval | None:
-    """Return the bootstrap interval of the mean of `values` (n_queries,), given in the order of the traverse.
+def block_bootstrap(values: npt.ArrayLike, block: int, confidence: float = 0.95) -> Interval | None:
+    """Return the bootstrap interval of the mean of `values` (n_queries,), given in the order of the journey.
 
     Consecutive frames see nearly the same, so blocks of `block` neighbours are drawn with replacement until
     there are as many values again; the last block is cut to fit. Blocks run on from the last value to the
     first, so that each value is drawn as often as any other (circular block bootstrap, Politis and Romano
-    1992). The interval lies between the percentiles of the resampled means; the same seed gives the same one.
-    None for fewer than two blocks.
+    1992). The interval lies between the percentiles of the resampled means, whose distribution is computed and not
+    drawn. None for fewer than two blocks. Raises ValueError for a length below 1 and for other values.
     """
     _check_confidence(confidence)
-    if block < 1 or resamples < 1:
-        raise ValueError(f"block={block}, resamples={resamples}: both must be at least 1")
-    row = np.asarray(values, dtype=np.float64)  # (n,)
-    if row.ndim != 1 or not np.isfinite(row).all():
-        raise ValueError(f"values must be finite and (n_queries,), but {row.shape} came or one is not finite")
+    if block < 1:
+        raise ValueError(f"block={block} must be at least 1")
+    row = finite_row(values)
     if len(row) < 2 * block:
         return None
-    n_blocks, rest = divmod(len(row), block)
-    random = np.random.default_rng(seed)
-    sums = _circular_sums(row, block)[random.integers(len(row), size=(resamples, n_blocks))].sum(axis=1)
-    sums += _circular_sums(row, rest)[random.integers(len(row), size=resamples)]
     tail = (1 - confidence) / 2
-    low, high = np.quantile(sums / len(row), [tail, 1 - tail])
+    means, reached = _resampled_means(row, block)
+    low, high = means[np.searchsorted(reached, [tail, 1 - tail])]
     return Interval(float(low), float(high))
 
 
-def _circular_sums(row: npt.NDArray[np.float64], length: int) -> npt.NDArray[np.float64]:
+def _resampled_means(row: Values, block: int) -> tuple[Values, Values]:
+    """Return the means that the bootstrap may give, ascending, and the chance of no more than each.
+
+    A sum of independent blocks is distributed as the convolution of their sums, a product of Fourier transforms. Sums
+    lie on a grid; a sum between two points is shared by them so that its mean stays.
+    """
+    n_blocks, rest = divmod(len(row), block)
+    largest = len(row) * float(np.ptp(row))
+    per_unit = _PARTS * max(1, int(_GRID_POINTS / (_PARTS * max(largest, 1))))
+    n_points = 1 << math.ceil(largest * per_unit + 2).bit_length()
+    above = (row - row.min()) * per_unit
+    transform = np.fft.rfft(_chances(_circular_sums(above, block), n_points)) ** n_blocks
+    transform *= np.fft.rfft(_chances(_circular_sums(above, rest), n_points))
+    reached = np.cumsum(np.fft.irfft(transform, n_points))
+    return row.min() + np.arange(n_points) / per_unit / len(row), np.maximum.accumulate(reached)
+
+
+def _chances(sums: Values, n_points: int) -> Values:
+    """Return how likely each of the points 0, 1, 2 ... is, (n_points,), if one of `sums` is drawn."""
+    below = np.floor(sums + 1e-9)
+    share = np.clip(sums - below, 0, 1)
+    point = below.astype(np.int64)
+    counts = np.bincount(point, 1 - share, n_points) + np.bincount(point + 1, share, n_points)
+    chances: Values = counts / len(sums)
+    return chances
+
+
+def _circular_sums(row: Values, length: int) -> Values:
     """Return for each start the sum of `length` values from there, (n,)."""
-    running: npt.NDArray[np.float64] = np.cumsum(np.concatenate([[0.0], row, row[:length]]))
+    running: Values = np.cumsum(np.concatenate([[0.0], row, row[:length]]))
     return running[length : length + len(row)] - running[: len(row)]
+
+
+def _wider(row: Values, independent: Interval, block: int, confidence: float) -> WiderInterval:
+    blocks = block_bootstrap(row, block, _expanded(confidence, len(row) / block)) if block > 1 else None
+    if blocks is None or blocks.high - blocks.low <= independent.high - independent.low:
+        return WiderInterval(independent.low, independent.high, "independent", block)
+    return WiderInterval(blocks.low, blocks.high, "blocks", block)
+
+
+def _expanded(confidence: float, n_blocks: float) -> float:
+    """Return the confidence at which the percentiles of few blocks are as wide as Student's t would make them.
+
+    A bootstrap of n values takes their spread as known and (n - 1) / n too small (Hesterberg 2015, expanded percentile
+    interval); n is the number of blocks here.
+    """
+    from scipy.special import stdtrit  # takes long to import
+
+    score = math.sqrt(n_blocks / (n_blocks - 1)) * float(stdtrit(n_blocks - 1, (1 + confidence) / 2))
+    return min(2 * NormalDist().cdf(score) - 1, 1 - 1e-9)
+
+
+def _agresti_min(differences: Values, confidence: float) -> Interval:
+    """Return Wald's interval of the mean paired difference (n,) after half a query was added to each of four outcomes.
+
+    As it needs the sums alone, it takes differences that are not whole as well.
+    """
+    _check_confidence(confidence)
+    n = len(differences) + 2
+    mean = float(differences.sum()) / n
+    variance = (float((differences**2).sum()) + 1) / n - mean**2
+    half = NormalDist().inv_cdf((1 + confidence) / 2) * math.sqrt(variance / n)
+    return Interval(max(mean - half, -1.0), min(mean + half, 1.0))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Literal
 
 from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.plan import QUANTITIES, Quantity
+from vprbench.recall_intervals import METHOD
 
 TITLE = "Table II"
 PAPER = "paper"  # the line below a row
@@ -22,6 +23,11 @@ HEADS: dict[Quantity, tuple[str, str]] = {  # what it is, and its unit
     "train_gpu": ("train GPU", "min"),
     "query_gpu": ("query GPU", "Hz"),
 }
+
+TRAINING_TIME = (  # of the table, the page and the README
+    "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "
+    "in brackets with waiting for them."
+)
 
 _TRAINING: tuple[Quantity, ...] = ("train_cpu", "train_gpu")
 _RATES: tuple[Quantity, ...] = ("query_cpu", "query_gpu")
@@ -126,16 +132,14 @@ def _legend(table: Table) -> Iterator[str]:
     intervals = [m for m in measured if m.low is not None]
     if intervals:
         of_mean = "; of several seeds, of their mean" if any(len(m.seeds) > 1 for m in intervals) else ""
-        yield f"[low, high]: 95 % Wilson interval of R@1 over the queries{of_mean}."
+        yield f"[low, high]: 95 % interval of R@1 over the queries{of_mean}: {METHOD}."
     if any(m.total is not None for m in _measured(table, _TRAINING)):
-        yield (
-            "Training: once the images are there, as in the paper's public code; "
-            "in brackets with reading or rendering the images too."
-        )
+        yield f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}"
     yield from _legend_of_rates(_measured(table, _RATES))
     if any(cell.published_mark != "none" for cell in cells):
+        less = "; in brackets measured less printed" if any(cell.difference is not None for cell in cells) else ""
         lacking = "; none: it has no such number" if any(cell.published_mark == "none" for cell in cells) else ""
-        yield f"Line {PAPER}: what the paper printed; in brackets measured less printed{lacking}."
+        yield f"Line {PAPER}: what the paper printed{less}{lacking}."
     if any("quoted" in (cell.mark, cell.published_mark) for cell in cells):
         yield "Italics: quoted from a publication, not measured; in no contest."
     if any("not applicable" in (cell.mark, cell.published_mark) for cell in cells):

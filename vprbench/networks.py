@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import pickle
-import uuid
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from vprbench.interface import BadInput, Dataset, Method, calibration
+from vprbench.replacing import remove_leftovers, unfinished
 
 if TYPE_CHECKING:
     import torch
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 FORMAT = 1
 _OURS, _PUBLISHED = ".safetensors", ".pth"
 _DESCRIPTION, _DIGEST = "vprbench", "vprbench_sha256"  # the keys of a file's metadata
-_PARTIAL = ".partial-"
 _UNCHECKED = "published network: neither its arguments nor its training images could be checked"
 
 State = Mapping[str, npt.NDArray[Any]]
@@ -109,7 +108,8 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
-        probe = _partial(path)
+        remove_leftovers(path.parent, f"-{path.name}")
+        probe = unfinished(path.parent, f"-{path.name}")
         probe.touch()
         probe.unlink()
     except OSError as error:
@@ -131,12 +131,12 @@ def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_
     }
     text = json.dumps(description, sort_keys=True)
     state = {name: _plain(array, name, method) for name, array in method.state().items()}
-    partial = _partial(to.path)
+    partial = unfinished(to.path.parent, f"-{to.path.name}")
     try:
         save_file(state, partial, {_DESCRIPTION: text, _DIGEST: _content_digest(text, state)})
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
-        _refuse_to_replace(to.path, to.replace)
+        _refuse_to_replace(to.path, to.replace or made_by(to.path) == run_key)
         partial.replace(to.path)
     except (OSError, SafetensorError) as error:
         raise BadInput(f"the network could not be stored in {to.path} ({error}): nothing was changed there") from error
@@ -314,7 +314,3 @@ def _refuse_to_replace(path: Path, replace: bool) -> None:
             f"save={path} is there already: give another name (in a sweep one for each cell, as in "
             f"save='nets/vprtempo-${{seed}}{_OURS}'), or force=true to replace it"
         )
-
-
-def _partial(path: Path) -> Path:
-    return path.with_name(f"{_PARTIAL}{uuid.uuid4().hex[:8]}-{path.name}")

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,16 @@ from torch.nn import functional
 
 from vprbench.images import Images
 from vprbench.interface import BadInput, DescriptorMethod, Image
-from vprbench.resize import Interpolation, Resize, resize_batch, resize_image
+from vprbench.resize import (
+    VPR_METHODS_EVALUATION,
+    Interpolation,
+    Preprocessing,
+    Resize,
+    Way,
+    centre_crop,
+    resize_batch,
+    resize_image,
+)
 from vprbench.weights import Weights, find
 
 Precision = Literal["float32", "float16", "bfloat16"]
@@ -38,12 +47,19 @@ class NeuralDescriptor(DescriptorMethod):
     The constructor reads nothing: the network is loaded, and its file fetched where that is possible, when it is first
     needed. Images of one size go through it together, up to `batch_size`. On a GPU the next batch is read and resized
     meanwhile. Descriptors are float32 of unit length whatever the precision of the network; float32 is exact (no TF32).
+
+    `preprocessing`=authors resizes as `resize` and `interpolation` say, whose defaults are those of the authors' own
+    evaluation. vpr_methods_evaluation resizes as gmberton/VPR-methods-evaluation does it for every network, whatever
+    those two say: `height` and `width` are its image size, and without them images keep their size, or get the nearest
+    multiples that the network takes.
     """
 
     weights: Weights
     height: int | None = None  # pixels that images are resized to; None: as they are
     width: int | None = None
-    resize: Resize = "pillow"  # pillow: antialiased image; tensor: antialiased floats; opencv: not antialiased
+    preprocessing: Preprocessing = "authors"
+    # pillow: antialiased image; tensor: antialiased floats; area: means over areas; opencv: not antialiased
+    resize: Resize = "pillow"
     interpolation: Interpolation = "bilinear"
     batch_size: int = 16
     precision: Precision = "float32"
@@ -54,6 +70,8 @@ class NeuralDescriptor(DescriptorMethod):
     multiple: ClassVar[int] = 1
     #: Pixels of the shorter side under which the network has no output.
     smallest_side: ClassVar[int] = 1
+    #: Whether the authors cut images to such multiples, from the middle, rather than resize them.
+    crops: ClassVar[bool] = False
     #: Whether the network takes images of one size only.
     fixed_size: ClassVar[bool] = False
 
@@ -84,7 +102,7 @@ class NeuralDescriptor(DescriptorMethod):
 
     def use(self, network: nn.Module) -> None:
         """Describe images with this network from now on."""
-        network = network.to(self.device, getattr(torch, self.precision))
+        network = network.to(self.device, self._number_type)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # which PyTorch's hints forgot
         self._network = network.eval().requires_grad_(False)
 
@@ -124,7 +142,17 @@ class NeuralDescriptor(DescriptorMethod):
         mean, deviation = (levels.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_DEVIATION))
         return (levels / 255 - mean) / deviation
 
-    def _described(self, batch: npt.NDArray[np.uint8]) -> Tensor:
+    @property
+    def _number_type(self) -> torch.dtype:
+        return cast(torch.dtype, getattr(torch, self.precision))
+
+    @property
+    def _way(self) -> Way:
+        if self.preprocessing == "authors":
+            return Way(self.resize, self.interpolation, self.crops)
+        return VPR_METHODS_EVALUATION
+
+    def _described(self, batch: npt.NDArray[Any]) -> Tensor:
         """Return the output for images of one size, (n, height, width, 3)."""
         network = cast(nn.Module, self._network)
         levels = torch.from_numpy(batch)
@@ -132,11 +160,13 @@ class NeuralDescriptor(DescriptorMethod):
             levels = levels.pin_memory().to(self.device, non_blocking=True)
         # Channels come last in the array already, which convolutions like best.
         seen = self.pixels(levels.permute(0, 3, 1, 2).float())
-        if self.resize == "tensor":
-            seen = resize_batch(seen, *self.target(*batch.shape[1:3]), self.interpolation)
-        return cast(Tensor, network(seen.to(getattr(torch, self.precision))))
+        if self._way.resize == "tensor":
+            seen = resize_batch(seen, *self.target(*batch.shape[1:3]), self._way.interpolation)
+        if self._way.crops:
+            seen = centre_crop(seen, self.multiple)
+        return cast(Tensor, network(seen.to(self._number_type)))
 
-    def _batches(self, images: Images) -> Generator[npt.NDArray[np.uint8]]:
+    def _batches(self, images: Images) -> Generator[npt.NDArray[Any]]:
         """Yield the images in order, in batches of one size, the next one made while the last is looked at."""
         batches = self._made(images)
         if self.device == "cpu":  # another thread would take the cores from the network
@@ -148,22 +178,21 @@ class NeuralDescriptor(DescriptorMethod):
                 coming = ahead.submit(next, batches, None)
                 yield batch
 
-    def _made(self, images: Images) -> Iterator[npt.NDArray[np.uint8]]:
-        batch: list[Image] = []
-        for image in images:
-            image = self._sized(image)
+    def _made(self, images: Images) -> Iterator[npt.NDArray[Any]]:
+        batch: list[npt.NDArray[Any]] = []
+        for image in map(self._sized, images):
             if batch and (image.shape != batch[0].shape or len(batch) == self._at_most(batch[0])):
                 yield np.stack(batch)
                 batch = []
             batch.append(image)
         yield np.stack(batch)
 
-    def _at_most(self, image: Image) -> int:
+    def _at_most(self, image: npt.NDArray[Any]) -> int:
         """Return how many such images go through the network together."""
         n_pixels = max(image.size // 3, math.prod(self.target(*image.shape[:2])))  # a tensor may become larger
         return min(self.batch_size, max(1, _BATCH_BYTES // (12 * n_pixels)))
 
-    def _sized(self, image: Image) -> Image:
+    def _sized(self, image: Image) -> npt.NDArray[Any]:
         """Resize an image where that comes before its levels become floats; raises BadInput for one too small."""
         height, width = self.target(*image.shape[:2])
         if min(height, width) < self.smallest_side:
@@ -171,7 +200,8 @@ class NeuralDescriptor(DescriptorMethod):
                 f"an image of {image.shape[1]}x{image.shape[0]} pixels, seen as {width}x{height}: "
                 f"{type(self).__name__} needs {self.smallest_side} pixels a side; set method.height and method.width"
             )
-        return image if self.resize == "tensor" else resize_image(image, height, width, self.resize, self.interpolation)
+        way = self._way
+        return image if way.resize == "tensor" else resize_image(image, height, width, way.resize, way.interpolation)
 
     def _check_arguments(self) -> None:
         """Raise BadInput for arguments that do not fit."""
@@ -181,7 +211,7 @@ class NeuralDescriptor(DescriptorMethod):
             side = getattr(self, name)
             if side is not None and (side < 1 or side % self.multiple):
                 raise BadInput(f"method.{name}={side}: give a multiple of {self.multiple}, or null for the image's own")
-        if self.precision != "float32" and self.device == "cpu":
+        if self._number_type != torch.float32 and self.device == "cpu":
             raise BadInput(f"method.precision={self.precision}: on the CPU float32 alone is offered; set device=cuda")
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench import environment, registry
+from vprbench.homes import insist_on_homes
 from vprbench.interface import BadInput
 from vprbench.stopwatch import Protocol
 
@@ -25,6 +27,7 @@ class Settings:
     output: Literal["row", "json"] = "row"
     depth: int = 100
     frames: bool = True  # keep small pictures of the dataset, for figures and report
+    limit_minutes: float | None = None  # after which a run has failed; None: none
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     timing: Protocol = field(default_factory=Protocol)
@@ -40,6 +43,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
             raise BadInput(f"option {name} is unknown: {registry.near(name, KNOWN)}")
         if name not in config:
             raise BadInput(f"option {name} is missing: leave its default in place")
+    insist_on_homes(config)
     timing = _checked_timing(config["timing"])
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
@@ -48,6 +52,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:
         raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
+    if settings.limit_minutes is not None and not (settings.limit_minutes > 0 and hasattr(signal, "setitimer")):
+        raise BadInput(f"limit_minutes={settings.limit_minutes}: give more than 0, or null where there are no timers")
     available = len(environment.cores())
     if settings.threads is not None and not 1 <= settings.threads <= available:
         raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")

@@ -13,10 +13,12 @@ from vprbench import registry
 from vprbench.assembly import assemble
 from vprbench.belonging import ColumnAsked, Group, groups
 from vprbench.cells import Table
-from vprbench.fill import Ending, Wanted, fill, results_folder
+from vprbench.fill import Wanted, fill, results_folder
 from vprbench.interface import BadInput
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
-from vprbench.records import Failure, Run, Store
+from vprbench.records import Failure, Run
+from vprbench.store import Store
+from vprbench.sweep import Ending
 
 Part = TypeVar("Part")
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
@@ -153,10 +155,18 @@ def material(
 
 
 def stored(asked: Asked) -> tuple[list[Run], list[Failure]]:
-    """Return what the store holds, and those of other machines; what is in several is there once."""
+    """Return what the store holds, and those of other machines; what is in several is there once.
+
+    A run of a layout that did not hold yet on what its method was tuned is told it by today's yaml.
+    """
+    known = registry.entries("method")
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
-    return list(runs.values()), [failure for store in stores for failure in store.failures()]
+    told = [
+        replace(run, tuned_on=known[run.method].tuned_on) if run.tuned_on is None and run.method in known else run
+        for run in runs.values()
+    ]
+    return told, [failure for store in stores for failure in store.failures()]
 
 
 def wanted(chosen: Chosen, column: ColumnAsked, rows: Sequence[Row]) -> Iterator[Wanted]:
@@ -227,7 +237,8 @@ def _left_out(smaller: ColumnAsked | None, shown: set[str]) -> str:
 def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
     """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
 
-    A method that the plan has under its own name, and no arguments, is that row.
+    A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
+    from it: it trains, and gets the plan's seeds.
     """
     planned = {**plan.rows, **plan.more_rows}
     if name in planned:
@@ -235,10 +246,15 @@ def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
     for row in planned.values():
         if row.method == name and not row.arguments:
             return row
-    known = {*registry.entries("method"), *(run.method for run in stored(asked)[0])}
+    entries, runs = registry.entries("method"), stored(asked)[0]
+    known = {*entries, *(run.method for run in runs)}
     if name not in known:
         raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
-    return Row(name, name)
+    if name in entries:
+        seeded = "seed" in entries[name].options
+    else:
+        seeded = any("seed" in run.config.get("method", {}) for run in runs if run.method == name)
+    return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
 
 
 def _default_columns(plan: Plan, asked: Asked) -> list[str]:

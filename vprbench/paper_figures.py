@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,8 +17,10 @@ from vprbench.interface import BadInput
 from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
 from vprbench.plan import Quantity, Row
-from vprbench.records import Run, Store
-from vprbench.replacing import replace_text
+from vprbench.records import Run
+from vprbench.replacing import remove_leftovers, replace_text
+from vprbench.store import Store
+from vprbench.table_formats import shown_as_it_is
 
 if TYPE_CHECKING:
     from vprbench.figures.style import Drawn
@@ -42,14 +44,21 @@ def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
         runs = tuple(stored(asked)[0])
     folder = Path(asked.results).expanduser() / "figures"
     folder.mkdir(parents=True, exist_ok=True)
-    captions = ["# Captions\n"]
+    remove_leftovers(folder)
+    captions: list[tuple[str, str]] = []
     for name, drawn in draw_all(found, runs, growth, asked):
         paths = write(drawn, folder, name)
-        captions.append(f"**{name}.** {drawn.caption}\n")
+        captions.append((name, drawn.caption))
         print(f"{paths[0]} and .png")
-    replace_text(folder / "captions.md", "\n".join(captions))
+    replace_text(folder / "captions.md", listed(captions))
     print(f"what each shows: {folder / 'captions.md'}")
     return exit_code(endings)
+
+
+def listed(captions: Iterable[tuple[str, str]]) -> str:
+    """Return the captions of figures, by their names, as Markdown; what is in them is shown as it is."""
+    lines = (f"**{shown_as_it_is(name)}.** {shown_as_it_is(caption)}\n" for name, caption in captions)
+    return "\n".join(["# Captions\n", *lines])
 
 
 def draw_all(

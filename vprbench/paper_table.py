@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vprbench import table_formats, tables
-from vprbench.fill import Ending
 from vprbench.paper import Asked, Compose, Material, gather
-from vprbench.records import Store
 from vprbench.replacing import replace_text
+from vprbench.store import Store
+from vprbench.sweep import Ending
 
 
 def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
     found = gather(asked, options, compose)
     folder = Path(asked.results).expanduser()
+    print(table_formats.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
     written = write(found, folder, file_name(asked))
-    print(table_formats.markdown(found.table), end="")
     print(f"\nwritten to {', '.join(str(path) for path in written)}")
     return exit_code(found.endings)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import re
 import threading
 import time
@@ -17,17 +16,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from vprbench.replacing import replace_bytes
+from vprbench.homes import cache_folder
+from vprbench.replacing import PARTIAL, remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
 
 FORMAT = 1
 _FOLDER = "VPRBENCH_PARTIAL"  # environment variable
-_PART, _UNFINISHED = ".safetensors", ".partial-"  # how the names of files end, or begin
+_PART = ".safetensors"  # how the names of files end
 _SECONDS, _DIGEST = "seconds", "sha256"  # the keys of a file's metadata
 _FORGOTTEN_SECONDS = 30 * 86400.0
 _ATTEMPTS = 5  # to write where another process removes the folder meanwhile
@@ -51,6 +50,7 @@ class Partial:
         self._found: dict[str, float] = {}  # seconds that other runs spent, by part that they left
         self._taken: dict[str, float] = {}  # the same of the parts that this run has asked for
         self._own: dict[str, float] = {}  # seconds that this one spent on the parts that it kept
+        remove_leftovers(folder)
         with suppress(OSError):
             for path in sorted(folder.iterdir()):
                 self._look_at(path)
@@ -115,10 +115,7 @@ class Partial:
         _remove(self._folder)
 
     def _look_at(self, path: Path) -> None:
-        if path.name.startswith(_UNFINISHED):
-            with suppress(OSError):
-                path.unlink()
-        elif path.name.endswith(_PART):
+        if path.name.endswith(_PART):
             try:
                 self._found[path.name.removesuffix(_PART)] = _seconds(path)
             except FileNotFoundError:  # another process has ended the same training
@@ -217,10 +214,7 @@ def training(
 
 def partial_folder() -> Path:
     """Return the folder that keeps partial trainings: VPRBENCH_PARTIAL, or one in the user's cache."""
-    chosen = os.environ.get(_FOLDER)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_cache_path("vprbench", appauthor=False) / "partial"
+    return cache_folder(_FOLDER, "partial")
 
 
 def _write(path: Path, arrays: Arrays, seconds: float) -> None:
@@ -289,6 +283,6 @@ def _remove(folder: Path) -> None:
     """Remove a training; files that are none of ours stay, and their folder with them."""
     with suppress(OSError):
         for path in folder.iterdir():
-            if path.name.startswith(_UNFINISHED) or path.name.endswith(_PART):
+            if path.name.startswith(PARTIAL) or path.name.endswith(_PART):
                 path.unlink(missing_ok=True)
         folder.rmdir()

@@ -14,7 +14,7 @@ from vprbench.interface import BadInput
 
 Quantity = Literal["recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu"]
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
-Training = Literal["own", "none", "pretrained"]
+Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
 
 QUANTITIES: tuple[Quantity, ...] = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
@@ -31,6 +31,11 @@ class Row:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0,)
     most_places: int | None = None  # how many places are its share of 15 minutes; None: any number
+
+    @property
+    def learns_here(self) -> bool:
+        """Tell whether there is a time in which it learns the map, by training or without."""
+        return self.training in ("own", "map")
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,7 @@ class Plan:
     more_rows: Mapping[str, Row]  # on request
     columns: Mapping[str, PlannedColumn]
     growth: Growth
+    seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
 
 
 def read_plan(path: Path) -> Plan:
@@ -92,13 +98,14 @@ def read_plan(path: Path) -> Plan:
         )
         columns = {name: _column(name, given) for name, given in content["columns"].items()}
         growth = _growth(**content["growth"])
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        first, *more_seeds = content["seeds"]
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
     for column in columns.values():
         for named in (column.smaller, column.stand_in_for):
             if named is not None and named not in columns:
                 raise BadInput(f"{path}: column {column.name} names {named}, which is none: there are {[*columns]}")
-    return Plan(rows, more, columns, growth)
+    return Plan(rows, more, columns, growth, (first, *more_seeds))
 
 
 def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from vprbench.interface import Image
+from vprbench.png_pixels import insist_on_pixels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -23,13 +24,16 @@ def decoded(content: bytes) -> Image | None:
     """Return the pixels of a PNG of 8 bits, RGB uint8 (height, width, 3); None for any file that is not plain or whole.
 
     Alpha is dropped and grey repeated. All checksums are compared before OpenCV, which says what it finds wrong on the
-    terminal, sees the file.
+    terminal, sees the file. Raises ValueError for a PNG of any kind whose pixels end early though its checksums fit:
+    Pillow would leave the rest black.
     """
-    if not _is_plain_and_whole(content):
-        return None
-    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    return None if image is None else np.asarray(image, np.uint8)
+    if _is_plain_and_whole(content):
+        flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        if image is not None:
+            return np.asarray(image, np.uint8)
+    insist_on_pixels(content)
+    return None
 
 
 def _is_plain_and_whole(content: bytes) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -70,16 +71,26 @@ class PatchNormalisation:
             for start, block in _blocks(images, _BLOCK, n_bytes):
                 normalise(block, levels[start : start + len(block)])
             return
+        worked: list[float] = []  # seconds of all threads
+
+        def work(block: Sequence[Image], own: npt.NDArray[np.uint8]) -> None:
+            started = time.thread_time()
+            normalise(block, own)
+            worked.append(time.thread_time() - started)
+
+        started, read = time.perf_counter(), images.reading.seconds
         with ThreadPoolExecutor(threads - 1) as pool:
             others: list[Future[None]] = []
             for start, block in _blocks(images, min(_BLOCK, -(-len(images) // threads)), n_bytes):
                 own = levels[start : start + len(block)]
                 if sum(not other.done() for other in others) < threads - 1:
-                    others.append(pool.submit(normalise, block, own))
+                    others.append(pool.submit(work, block, own))
                 else:  # this thread would only wait, with ever more images in memory
-                    normalise(block, own)
+                    work(block, own)
             for other in others:
                 other.result()
+        # Where others worked while this thread waited for images, their work is no reading: it takes as long without.
+        images.reading.limit(read, time.perf_counter() - started - sum(worked) / threads)
 
     def shrink(self, image: Image) -> npt.NDArray[np.float32]:
         """Return the grey, gamma-corrected image as (height, width), levels 0..255."""

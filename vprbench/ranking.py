@@ -49,9 +49,9 @@ def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery |
 
     `positives` holds per query the right places. `ignored` holds per query a wider, soft band: its places
     that are not right are taken out of the ranking, neither rewarded nor punished. A score of -inf marks a
-    place that is no candidate. Scores of another type are compared as float32. Works in blocks, so the memory
-    beside `scores` is small. Raises BadInput for scores that are NaN or +inf and for places that do not
-    exist, ValueError for shapes that do not fit.
+    place that is no candidate. Real scores of another type are compared as float32. Works in blocks, so the memory
+    beside `scores` is small. Raises BadInput for scores that are no real numbers, NaN or +inf and for places that do
+    not exist, ValueError for shapes that do not fit.
     """
     scores = checked_scores(scores)
     n_queries, n_places = scores.shape
@@ -90,12 +90,18 @@ def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
 
 
 def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
-    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is NaN or +inf.
+    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is no real number, NaN or +inf.
 
     `first_query` is the number of the first row in the whole traverse, for the message.
     """
     if np.ndim(scores) != 2 or np.shape(scores)[1] == 0:
         raise ValueError(f"scores must be (n_queries, n_places) with a place or more, not {np.shape(scores)}")
+    scores = np.asarray(scores)
+    if scores.dtype.kind not in "biuf":
+        raise BadInput(
+            f"the scores of query {first_query} and of those after it are of type {scores.dtype}: "
+            "a method must give real numbers, best as float32"
+        )
     with np.errstate(over="ignore"):  # what does not fit into float32 becomes infinite and is refused below
         scores = np.asarray(scores, dtype=np.float32)
     best = scores.max(axis=1)  # NaN wins every maximum

@@ -1,40 +1,37 @@
-"""One finished run, and the store of runs on disk: atomic, checked, without pickle."""
+"""One finished run, or its failure, and the files that hold it: checked, without pickle."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import logging
 import os
-import shutil
-import socket
-import uuid
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 
-from vprbench.interface import BadInput
 from vprbench.ranking import Outcome
-from vprbench.replacing import move_folder
+from vprbench.record_rules import check_arrays, check_failure, check_summary
 from vprbench.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 5
-_SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
-_PARTIAL = ".partial-"
-_DAMAGED = ".damaged"
-_FAILURE_KEYS = 3  # the layout whose number is in the key of a failure: what failed under it is still found
+SCHEMA = 6
+SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
+_LARGEST_SUMMARY = 1 << 26  # bytes
 
 
 class DamagedRunError(Exception):
     """A folder of the store does not hold a whole run; the message says what is wrong with it."""
+
+
+class UnreadableRunError(Exception):
+    """The system refuses to read a run, which may be whole; the message says why."""
 
 
 class NewerLayoutError(Exception):
@@ -71,6 +68,21 @@ class Run:
     spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
+    tuned_on: Mapping[str, Any] | None = field(default_factory=dict)  # TunedOn; empty: nothing; None: older runs
+
+    @property
+    def training_seconds(self) -> float | None:
+        """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
+
+        None where nothing was fitted.
+        """
+        return None if self.fit_seconds is None else self.fit_seconds + self.timing.first_query_excess_seconds
+
+    @property
+    def training_compute_seconds(self) -> float | None:
+        """The same without the time that the method waited for images."""
+        computing = self.fit_compute_seconds
+        return None if computing is None else computing + self.timing.first_query_excess_seconds
 
 
 @dataclass(frozen=True)
@@ -91,175 +103,48 @@ def content_key(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class Store:
-    """A results folder: `<dataset>/<method>-<key>/` holds one run. Several processes may write to it at once."""
-
-    def __init__(self, root: Path, read_only: bool = False) -> None:
-        """Use the folder `root`, where nothing is written yet, or never where it is only read."""
-        self.root = root
-        self.read_only = read_only
-
-    def prepare(self) -> None:
-        """Make the folder and see that it can be written; raises BadInput before work is wasted on a run."""
-        self._insist_on_writing()
-        try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            self._remove_leftovers()
-            self._partial().rmdir()
-        except OSError as error:
-            raise BadInput(
-                f"results={self.root} cannot be written ({error.strerror or error}): "
-                "choose another folder with results=..."
-            ) from error
-
-    def folder(self, dataset: str, method: str, key: str) -> Path:
-        """Return where a run with this key lies, or would lie."""
-        return self.root / dataset / f"{method}-{key}"
-
-    def find(self, dataset: str, method: str, key: str) -> Run | None:
-        """Return the stored run with this key; a damaged one is set aside by name and counts as absent."""
-        return self._load(self.folder(dataset, method, key))
-
-    def runs(self) -> Iterator[Run]:
-        """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
-        for folder in self._folders():
-            if (folder / _SUMMARY).exists():
-                run = self._load(folder)
-                if run is not None:
-                    yield run
-
-    def failures(self) -> Iterator[Failure]:
-        """Yield every stored failure; a damaged one is named in a warning and left out."""
-        for folder in self._folders():
-            failure = _read_failure(folder)
-            if failure is not None:
-                yield failure
-
-    def save(self, run: Run) -> Path:
-        """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
-        self._insist_on_writing()
-        folder = self.folder(run.dataset, run.method, run.key)
-        try:
-            partial = self._partial()
-            try:
-                _write(run, partial)
-                move_folder(partial, folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
-            shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
-        except OSError as error:
-            raise BadInput(
-                f"the run could not be stored in {folder} ({error.strerror or error}): nothing was left there; "
-                "make room or choose another folder with results=..."
-            ) from error
-        return folder
-
-    def save_failure(self, failure: Failure) -> Path:
-        """Store that a run ended in an error, until a run of the same configuration succeeds."""
-        self._insist_on_writing()
-        folder = self._failure_folder(failure.method, failure.dataset, failure.config)
-        try:
-            partial = self._partial()
-            try:
-                _write_json(partial / _FAILURE, asdict(failure))
-                move_folder(partial, folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
-        except OSError as error:
-            raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
-        return folder
-
-    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
-        """Return how the last run of this configuration failed, None if it did not."""
-        return _read_failure(self._failure_folder(method, dataset, config))
-
-    def _folders(self) -> list[Path]:
-        """Return the folders of all datasets, by dataset and name."""
-        return [folder for dataset in _visible(self.root) for folder in _visible(dataset)]
-
-    def _insist_on_writing(self) -> None:
-        if self.read_only:
-            raise RuntimeError(f"the store {self.root} was opened to be read only")
-
-    def _load(self, folder: Path) -> Run | None:
-        """Read a run; a damaged one is set aside, one that another process replaces meanwhile is read again."""
-        while (before := _identity(folder)) is not None:
-            try:
-                return load(folder)
-            except NewerLayoutError as error:
-                logger.warning("%s is left as it is: %s", folder, error)
-                return None
-            except DamagedRunError as error:
-                if _identity(folder) == before:
-                    self._set_aside(folder, str(error))
-                    return None
-        return None
-
-    def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
-        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
-        return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
-
-    def _partial(self) -> Path:
-        """Make a folder that no reader looks at, named after this process."""
-        folder = self.root / f"{_PARTIAL}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-        folder.mkdir()
-        return folder
-
-    def _remove_leftovers(self) -> None:
-        """Remove what killed processes of this machine left unfinished."""
-        prefix = f"{_PARTIAL}{socket.gethostname()}-"
-        for folder in self.root.glob(f"{prefix}*"):
-            pid = folder.name.removeprefix(prefix).split("-")[0]
-            if pid.isdigit() and not psutil.pid_exists(int(pid)):
-                with contextlib.suppress(NewerLayoutError):  # the program that wrote it knows what to do
-                    self._put_back(folder)
-                    shutil.rmtree(folder, ignore_errors=True)
-
-    def _put_back(self, folder: Path) -> None:
-        """Return a run whose replacement never arrived to its place."""
-        if "-replaced-" in folder.name:
-            with contextlib.suppress(DamagedRunError, OSError):  # damaged, or replaced after all
-                run = load(folder)
-                folder.rename(self.folder(run.dataset, run.method, run.key))
-
-    def _set_aside(self, folder: Path, reason: str) -> None:
-        if self.read_only:
-            logger.warning("%s cannot be used (%s)", folder, reason)
-            return
-        aside = folder.with_name(f"{_DAMAGED}-{folder.name}-{uuid.uuid4().hex[:8]}")
-        try:
-            folder.rename(aside)
-        except OSError:
-            logger.warning("%s cannot be used (%s) and could not be set aside", folder, reason)
-        else:
-            logger.warning("%s cannot be used (%s): set aside as %s", folder, reason, aside.name)
-
-
 def load(folder: Path) -> Run:
     """Read a run of this or an earlier layout; what that did not hold yet is None, or empty.
 
-    Raises DamagedRunError where a part is missing or changed, NewerLayoutError for a layout that is not known yet.
+    Raises DamagedRunError where a part is missing, changed or cannot be, UnreadableRunError where the system does not
+    let it be read, NewerLayoutError for a layout that is not known yet.
     """
     try:
-        summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
-        layout = summary["schema"]
-        if layout > SCHEMA:
-            raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
-        if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
-            raise DamagedRunError(f"{_SUMMARY} is not what was written")
-        summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
-        _name_protocol(summary)
-        for name, digest in summary["sha256"].items():
-            if _digest(folder / name) != digest:
+        summary = _summary(_content(folder / SUMMARY, _LARGEST_SUMMARY))
+        digests = summary["sha256"]
+        for name, digest in digests.items():
+            if _digest(_regular(folder / name)) != digest:
                 raise DamagedRunError(f"{name} is not what was written")
         with np.load(folder / _ARRAYS, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        scores = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False) if _SCORES in summary["sha256"] else None
-        return _from_parts(summary, arrays, scores)
+        if _SCORES in digests:
+            arrays["scores"] = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False)
+        check_arrays(summary, arrays)
+        return _from_parts(summary, arrays)
     except (DamagedRunError, NewerLayoutError):
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DamagedRunError(f"{Path(error.filename).name} is missing") from error
+    except (OSError, MemoryError) as error:
+        raise UnreadableRunError(_reason(error)) from error
+    except Exception as error:  # what is wrong inside of a file may upset its reader in any way
         raise DamagedRunError(f"{type(error).__name__}: {error}") from error
+
+
+def _summary(content: bytes) -> dict[str, Any]:
+    """Return what is no array of a run, checked, and in the words of this layout."""
+    summary: dict[str, Any] = json.loads(content)
+    layout = summary["schema"]
+    if type(layout) is not int or layout < 1:
+        raise DamagedRunError(f"its layout is {layout!r}")
+    if layout > SCHEMA:
+        raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
+    if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
+        raise DamagedRunError(f"{SUMMARY} is not what was written")
+    summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
+    check_summary(summary)
+    _name_protocol(summary)
+    return summary
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
@@ -282,6 +167,7 @@ _PLAIN = (
     "method_seconds",
     "spikes",
     "data",
+    "tuned_on",
 )
 _WITH_PROTOCOLS = frozenset(  # datasets that came to have two
     f"vprbench.datasets.{name}.{name}" for name in ("nordland", "oxford_robotcar", "street", "synthetic")
@@ -292,6 +178,7 @@ _ADDED: Mapping[str, tuple[int, Any]] = {  # the layout that first held it, and 
     "search": (3, None),
     "spikes": (4, None),
     "data": (5, {}),
+    "tuned_on": (6, None),
 }
 
 
@@ -308,7 +195,8 @@ def _name_protocol(content: dict[str, Any]) -> None:
         content["protocol"] = {"protocol": "vprtempo", **recorded, **follow}
 
 
-def _write(run: Run, folder: Path) -> None:
+def write(run: Run, folder: Path) -> None:
+    """Write a run into an empty folder, its summary last; raises OSError where the disk refuses."""
     laps = {"streaming": run.timing.streaming}
     laps |= {f"offline_{number}": laps for number, laps in enumerate(run.timing.offline)}
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
@@ -335,12 +223,10 @@ def _write(run: Run, folder: Path) -> None:
         "timing": plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
-    _write_json(folder / _SUMMARY, {**summary, "content_key": content_key(summary)})
+    _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
-def _from_parts(
-    summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]], scores: npt.NDArray[np.float32] | None
-) -> Run:
+def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
     def laps(name: str, images_per_call: int, valid: bool) -> Laps:
         return Laps(arrays[f"{name}_encode_seconds"], arrays[f"{name}_match_seconds"], images_per_call, valid)
 
@@ -366,21 +252,28 @@ def _from_parts(
         positives=tuple(np.split(arrays["positives"], ends)),
         top_places=arrays["top_places"],
         top_scores=arrays["top_scores"],
-        scores=scores,
+        scores=arrays.get("scores"),
         place_numbers=arrays.get("place_numbers"),
     )
 
 
-def _read_failure(folder: Path) -> Failure | None:
+def write_failure(failure: Failure, folder: Path) -> None:
+    """Write a failure into an empty folder; raises OSError where the disk refuses."""
+    _write_json(folder / _FAILURE, asdict(failure))
+
+
+def read_failure(folder: Path) -> Failure | None:
     """Read a failure, of an earlier or later version too; None where there is none or, with a warning, none whole."""
+    path = folder / _FAILURE
     try:
-        content = json.loads((folder / _FAILURE).read_text("utf-8"))
+        content = json.loads(_content(path, _LARGEST_SUMMARY))
+        check_failure(content)
         _name_protocol(content)
         return Failure(**{part.name: content[part.name] for part in fields(Failure) if part.name in content})
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        logger.warning("%s cannot be read (%s)", folder / _FAILURE, error)
+    except (OSError, MemoryError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        logger.warning("%s cannot be used (%s)", path, _reason(error))
         return None
 
 
@@ -391,23 +284,25 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
         os.fsync(file.fileno())
 
 
-def _visible(folder: Path) -> list[Path]:
-    """Return the folders in a folder, by name, without those that no reader looks at."""
-    try:
-        return sorted(path for path in folder.iterdir() if not path.name.startswith(".") and path.is_dir())
-    except FileNotFoundError:
-        return []
+def _content(path: Path, most_bytes: int) -> bytes:
+    with _regular(path).open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise ValueError(f"{path.name} is larger than {most_bytes} bytes")
+    return content
 
 
-def _identity(folder: Path) -> tuple[int, int] | None:
-    """Return what tells a folder from its replacement of the same name; None where there is none."""
-    try:
-        found = folder.stat()
-    except FileNotFoundError:
-        return None
-    return found.st_ino, found.st_mtime_ns  # a number may be used again
+def _regular(path: Path) -> Path:
+    """Return the path of a file; raises ValueError for a pipe or a device, which might never end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError(f"{path.name} is no file")
+    return path
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

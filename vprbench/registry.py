@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib.util
 import inspect
 import json
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, is_dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal, cast, get_type_hints
+from typing import Any, Literal, cast, get_args, get_type_hints
 
 import yaml
 from hydra.core.config_search_path import ConfigSearchPath
@@ -20,13 +21,17 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from vprbench import ending
 from vprbench.interface import BadInput, Dataset, Method
+from vprbench.returned_dataset import disk_errors_told, insist_on_dataset
+from vprbench.tuned import TunedOn
 
 Group = Literal["method", "dataset"]
 
 ENTRY_POINTS = "vprbench.conf"
 
-_NO_CHOICE = ("_target_", "defaults", "seed", "device")  # what every run sets for itself
+_DECLARED = "tuned_on"  # of a method: what its yaml says of its settings, no argument
+_NO_CHOICE = ("_target_", "defaults", "seed", "device", _DECLARED)  # what every run sets for itself
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,16 @@ class Entry:
     def options(self) -> list[str]:
         """The names of the arguments that the yaml holds, those of the one it builds on included."""
         content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
-        names = [name for name in content if name not in ("_target_", "defaults")]
+        names = [name for name in content if name not in ("_target_", "defaults", _DECLARED)]
         return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
+
+    @property
+    def tuned_on(self) -> dict[str, Any]:
+        """Return the places on which the yaml, or what it builds on, says that its settings were chosen.
+
+        These are the values of `TunedOn`; empty where none are declared. Raises BadInput that names the yaml.
+        """
+        return _tuned_on(self._values().get(_DECLARED), self.path)
 
     def changed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Return those of `arguments` that differ from what the yaml holds, the values of those it builds on included.
@@ -92,43 +105,81 @@ class Entry:
 def entries(group: Group) -> dict[str, Entry]:
     """Return the registered methods or datasets by name; imports none of them.
 
-    Of several with one name this project's own comes first.
+    Of several with one name it is this project's own, or none.
     """
-    found: dict[str, Entry] = {}
+    usable = {name: few[0] for name, few in _offered(group).items() if len(few) == 1 or few[0].provider == "vprbench"}
+    return dict(sorted(usable.items()))
+
+
+def insist_on_one(group: Group, name: str) -> None:
+    """Raise BadInput where several plug-ins bring a method or dataset of one name."""
+    offers = _offered(group).get(name, ())
+    if len(offers) > 1 and offers[0].provider != "vprbench":
+        both = " and ".join(entry.provider for entry in offers)
+        raise BadInput(f"{group}={name} comes from plug-ins {both}, and none is used: rename or uninstall one")
+
+
+def _offered(group: Group) -> dict[str, list[Entry]]:
+    """Return all methods or datasets by name, this project's own first."""
+    offered: dict[str, list[Entry]] = {}
     for provider, folder in conf_folders().items():
         for path in sorted((folder / group).glob("*.yaml")):
-            found.setdefault(path.stem, Entry(group, path.stem, path, provider))
-    return dict(sorted(found.items()))
+            offered.setdefault(path.stem, []).append(Entry(group, path.stem, path, provider))
+    return offered
 
 
 def conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by provider: this project's and those of plug-ins."""
     folders = {"vprbench": _package_folder("vprbench.conf")}
-    for point in _plugin_points():
-        try:
-            folders[point.name] = _package_folder(point.value)
-        except ModuleNotFoundError:
-            continue  # `broken_plugins` names it
+    for name, points in _plugin_points().items():
+        with contextlib.suppress(ModuleNotFoundError):  # `broken_plugins` names it
+            if len(points) == 1 and name != "vprbench":
+                folders[name] = _package_folder(points[0].value)
     return folders
 
 
-def broken_plugins() -> dict[str, str]:
-    """Return the installed plug-ins whose configuration folder is missing, with the reason."""
-    broken = {}
-    for point in _plugin_points():
+def broken_plugins() -> Iterator[tuple[str, str]]:
+    """Yield the installed plug-ins of which something is not used, with the reason."""
+    for name, points in _plugin_points().items():
+        if len(points) > 1 or name == "vprbench":
+            packages = " and ".join(point.dist.name if point.dist else point.value for point in points)
+            owners = packages + " and by this project" * (name == "vprbench")
+            yield name, f"the entry point is named so by {owners}, and no plug-in of that name is used"
+            continue
         try:
-            folder = _package_folder(point.value)
+            folder = _package_folder(points[0].value)
         except ModuleNotFoundError as error:
-            broken[point.name] = str(error)
+            yield name, str(error)
         else:
             if not folder.is_dir():
-                broken[point.name] = f"{folder} does not exist"
-    return broken
+                yield name, f"{folder} does not exist"
+    for group in get_args(Group):
+        for name, offers in _offered(group).items():
+            for entry in offers[len(offers) == 1 or offers[0].provider == "vprbench" :]:
+                others = " and ".join(other.provider for other in offers if other is not entry)
+                yield entry.provider, f"its {group} {name} is not used, for {others} has one of that name too"
+
+
+def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments in a method's configuration, and apart from them on what its settings were chosen.
+
+    Raises BadInput where a registered method was asked for with another `tuned_on` than its yaml has.
+    """
+    entry = entries("method").get(name)
+    asked = _tuned_on(config.get(_DECLARED), f"method {name}")
+    if entry is not None and asked != entry.tuned_on:
+        raise BadInput(f"method.{_DECLARED}={asked or None}: what {name} was tuned on is told by {entry.path} alone")
+    return arguments(config), asked
+
+
+def arguments(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a method's configuration without what its yaml declares beside the arguments."""
+    return {name: value for name, value in config.items() if name != _DECLARED}
 
 
 def make_method(config: Mapping[str, Any]) -> Method:
     """Build a method from its configuration; raises BadInput for arguments that do not fit."""
-    method = _build("method", config)
+    method = _build("method", arguments(config))
     if not isinstance(method, Method):
         raise BadInput(f"{config['_target_']} made a {type(method).__name__}; a method has to subclass Method")
     return method
@@ -136,18 +187,9 @@ def make_method(config: Mapping[str, Any]) -> Method:
 
 def make_dataset(config: Mapping[str, Any]) -> Dataset:
     """Build a dataset from its configuration; raises BadInput for arguments or data that do not fit."""
-    dataset = _build("dataset", config)
-    if not isinstance(dataset, Dataset):
-        raise BadInput(f"{config['_target_']} gave {type(dataset).__name__}; it has to return a Dataset")
-    from vprbench.images import Images  # a list of names needs none
-
-    for part, images in (("references", dataset.references), ("queries", dataset.queries)):
-        if not isinstance(images, Images):
-            raise BadInput(
-                f"{config['_target_']} gave {part} of type {type(images).__name__}; wanted is vprbench.images.Images, "
-                "by Images.from_files(paths) or Images.from_arrays(arrays)"
-            )
-    return dataset
+    with disk_errors_told(str(config.get("name", ""))):
+        dataset = _build("dataset", config)
+    return insist_on_dataset(dataset, config["_target_"])
 
 
 def near(name: str, known: Iterable[str]) -> str:
@@ -171,8 +213,12 @@ class _PluginSearchPath(SearchPathPlugin):
                 search_path.append(provider=provider, path=f"file://{folder}")
 
 
-def _plugin_points() -> list[EntryPoint]:
-    return sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name)
+def _plugin_points() -> dict[str, list[EntryPoint]]:
+    """Return the entry points of plug-ins by name; with more than one for a name none of them can be used."""
+    points: dict[str, list[EntryPoint]] = {}
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
+        points.setdefault(point.name, []).append(point)
+    return points
 
 
 def _package_folder(name: str) -> Path:
@@ -193,9 +239,15 @@ def _package_folder(name: str) -> Path:
 def _locate(target: str) -> Callable[..., Any]:
     """Import what a dotted path names; raises BadInput with the reason."""
     try:
+        ending.tell(doing=f"importing {target}")
         found = get_object(target)
-    except Exception as error:  # a plug-in may fail in any way while it is imported, and must hurt only itself
-        reason = str(error.__cause__ or error).splitlines()[0]
+        ending.tell(doing=None)
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # a plug-in may fail in any way, and must hurt only itself
+        cause = error.__cause__ or error
+        reason = (str(cause).splitlines() or [""])[0] or type(cause).__name__
         raise BadInput(f"{target} cannot be imported: {reason}") from error
     if not callable(found):
         raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
@@ -220,6 +272,15 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     if missing:
         raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")
     return target(**arguments)
+
+
+def _tuned_on(given: Any, where: object) -> dict[str, Any]:
+    """Return what a `tuned_on` declares, as plain values; raises BadInput that says where it stands."""
+    if given is None:
+        return {}
+    plain = OmegaConf.to_container(given) if OmegaConf.is_config(given) else given
+    known: TunedOn = checked(f"{where}: {_DECLARED}", plain, TunedOn)
+    return {**asdict(known), "also_in": [*known.also_in]}
 
 
 def checked(option: str, value: Any, hint: Any) -> Any:

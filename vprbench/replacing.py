@@ -7,9 +7,54 @@ import errno
 import os
 import shutil
 import uuid
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
+PARTIAL = ".partial-"  # how the names of what is being written begin: no reader looks at them
+REPLACED = "-replaced-"  # within such a name: a whole folder whose replacement was about to arrive
+FORGOTTEN_SECONDS = 86400.0  # nobody needs so long from one byte of a file to the next
+
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
+
+
+def unfinished(folder: Path, ending: str = "") -> Path:
+    """Return a name in a folder that nobody else has, for what is being written there."""
+    return folder / f"{PARTIAL}{uuid.uuid4().hex}{ending}"
+
+
+def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
+    """Yield what was begun to be written in a folder and was not touched for a day; raises OSError for the folder.
+
+    Age alone tells, by the clock of the disk: the number of a process says nothing of one in another container or on
+    another machine, and several of them may have the same name.
+    """
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.name.startswith(PARTIAL) and path.name.endswith(ending) and REPLACED not in path.name
+    ]
+    if not found:
+        return
+    probe = unfinished(folder)
+    probe.touch()
+    now = probe.stat().st_mtime
+    probe.unlink()
+    for path in found:
+        with suppress(OSError):  # its writer has just finished
+            if now - max(part.stat().st_mtime for part in (path, *path.rglob("*"))) > FORGOTTEN_SECONDS:
+                yield path
+
+
+def remove_leftovers(folder: Path, ending: str = "") -> None:
+    """Remove what killed processes left unfinished in a folder, under names that end so; what refuses stays."""
+    with suppress(OSError):
+        for path in leftovers(folder, ending):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                with suppress(OSError):
+                    path.unlink()
 
 
 def replace_text(path: Path, content: str) -> None:
@@ -19,7 +64,7 @@ def replace_text(path: Path, content: str) -> None:
 
 def replace_bytes(path: Path, content: bytes) -> None:
     """Write a file so that a reader sees the old or the new one, never a part."""
-    partial = path.with_name(f".partial-{path.name}-{uuid.uuid4().hex[:8]}")
+    partial = unfinished(path.parent)
     try:
         partial.write_bytes(content)
         partial.replace(path)
@@ -31,7 +76,8 @@ def move_folder(partial: Path, folder: Path) -> None:
     """Rename a complete folder to its final name; of several writers of one name the last one stays.
 
     What was replaced is left to be removed under the name `partial`, where the system can exchange two folders. There a
-    reader finds the old run or the new one at any time, elsewhere for a moment none.
+    reader finds the old run or the new one at any time, elsewhere for a moment none. Where the final folder is on
+    another disk, by way of a link, it is copied there first; `partial` then stays for the caller to remove.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     aside: list[Path] = []
@@ -39,12 +85,15 @@ def move_folder(partial: Path, folder: Path) -> None:
         try:
             partial.rename(folder)
         except OSError as error:
+            if error.errno == errno.EXDEV:
+                _move_copy(partial, folder)
+                return
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
             try:
                 if exchange(partial, folder):
                     break
-                replaced = partial.with_name(f"{partial.name}-replaced-{uuid.uuid4().hex[:8]}")
+                replaced = partial.with_name(f"{partial.name}{REPLACED}{uuid.uuid4().hex[:8]}")
                 folder.rename(replaced)
             except FileNotFoundError:
                 continue  # another process has just replaced it
@@ -55,6 +104,16 @@ def move_folder(partial: Path, folder: Path) -> None:
         raise OSError(f"{folder} is being replaced by others all the time")
     for replaced in aside:
         shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _move_copy(partial: Path, folder: Path) -> None:
+    """Copy a folder to the disk of its final name and rename it there."""
+    there = unfinished(folder.parent)
+    try:
+        shutil.copytree(partial, there)
+        move_folder(there, folder)
+    finally:
+        shutil.rmtree(there, ignore_errors=True)
 
 
 def exchange(first: Path, second: Path) -> bool:

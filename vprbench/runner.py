@@ -29,7 +29,6 @@ from vprbench.search import Audit, Search
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
-_BLOCK_BYTES = 1 << 28  # of decoded images in such a block
 _BLOCK_CELLS = 1 << 25  # scores of such a block
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
@@ -37,7 +36,7 @@ _SPIKING = 256  # queries whose spikes are counted, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
-_CACHING = 0.75  # known images that need less than this share of the time of new ones are suspicious
+_CACHING = 0.9  # known images that need less than this share of the time of new ones are suspicious
 Answer = TypeVar("Answer")
 
 _NO_FILES = networks.Files()  # a run that neither loads nor stores a network
@@ -135,11 +134,13 @@ def run(
         answers = _Answers(dataset, config["depth"])
         audited = _Audited(method, len(dataset.queries))
         with stopwatch.lap() as querying:
+            first_query = stopwatch.first_query(method, dataset.queries.unnamed())
+            answers.method_seconds += first_query
             from_cache = _answer(stopwatch, method, dataset, described, answers, audited)
     harness = querying[0] - answers.method_seconds - (dataset.queries.reading.seconds - before)
 
     with stopwatch.lap() as measuring:
-        timing = stopwatch.measure(method, dataset.queries.unnamed())
+        timing = stopwatch.measure(method, dataset.queries.unnamed(), first_query)
     progress.report("timing", 1.0)
 
     pressure = environment.cpu_pressure()
@@ -168,6 +169,7 @@ def run(
             *learnt.notes,
             *method.notes(),
             *_cache_notes(dataset, learnt.from_cache, from_cache),
+            *_late_notes(timing, learnt.fit_seconds is not None),
             *_notes(slowdown, pressure, timing, answers),
             *_search_notes(search),
             *spike_notes,
@@ -217,8 +219,8 @@ class _Answers:
     def add(self, n_queries: int, scores: Scores, seconds: float) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
         wanted = (n_queries, self._shape[1])
-        if scores.shape != wanted:
-            raise BadInput(f"the method gave scores of shape {scores.shape}; wanted {wanted}, one for each place")
+        if np.shape(scores) != wanted:
+            raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
         scores = checked_scores(scores, self.done)
         self.outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
         rows = max(1, _RANKED_CELLS // scores.shape[1])
@@ -229,7 +231,7 @@ class _Answers:
         self.top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
         self.top_scores.append(np.take_along_axis(values, order, axis=1))
         if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
-            self.kept.append(scores)
+            self.kept.append(scores.copy())  # a method may use its array again
         self.done += len(scores)
         self.method_seconds += seconds
 
@@ -252,10 +254,9 @@ class _Audited:
             self.codes.append(codes[rows])
 
 
-def _block_size(method: Method, queries: Images, n_places: int) -> int:
-    """Return how many queries are decoded and scored together, fewer where images or codes are large or places many."""
-    fitting = max(1, min(_BLOCK, _BLOCK_BYTES // queries[0].nbytes, _BLOCK_CELLS // n_places))
-    return held_together(method, fitting)
+def _block_size(method: Method, n_places: int) -> int:
+    """Return how many queries are scored together at most, fewer where codes are large or places many."""
+    return held_together(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
 
 
 def _timed(stopwatch: Stopwatch, call: Callable[[], Answer]) -> tuple[Answer, float]:
@@ -284,9 +285,10 @@ def _answer(
     if described is not None:
         return _answer_from_descriptors(stopwatch, method, dataset, described, answers, audited)
     queries = dataset.queries.unnamed()
-    for block in queries.blocks(_block_size(method, queries, dataset.n_places)):
+    for block in queries.blocks(_block_size(method, dataset.n_places)):
         answers.add(len(block), *_query(stopwatch, method, block, audited, answers.done))
         progress.report("query", answers.done / len(queries))
+        del block  # or it would be held while the next one is decoded
     return False
 
 
@@ -309,7 +311,7 @@ def _answer_from_descriptors(
     descriptors, from_cache = described.descriptors(
         queries, encode, lambda done: progress.report("query", done / len(queries))
     )
-    size = _block_size(method, queries, dataset.n_places)
+    size = _block_size(method, dataset.n_places)
     for start in range(0, len(queries), size):
         codes = descriptors[start : start + size]
         audited.take(answers.done, codes)
@@ -324,6 +326,15 @@ def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[
     if kept:
         nothing = "nothing was encoded" if references and queries else "none of these was encoded"
         yield f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
+
+
+def _late_notes(timing: Timing, trained: bool) -> Iterator[str]:
+    """Yield what the first query did that later ones do not."""
+    if timing.first_query_excess_seconds:
+        use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
+        seconds = timing.first_query_seconds
+        times = seconds / float(np.median(timing.streaming.total_seconds))
+        yield f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}"
 
 
 def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[str]:
@@ -369,8 +380,9 @@ def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
     wanted = held_together(method, min(_SPIKING, len(queries)))
     chosen = queries.unnamed()[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
     try:
-        blocks = chosen.blocks(_block_size(method, chosen, 1))
-        return spikes.summary(method.spikes(np.concatenate([method.encode(block) for block in blocks]))), ()
+        blocks = chosen.blocks(_block_size(method, 1))
+        codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
+        return spikes.summary(method.spikes(codes)), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (f"no spikes were counted ({type(error).__name__}: {reason})",)

@@ -20,6 +20,8 @@ Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
 
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
+_LATE = 10  # times the median, beyond which a first query is no usual one
+_BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
 _STEADY_QUERIES = 10
 _STEADY_SPREAD = 0.1
 
@@ -78,7 +80,7 @@ class Laps:
 class Timing:
     """All that was measured of one method's queries."""
 
-    first_query_seconds: float
+    first_query_seconds: float  # of the first one after the fit
     warmup_queries: int
     streaming: Laps
     offline: tuple[Laps, ...]  # one per batch size
@@ -86,6 +88,16 @@ class Timing:
     answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 where not reached
     repeated_seconds: float  # median of images asked a second time in a row
     unseen_seconds: float = 0.0  # median of images never shown before: a method that caches is slower there
+
+    @property
+    def first_query_excess_seconds(self) -> float:
+        """What the first query took beyond a usual one; 0 up to ten times the median, and where that is too brief.
+
+        So much of the training can have been left to it, and a method gains nothing by that.
+        """
+        usual = float(np.median(self.streaming.total_seconds))
+        excess = self.first_query_seconds - usual
+        return excess if self.first_query_seconds > _LATE * usual and excess > _BRIEF_SECONDS else 0.0
 
 
 @dataclass(frozen=True)
@@ -124,11 +136,18 @@ class Stopwatch:
         self._synchronise()
         seconds.append((self._clock() - start) / 1e9)
 
-    def measure(self, method: Method, images: Images) -> Timing:
-        """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller."""
-        count = min(len(images), self._protocol.sample, max(1, _SAMPLE_BYTES // images[0].nbytes))
-        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
-        sample = images[chosen].in_memory()
+    def first_query(self, method: Method, images: Images) -> float:
+        """Return the seconds of the first of `images`, decoded beforehand."""
+        encode, match, _ = self._call(method, images[:1].in_memory())
+        return encode + match
+
+    def measure(self, method: Method, images: Images, first_query_seconds: float | None = None) -> Timing:
+        """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
+
+        Where the method was asked before, `first_query_seconds` is what its first query took.
+        """
+        chosen = _sample(images, self._protocol.sample)
+        sample, count = images[chosen].in_memory(), len(chosen)
         singles = [sample[np.array([i])] for i in range(count)]
         with _garbage_kept():
             progress.report("timing", 0.0)
@@ -141,6 +160,7 @@ class Stopwatch:
             for done, size in enumerate(sizes):
                 progress.report("timing", 0.3 + 0.7 * done / len(sizes))
                 offline.append(self._batches(method, sample, size))
+        first = first if first_query_seconds is None else first_query_seconds
         return Timing(first, warmup, streaming, tuple(offline), chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
@@ -224,6 +244,17 @@ class Stopwatch:
 
     def _late(self, started: int) -> bool:
         return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds
+
+
+def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
+    """Return `wanted` images spread over all, fewer where these would fill more than the bytes that may be held."""
+    count = min(len(images), wanted)
+    while True:
+        chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)
+        n_bytes = images[chosen].decoded_bytes()
+        if n_bytes <= _SAMPLE_BYTES or count == 1:
+            return chosen
+        count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
 
 
 def streaming_rate(seconds: Seconds) -> Rate:

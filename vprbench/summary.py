@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vprbench.intervals import block_bootstrap, wilson
-from vprbench.metrics import auc, average_precision, hits_at, pr_curve, recall_at
+from vprbench.intervals import WiderInterval
+from vprbench.metrics import auc, average_precision, pr_curve, recall_at
+from vprbench.recall_intervals import recall_interval
 from vprbench.records import Run
 from vprbench.stopwatch import best_batch, offline_rate, streaming_rate
 from vprbench.tolerance import hits_within
 
 RECALLS = (1, 5, 10, 25)
-_BLOCK = 10  # consecutive queries, which see nearly the same
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,7 @@ class Summary:
     """Accuracy and speed of one run; recalls are shares of all queries, expected values under ties."""
 
     recalls: dict[int, float | None]  # None where no query has a right place
-    recall_at_1_low: float | None  # Wilson, 95 %
-    recall_at_1_high: float | None
-    recall_at_1_block_low: float | None  # bootstrap of blocks of consecutive queries, 95 %; None for fewer than two
-    recall_at_1_block_high: float | None
+    recall_at_1_interval: WiderInterval | None  # 95 %
     recall_at_1_answerable: float | None  # of the queries that have a right place
     recall_at_1_pessimistic: float | None  # ties broken against the method
     recall_at_1_optimistic: float | None
@@ -53,19 +50,13 @@ def summarise(run: Run) -> Summary:
     everything = {n: recall_at(run.outcome, n) for n in RECALLS}
     first = everything[1]
     answerable = recall_at(run.outcome, 1, "answerable")
-    hits = hits_at(run.outcome, 1)
-    interval = wilson(float(hits.sum()), len(hits)) if first else None
-    blocks = block_bootstrap(hits, _BLOCK) if first else None
     curve = pr_curve(run.outcome, "A")
     streaming = run.timing.streaming
     batch = best_batch(run.timing.offline)
     total = streaming_rate(streaming.total_seconds)
     return Summary(
         recalls={n: recall.expected if recall else None for n, recall in everything.items()},
-        recall_at_1_low=interval.low if interval else None,
-        recall_at_1_high=interval.high if interval else None,
-        recall_at_1_block_low=blocks.low if blocks else None,
-        recall_at_1_block_high=blocks.high if blocks else None,
+        recall_at_1_interval=recall_interval([run]),
         recall_at_1_answerable=answerable.expected if answerable else None,
         recall_at_1_pessimistic=first.pessimistic if first else None,
         recall_at_1_optimistic=first.optimistic if first else None,

@@ -1,37 +1,149 @@
-"""Runs in processes of their own, so that nothing of one can reach the next: sweeps, and what the table lacks."""
+"""Runs in processes of their own: nothing of one reaches the next, and one that dies without a word is noticed."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, Any
 
 import vprbench
+from vprbench import ending
+from vprbench.printable import printable
+from vprbench.replacing import PARTIAL, remove_leftovers
+
+if TYPE_CHECKING:
+    from vprbench.records import Failure
 
 IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
+_PATIENCE = 1.0  # seconds after which a second interruption ends what the first did not
 
 
-def run_apart(overrides: Sequence[str], stdout: int | None = None) -> subprocess.CompletedProcess[str]:
-    """Run one configuration with the command line of a new process, which ends when this one is told to."""
+@dataclass(frozen=True)
+class Ending:
+    """How one process ended."""
+
+    code: int  # 0: all that was asked for is stored
+    missing: bool = False  # method, weights or frames are not there
+    error: str = ""
+    recorded: bool = False  # whether the store knows of the error
+
+
+def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: bool = True) -> Ending:
+    """Run the command line in a new process, which ends with this one; returns how it ended.
+
+    A process that dies without a word is a failure: one line on standard error, and a record where it had begun a run.
+    Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
+    """
     home = str(Path(vprbench.__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    before = signal.signal(signal.SIGTERM, _end)
+    with scratch() as folder, _signals_passed_on() as (children, signals):
+        left = folder / "ending"
+        given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
+        command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
+        with subprocess.Popen(command, env=given, stdout=stdout) as child:
+            children.append(child)
+            for number in signals:
+                child.send_signal(number)
+            code = child.wait()
+        words = ending.told(left)
+    if signals and (in_sweep or "code" not in words):
+        raise KeyboardInterrupt(signals[0])
+    if "code" not in words:
+        return _dead(code, words)
+    known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}
+    return Ending(**known)  # what happens to a process after its last word changes nothing of what it has stored
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a temporary folder, removed in the end, and remove those that killed processes left behind."""
+    ending = "-vprbench"
+    remove_leftovers(Path(tempfile.gettempdir()), ending)
+    with tempfile.TemporaryDirectory(prefix=PARTIAL, suffix=ending, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+def record(failure: Failure, root: Path) -> None:
+    """Store a failure, where that is possible: the error itself is told in any case."""
+    from vprbench.interface import BadInput
+    from vprbench.store import Store
+
+    with contextlib.suppress(OSError, BadInput):
+        root.mkdir(parents=True, exist_ok=True)
+        Store(root).save_failure(failure)
+
+
+def as_json(failure: Failure) -> str:
+    """Return what a reader of JSON is told of a failure."""
+    return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
+
+
+def _dead(code: int, words: dict[str, Any]) -> Ending:
+    """Say and record that a process ended without saying how."""
+    error = f"ended without a word, with exit code {code}"
+    if code < 0:
+        name = signal.Signals(-code).name
+        error = f"was ended by signal {-code} ({name})"
+        if name == "SIGKILL":
+            error += ", as the system ends what takes more memory than there is"
+        if name == "SIGALRM" and words.get("limit_minutes") is not None:
+            error = f"was not done after limit_minutes={words['limit_minutes']}"
+    if words.get("doing"):
+        error += f" while {words['doing']}"
+    run = words.get("run")
+    whose = "the command" if run is None else f"{run['method']} on {run['dataset']}"
+    with contextlib.suppress(OSError):
+        print(printable(f"vprbench: {whose} {error}"), file=sys.stderr, flush=True)
+    if run is None:
+        return Ending(1, False, error)
+    from vprbench import environment
+    from vprbench.records import Failure
+
+    failure = Failure(**run, error=error, environment=environment.capture("cpu", words["threads"]))
+    record(failure, Path(words["results"]))
+    if words["output"] == "json":
+        print(as_json(failure), flush=True)
+    return Ending(1, False, error, recorded=True)
+
+
+def _flags() -> list[str]:
+    """Return the options of the interpreter that this program was started with."""
+    own = [at for at, pair in enumerate(pairwise(sys.orig_argv)) if pair == ("-m", "vprbench")]
+    return sys.orig_argv[1 : own[0]] if own else ["-P"]  # a program that does not look for modules in its folder
+
+
+@contextlib.contextmanager
+def _signals_passed_on() -> Iterator[tuple[list[subprocess.Popen[bytes]], list[int]]]:
+    """Pass on to children what tells this process to end; yields where they are named, and the signals that came.
+
+    An interruption that is repeated ends the children. One that follows at once is the same: a terminal interrupts all.
+    """
+    children: list[subprocess.Popen[bytes]] = []
+    signals: list[int] = []
+    moments: list[float] = []
+
+    def pass_on(number: int, _: object) -> None:
+        signals.append(number)
+        moments.append(time.monotonic())
+        for child in children:
+            if moments[-1] - moments[0] > _PATIENCE:
+                child.kill()
+            else:
+                child.send_signal(number)
+
+    before = {number: signal.signal(number, pass_on) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        return subprocess.run(
-            [sys.executable, "-m", "vprbench", *overrides],
-            env={**os.environ, IN_SWEEP: "1", "PYTHONPATH": path},
-            stdout=stdout,
-            text=True,
-            check=False,
-        )
+        yield children, signals
     finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _end(number: int, _: object) -> NoReturn:
-    """End this process by an exception, on which `subprocess.run` ends its child too."""
-    raise SystemExit(128 + number)
+        for number, handler in before.items():
+            signal.signal(number, handler)

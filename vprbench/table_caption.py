@@ -5,16 +5,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-
 from vprbench import contests
 from vprbench.absence import one_sentence
 from vprbench.belonging import DEVICES, Device, Group, aside_sentence, options_apart
 from vprbench.cells import Column, TableRow
 from vprbench.comparison import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.entries import RATES, Entry
-from vprbench.intervals import block_bootstrap
-from vprbench.metrics import hits_at
 
 _NAMES: dict[Device, str] = {"cpu": "CPU", "cuda": "GPU"}
 
@@ -34,15 +30,14 @@ def sentences(
     for group, column in zip(groups, columns, strict=True):
         if column.stand_in_for is not None:
             yield f"{column.title} stands in for {column.stand_in_for} and replaces none."
-        if column.remark is not None:
-            yield column.remark
         apart = options_apart(group)
         if apart and sum(other.asked.planned.name == group.asked.planned.name for other in groups) > 1:
             yield f"{column.title}: its runs are of a time when the dataset had other options ({', '.join(apart)})."
+    yield from dict.fromkeys(column.remark for column in columns if column.remark is not None)
     for row in rows:
         yield from _seeds(row, columns)
-    for i, column in enumerate(columns):
-        yield from _blocks(column, [there[i] for there in entries.values()])
+    for column in columns:
+        yield from _blocks(column, rows)
     for name, there in entries.items():
         for entry, device in itertools.product(there, DEVICES):
             found = entry.found[device]
@@ -80,18 +75,12 @@ def _seed_words(seeds: Sequence[int]) -> str:
     return f"seeds {', '.join(first)} and {last}" if first else f"seed {last}"
 
 
-def _blocks(column: Column, entries: Sequence[Entry]) -> Iterator[str]:
-    """Yield how far R@1 can be trusted where neighbouring frames are alike; of several seeds, their mean."""
+def _blocks(column: Column, rows: Sequence[TableRow]) -> Iterator[str]:
+    """Yield how long the blocks are that the intervals of R@1 come from, and where neighbours are as good as apart."""
     parts = []
-    for entry in entries:
-        runs = entry.runs("recall_at_1")
-        if contests.mean_recall(runs) is None:
-            continue
-        interval = block_bootstrap(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0), contests.BLOCK)
-        if interval is not None:
-            parts.append(f"{entry.row.name} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]")
+    for row in rows:
+        measured = row.cells[column.name, "recall_at_1"].measured
+        if measured is not None and measured.block is not None:
+            parts.append(f"{row.name} {measured.block}{' (Wilson)' if measured.interval == 'independent' else ''}")
     if parts:
-        yield (
-            f"{column.title}, 95 % intervals of R@1 that allow for neighbouring frames being alike, in blocks of "
-            f"{contests.BLOCK} frames: {', '.join(parts)}."
-        )
+        yield f"{column.title}, length in queries of the blocks that the intervals of R@1 are of: {', '.join(parts)}."

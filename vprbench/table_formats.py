@@ -28,7 +28,7 @@ from vprbench.plan import QUANTITIES, Quantity
 from vprbench.table_html import html
 from vprbench.table_latex import latex
 
-__all__ = ["csv", "html", "latex", "markdown"]
+__all__ = ["csv", "html", "latex", "markdown", "shown_as_it_is"]
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -36,13 +36,13 @@ _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 def markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
     first, *more = table.caption or ("",)
-    parts = [f"# {TITLE}", _markdown(first)]
+    parts = [f"# {TITLE}", shown_as_it_is(first)]
     for column in table.columns:
-        parts += [f"## {_markdown(column.title)}", _markdown(data(column)), _markdown_table(table, column)]
+        parts += [f"## {shown_as_it_is(column.title)}", shown_as_it_is(data(column)), _markdown_table(table, column)]
     parts += [
-        "\n".join(map(_markdown, more)),
-        "\n".join(f"{i}. {_markdown(note)}" for i, note in enumerate(table.notes, 1)),
-        "\n".join(f"- {mark}: {_markdown(machine)}" for mark, machine in machines(table)),
+        "\n".join(map(shown_as_it_is, more)),
+        "\n".join(f"{i}. {shown_as_it_is(note)}" for i, note in enumerate(table.notes, 1)),
+        "\n".join(f"- {mark}: {shown_as_it_is(machine)}" for mark, machine in machines(table)),
         "\n".join(legend(table)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -63,7 +63,7 @@ def csv(table: Table) -> str:
     return text.getvalue()
 
 
-def _markdown(text: str) -> str:
+def shown_as_it_is(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
     text = escape(one_line(text), quote=False)
     text = re.sub(r"([\\`*#$])", r"\\\1", text)
@@ -84,7 +84,7 @@ def _markdown_table(table: Table, column: Column) -> str:
             lines.append([f"*{SPIKING}*", *[""] * len(QUANTITIES)])
         for row in rows:
             cells = [words(table, row.cells[column.name, quantity], quantity) for quantity in QUANTITIES]
-            lines.append([_markdown(row.name), *map(_markdown_cell, cells)])
+            lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
             if in_paper(row, column):
                 lines.append([f"↳ {PAPER}", *map(_markdown_published, cells)])
     return tables.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
@@ -103,8 +103,8 @@ def _markdown_published(cell: Words) -> str:
 
 
 _CSV_COLUMNS = (
-    *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "spread", "seeds", "total"),
-    *("best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
+    *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
+    *("spread", "seeds", "total", "best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
 )
 
 
@@ -126,7 +126,8 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "notes": "; ".join(one_line(table.notes[number - 1]) for number in cell.notes),
     }
     if cell.measured is not None:
-        line |= {name: getattr(cell.measured, name) for name in ("value", "low", "high", "spread", "best", "disturbed")}
+        copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
+        line |= {name: getattr(cell.measured, name) for name in copied}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
         line["total"] = cell.measured.total
         line["machine"] = one_line(table.machines[cell.measured.machine])

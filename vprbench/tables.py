@@ -8,6 +8,7 @@ import pandas as pd
 
 from vprbench.records import Failure, Run
 from vprbench.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
+from vprbench.tuned import tuned_note
 
 NOTHING = "-"
 _DIGITS = 12  # of a hash that people compare by eye
@@ -15,7 +16,7 @@ _DIGITS = 12  # of a hash that people compare by eye
 
 def label(run: Run | Failure) -> str:
     """Return a method's name with the arguments that were asked for."""
-    asked = [text.removeprefix("method.") for text in run.config["overrides"] if text.startswith("method.")]
+    asked = [text.removeprefix("method.") for text in run.config.get("overrides", ()) if text.startswith("method.")]
     return " ".join([run.method, *asked])
 
 
@@ -36,8 +37,8 @@ def readable_row(run: Run) -> dict[str, str]:
 
 def _fit(run: Run) -> str:
     """Return the seconds of the fit, or what stood in for it."""
-    if run.fit_seconds is not None:
-        return f"{run.fit_seconds:.1f}"
+    if run.training_seconds is not None:
+        return f"{run.training_seconds:.1f}"
     return "kept" if run.network is None else "loaded"
 
 
@@ -54,16 +55,17 @@ def plain_row(row: dict[str, str]) -> str:
     return f"{head}\n" + "  ".join(value.ljust(widths[name]) for name, value in row.items())
 
 
-def numbers(run: Run) -> dict[str, float | int | None]:
+def numbers(run: Run) -> dict[str, float | int | str | None]:
     """Return one run as unrounded numbers, under names that hold their unit."""
     summary = summarise(run)
+    interval = summary.recall_at_1_interval
     search = run.search or {}
     return {
         **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
-        "recall_at_1_low": summary.recall_at_1_low,
-        "recall_at_1_high": summary.recall_at_1_high,
-        "recall_at_1_block_low": summary.recall_at_1_block_low,
-        "recall_at_1_block_high": summary.recall_at_1_block_high,
+        "recall_at_1_low": interval.low if interval else None,
+        "recall_at_1_high": interval.high if interval else None,
+        "recall_at_1_interval": interval.kind if interval else None,
+        "recall_at_1_block": interval.block if interval else None,
         "recall_at_1_answerable": summary.recall_at_1_answerable,
         "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
         "recall_at_1_optimistic": summary.recall_at_1_optimistic,
@@ -72,6 +74,9 @@ def numbers(run: Run) -> dict[str, float | int | None]:
         "average_precision_a": summary.average_precision,
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
+        "first_query_seconds": run.timing.first_query_seconds,
+        "training_seconds": run.training_seconds,
+        "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
         **_named_rates("streaming", summary.streaming),
         "streaming_p90_seconds": summary.streaming_p90_seconds,
@@ -99,7 +104,7 @@ def csv(results: Sequence[Run | Failure]) -> str:
         else:
             frames = {name: result.data.get(name) for name in ("names_sha256", "content_sha256")}
             line |= {"protocol": result.protocol.get("protocol"), **frames}
-            line |= {"error": "", **numbers(result), "network": result.network}
+            line |= {"error": "", **numbers(result), "network": result.network, "tuned_on": tuned_note(result)}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 
@@ -131,10 +136,11 @@ def machine_line(run: Run) -> str:
 
 
 def _recall_with_interval(summary: Summary) -> str:
-    if summary.recall_at_1_low is None or summary.recall_at_1_high is None:
+    interval = summary.recall_at_1_interval
+    if interval is None:
         return "undefined (no query has a right place)"
-    interval = f"[{100 * summary.recall_at_1_low:.1f}, {100 * summary.recall_at_1_high:.1f}]"
-    return f"{_percent(summary.recalls[1])} {interval}{' ties!' if summary.hangs_on_ties else ''}"
+    ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    return f"{_percent(summary.recalls[1])} {ends}{' ties!' if summary.hangs_on_ties else ''}"
 
 
 def _percent(share: float | None) -> str:

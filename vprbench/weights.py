@@ -16,9 +16,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import platformdirs
-
+from vprbench import pickled_scalars
 from vprbench.download import fetch
+from vprbench.homes import cache_folder
 from vprbench.interface import BadInput, NotThere
 
 if TYPE_CHECKING:
@@ -62,10 +62,7 @@ class Weights:
 
 def weights_folder() -> Path:
     """Return the folder that keeps published weights: VPRBENCH_WEIGHTS, or one in the user's cache."""
-    chosen = os.environ.get(_FOLDER)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_cache_path("vprbench", appauthor=False) / "weights"
+    return cache_folder(_FOLDER, "weights")
 
 
 def find(weights: Weights, subject: str, option: str = "weights") -> Path:
@@ -279,7 +276,7 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
     import torch
 
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), pickled_scalars.readable():
             warnings.simplefilter("ignore")  # about what was written by an older torch
             return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
     except pickle.UnpicklingError as error:

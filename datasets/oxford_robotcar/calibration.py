@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
+from vprbench.image_formats import opened
 from vprbench.interface import BadInput, Image, NotThere
 
 from .undistortion import undistort
@@ -108,7 +109,7 @@ def read_calibration(path: Path, camera: Camera) -> Calibration:
 def check_raw(path: Path, camera: Camera) -> None:
     """Raise BadInput for a file that is no raw frame of the camera: grey, 8 bit, of its size."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             _insist_on_raw(path, image, camera)
     except (OSError, SyntaxError) as error:
         raise unreadable(path, error) from error
@@ -117,7 +118,7 @@ def check_raw(path: Path, camera: Camera) -> None:
 def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
     """Read a frame as the camera recorded it, (height, width), one colour a pixel; raises BadInput for any other."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             _insist_on_raw(path, image, camera)
             return np.asarray(image)
     except (OSError, SyntaxError) as error:

@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
+from vprbench.image_formats import opened
 from vprbench.images import Images
 from vprbench.interface import Image
 
@@ -121,7 +122,7 @@ def recorded_calibration(folder: Path) -> str | None:
 def is_made_with(path: Path, calibration: str) -> bool:
     """Tell whether a file is a frame that we made with the calibration of this hash."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             return bool(_mark(image)["calibration"] == calibration)
     except Exception:  # a damaged file may upset its reader in any way
         return False
@@ -130,7 +131,7 @@ def is_made_with(path: Path, calibration: str) -> bool:
 def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
     """Return a frame that was kept; None where it is not there, damaged or made of something else."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             mark = _mark(image)
             pixels = mark.pop("pixels")
             if mark != wanted or image.mode != "RGB":

@@ -6,12 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image as PillowImage
-
+from vprbench.image_formats import opened
 from vprbench.images import Images
 from vprbench.interface import BadInput, FrameFolder
 
-from ..frame_folders import check_folders
+from ..frame_folders import check_folders, files_in
 from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable
 from .kept import KeptFrames, is_made_with, recorded_calibration
 from .lists import RECORDINGS
@@ -124,7 +123,7 @@ def _with_table(sha256: str) -> str:
 
 def _has(folder: Path, names: Sequence[str]) -> bool:
     """Tell whether a folder holds all of the files."""
-    return folder.is_dir() and {*names} <= {entry.name for entry in folder.iterdir()}
+    return folder.is_dir() and {*names} <= files_in(folder)
 
 
 def _is_somebody_elses(folder: Path) -> bool:
@@ -135,7 +134,7 @@ def _is_somebody_elses(folder: Path) -> bool:
 def _check_processed(path: Path) -> None:
     """Raise BadInput for a frame that is no image, or grey, as the camera records it: one colour a pixel."""
     try:
-        with PillowImage.open(path) as image:
+        with opened(path) as image:
             mode = image.mode
     except (OSError, SyntaxError) as error:
         raise unreadable(path, error) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
-import scipy.io
 import torch
 from torch import Tensor
 
@@ -19,8 +17,18 @@ from vprbench.images import Images
 from vprbench.interface import BadInput, DescriptorMethod, Image, NotFittedError, Places
 from vprbench.search import faiss_module
 
-from .dense_sift import DIMENSIONS, SMALLEST_SIDE, dense_sift, grey_levels, halved, n_descriptors, root_sift
+from .dense_sift import (
+    DIMENSIONS,
+    SMALLEST_SIDE,
+    ArcTangent,
+    dense_sift,
+    grey_levels,
+    halved,
+    n_descriptors,
+    root_sift,
+)
 from .vlad import vlad, whitening
+from .vocabulary import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, unit, wanted_vocabulary
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
@@ -37,9 +45,11 @@ class DenseVLAD(DescriptorMethod):
 
     Source: Torii et al. 2015 as in the authors' 247code, from the grey image to VLAD. Without `vocabulary` the visual
     words are learnt from the references: k-means on RootSIFT, then unit length. With it they are those of the authors'
-    file dnscnt_RDSIFT_K128.mat. The authors' projection to 4096 dimensions (an HDF5 file of 1 GB) is not read in this
-    version: the whitening is always learnt from the references, by the same rule (no mean is subtracted). It keeps at
-    most `n_components` and at most one for every four references; with n_components=0 there is none.
+    file dnscnt_RDSIFT_K128.mat, or of a .npy with the words alone; with `arctan`=vlfeat angles are approximated as in
+    VLFeat. Both together give the authors' VLAD. The authors' projection to 4096 dimensions (an HDF5 file of 1 GB) is
+    not read in this version: the whitening is always learnt from the references, by the same rule (no mean is
+    subtracted). It keeps at most `n_components` and at most one for every four references; with n_components=0 there
+    is none.
 
     Words and whitening come from what the references look like, never from their places. `encode` needs both and
     raises NotFittedError before `fit`: its code is a few thousand numbers, where the descriptors behind it would fill
@@ -50,6 +60,7 @@ class DenseVLAD(DescriptorMethod):
     words: int = 128
     n_components: int = 1024
     halve: bool | None = None  # keep every second pixel; None: where the longer side exceeds 640 pixels
+    arctan: ArcTangent = "exact"  # vlfeat: up to 0.006 radians off
     seed: int = 0
     device: str = "cpu"
 
@@ -67,10 +78,10 @@ class DenseVLAD(DescriptorMethod):
         words = torch.from_numpy(
             self._learn_words(references, generator)
             if self.vocabulary is None
-            else _read_words(self.files()[0], self.words)
+            else read_words(self.files()[0], self.words)
         ).to(self.device)
-        wanted = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
-        chosen = _sample(references, wanted if self.n_components else len(references), generator)
+        at_most = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
+        chosen = _sample(references, at_most if self.n_components else len(references), generator)
         vlads = self._vlads(references[chosen].watched(_reporting("describing", len(chosen))), words)
         n_components = min(self.n_components, len(chosen) // _IMAGES_PER_COMPONENT)
         self._projection = whitening(vlads, max(1, n_components)) if self.n_components else None
@@ -127,8 +138,8 @@ class DenseVLAD(DescriptorMethod):
         path = Path(self.vocabulary).expanduser()
         if not path.is_file():
             raise BadInput(
-                f"method.vocabulary={self.vocabulary} is no file: {_wanted(self.words)}, or leave it out for words of "
-                "the references"
+                f"method.vocabulary={self.vocabulary} is no file: {wanted_vocabulary(self.words)}, or leave it out for "
+                "words of the references"
             )
         return (path,)
 
@@ -147,7 +158,7 @@ class DenseVLAD(DescriptorMethod):
         for image in references[chosen].watched(_reporting("sampling", len(chosen))):
             grey = self._grey(image)
             share = per_image / n_descriptors(*grey.shape)
-            for block in dense_sift(grey):
+            for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
                 drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
         descriptors = np.concatenate(drawn)
@@ -166,14 +177,15 @@ class DenseVLAD(DescriptorMethod):
             max_points_per_centroid=len(descriptors),  # the sample was drawn above
         )
         kmeans.train(descriptors)
-        return _unit(np.asarray(kmeans.centroids))
+        return unit(np.asarray(kmeans.centroids))
 
     def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""
         vectors = np.empty((len(images), words.numel()), np.float32)
+        published = self.vocabulary is not None and len(words) == PUBLISHED_WORDS
         for number, image in enumerate(images):
-            blocks = (root_sift(block) for block in dense_sift(self._grey(image)))
-            vectors[number] = vlad(blocks, words).cpu().numpy()
+            blocks = (root_sift(block) for block in dense_sift(self._grey(image), self.arctan))
+            vectors[number] = vlad(blocks, words, WORD_OF_ZERO if published else 0).cpu().numpy()
         return vectors
 
     def _grey(self, image: Image) -> Tensor:
@@ -191,37 +203,9 @@ class DenseVLAD(DescriptorMethod):
         return torch.from_numpy(grey).to(self.device, torch.float32) / 255
 
 
-def _wanted(n_words: int) -> str:
-    return f"wanted the variable CX of {DIMENSIONS}x{n_words} numbers, as in the authors' dnscnt_RDSIFT_K128.mat"
-
-
-def _read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
-    """Return the words of a published vocabulary, (n_words, 128): the columns of its variable CX, made unit vectors."""
-    wanted = _wanted(n_words)
-    try:
-        centres = scipy.io.loadmat(path, variable_names=["CX"]).get("CX")
-    except (OSError, ValueError, TypeError, NotImplementedError, zlib.error, scipy.io.matlab.MatReadError) as error:
-        raise BadInput(
-            f"method.vocabulary={path} could not be read ({str(error).splitlines()[0]}): {wanted}"
-        ) from error
-    if centres is None:
-        raise BadInput(f"method.vocabulary={path} holds no CX: {wanted}")
-    if centres.shape != (DIMENSIONS, n_words) or centres.dtype.kind != "f" or not np.isfinite(centres).all():
-        shape = "x".join(str(side) for side in centres.shape)
-        raise BadInput(f"method.vocabulary={path} holds a CX of {shape} {centres.dtype}: {wanted}, all finite")
-    return _unit(centres.T)
-
-
-def _unit(vectors: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return the rows as unit vectors; a zero row stays what it is."""
-    precise = vectors.astype(np.float64)
-    norms = np.linalg.norm(precise, axis=1, keepdims=True)
-    return (precise / np.where(norms > 0, norms, 1)).astype(np.float32)
-
-
 def _projected(vlads: npt.NDArray[np.float32], projection: npt.NDArray[np.float32] | None) -> npt.NDArray[np.float32]:
     """Return the whitened vectors at unit length, or the vectors themselves where there is no projection."""
-    return vlads if projection is None else _unit(vlads @ projection)
+    return vlads if projection is None else unit(vlads @ projection)
 
 
 def _sample(images: Images, at_most: int, generator: np.random.Generator) -> npt.NDArray[np.int64]:

@@ -15,17 +15,19 @@ _TOGETHER = 1024  # dimensions in double precision at a time
 _SMALLEST_VARIANCE = 1e-5  # of the largest; what lies below is rounding
 
 
-def vlad(blocks: Iterable[Tensor], words: Tensor) -> Tensor:
+def vlad(blocks: Iterable[Tensor], words: Tensor, word_of_zero: int = 0) -> Tensor:
     """Return the VLAD (n_words * n_dimensions,) of local descriptors (n, n_dimensions) that come in blocks.
 
-    `words` (n_words, n_dimensions) are unit vectors, so the nearest has the largest product; of equally near ones,
-    which all are to a zero descriptor, the first counts. The residuals are summed and normalised per word, laid out
-    word after word, and normalised together (VLFeat's vl_vlad with NormalizeComponents).
+    `words` (n_words, n_dimensions) are unit vectors, so the nearest has the largest product; of equally near ones the
+    first counts. All are equally near to a zero descriptor, which belongs to `word_of_zero`. The residuals are summed
+    and normalised per word, laid out word after word, and normalised together (VLFeat's vl_vlad with
+    NormalizeComponents).
     """
     sums = torch.zeros_like(words)
     counts = words.new_zeros(len(words), 1)
     for block in blocks:
-        chosen = functional.one_hot((block @ words.T).argmax(1), len(words)).to(words)
+        nearest = torch.where(block.any(1), (block @ words.T).argmax(1), word_of_zero)
+        chosen = functional.one_hot(nearest, len(words)).to(words)
         sums += chosen.T @ block
         counts += chosen.sum(0)[:, None]
     residuals = sums - counts * words

@@ -25,7 +25,7 @@ from .layer import Layer, draw_layer, feature_rates
 from .network import Network
 from .query import Query, Spiking, SpikingQuery, asking
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
-from .training import Schedule, check_weights, check_winners, draw_schedule, module_sizes
+from .training import Schedule, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
 
 logger = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class VPRTempo(Method):
     one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
     `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
     results, slower).
-    A network whose training diverged raises TrainingDivergedError.
+    A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
     """
 
     rules: RuleSet = "paper"
@@ -102,15 +102,17 @@ class VPRTempo(Method):
         self._check_arguments(n_places)
         self._query = None
         rules = self.chosen_rules()
-        spikes = torch.from_numpy(self.encode(references)).to(self.device)
+        codes = self.encode(references)
+        _, first_image = np.unique(places, return_index=True)
+        probes = first_image[np.linspace(0, n_places - 1, min(_PROBES, n_places)).astype(int)]
+        check_inputs(codes[probes])
+        spikes = torch.from_numpy(codes).to(self.device)
         sizes = module_sizes(n_places, self.max_module)
         self._members = self._train(sizes, spikes, places, rules)
         if rules.calibrated_scores:
             self._members = [_calibrated(member, spikes, rules) for member in self._members]
         query = self._asking()
-        _, first_image = np.unique(places, return_index=True)
-        probes = first_image[np.linspace(0, n_places - 1, min(_PROBES, n_places)).astype(int)]
-        check_winners(query.scores(spikes[probes].cpu().numpy()), np.repeat(np.arange(len(sizes)), sizes))
+        check_winners(query.scores(codes[probes]), np.repeat(np.arange(len(sizes)), sizes))
         self._query = query
         return self
 

@@ -132,3 +132,12 @@ def _multiply(steps, levels, sums):  # type: ignore[no-untyped-def]
             for i in range(len(own)):
                 total = np.int32(total + np.int32(np.int32(weights[i]) * np.int32(own[i])))  # else numba takes 64 bits
             sums[query, row] = total
+
+
+def _compile() -> None:
+    """Compile both loops, or read them from the cache, so that no query waits for it."""
+    _write_levels(np.zeros(1, np.float32), _LEVELS, np.zeros(1, np.uint8))
+    _multiply(np.zeros((1, 1), np.int8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.int32))
+
+
+_compile()

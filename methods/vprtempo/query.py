@@ -229,3 +229,13 @@ def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
     for feature in active[whole:]:
         for place in range(len(net)):
             net[place] += spikes[feature] * weights[feature, place]
+
+
+def _compile() -> None:
+    """Compile what asks a single query, or read it from the cache, so that no query waits for it."""
+    weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
+    _feature_spikes(weights, row, row, np.float32(1), row.copy())
+    _add_active(weights, row, row.copy())
+
+
+_compile()

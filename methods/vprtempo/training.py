@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from vprbench.interface import Scores, TrainingDivergedError
+from vprbench.interface import BadInput, Scores, TrainingDivergedError
 
 from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
+_FEWEST_PROBES = 10  # reference images; fewer tell nothing
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,21 @@ def check_weights(layer: Layer, name: str) -> None:
         )
 
 
+def check_inputs(spikes: npt.NDArray[np.float32]) -> None:
+    """Raise BadInput where more than half of some references are one and the same input.
+
+    `spikes` (n_probes, n_pixels) are the inputs of reference images of as many different places.
+    """
+    if len(spikes) < _FEWEST_PROBES:
+        return
+    _, count = np.unique(spikes, axis=0, return_counts=True)
+    if count.max() > len(spikes) / 2:
+        raise BadInput(
+            f"the references look alike: {count.max()} of {len(spikes)} images of different places are the same input "
+            "after preprocessing, as black, uniform or one-pixel frames are; look at them with the command doctor"
+        )
+
+
 def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
     """Raise TrainingDivergedError where a network answers alike to different references.
 
@@ -143,7 +159,7 @@ def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
     over the route; `module` (n_places,) is the module of each place. A healthy network answers most of them with
     their own place; here it is enough that no neuron and no module takes nearly all.
     """
-    if len(scores) < 10:
+    if len(scores) < _FEWEST_PROBES:
         return
     if float((scores == scores[:, :1]).all(1).mean()) > 0.5:
         raise TrainingDivergedError(

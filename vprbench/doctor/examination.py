@@ -86,7 +86,7 @@ def _of_files(dataset: Dataset, known: Sequence[Contents | None]) -> Iterator[Fi
         if found is None:
             yield files.no_folder(folder)
             continue
-        for check in (files.missing_files, files.count, files.empty_files, files.impostors):
+        for check in (files.missing_files, files.count, files.empty_files, files.impostors, files.strangers):
             yield from check(found)
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from vprbench.image_formats import is_beside, is_image_name
 from vprbench.interface import FrameFolder
 
 from .finding import Finding, be, plural, some
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
 _HEAD_BYTES = 64
@@ -38,12 +38,18 @@ class Contents:
     @cached_property
     def images(self) -> list[str]:
         """The names of files that are images by their suffix, sorted."""
-        return sorted(name for name in self.sizes if name.lower().endswith(_SUFFIXES))
+        return sorted(name for name in self.sizes if is_image_name(name))
 
     @cached_property
     def unused(self) -> list[str]:
         """The names of the images that the dataset does not use, sorted."""
         return sorted(set(self.images) - set(self.folder.used))
+
+    @cached_property
+    def strangers(self) -> list[str]:
+        """The names of files that are not used, no images by their suffix, and of no kind that lies beside frames."""
+        names = set(self.sizes) - set(self.folder.used)
+        return sorted(name for name in names if not is_image_name(name) and not is_beside(name))
 
     @cached_property
     def used(self) -> dict[str, int]:
@@ -152,6 +158,21 @@ def count(found: Contents) -> list[Finding]:
             "count",
             f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
             "make sure that it is the copy that the dataset's description names",
+        )
+    ]
+
+
+def strangers(found: Contents) -> list[Finding]:
+    """Tell of files that are neither images that can be read nor of a kind that lies beside frames."""
+    if not found.strangers:
+        return []
+    return [
+        Finding(
+            "note",
+            "files",
+            f"{plural(len(found.strangers), 'file')} of {found.folder.path} {be(found.strangers)} no image that can be "
+            f"read, and not used: {some(found.strangers)}",
+            "if it is a frame, save it as PNG or JPEG and list it; else move it away",
         )
     ]
 

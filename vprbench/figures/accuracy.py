@@ -10,13 +10,14 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
+from vprbench.block_length import block_length
+from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.interface import BadInput
-from vprbench.intervals import wilson
 from vprbench.metrics import PRCurve, Values, average_precision, hits_at, pr_curve
 from vprbench.ranking import Outcome
+from vprbench.recall_intervals import METHOD, along_the_journey, interval_of_hits
 from vprbench.records import Run
 from vprbench.series import Series
 from vprbench.tolerance import hits_within
@@ -27,12 +28,11 @@ LARGEST_TOLERANCE = 10  # places to either side
 _HEIGHT_MM = 64.0  # without the legend
 _LEGEND_ROW_MM = 3.9
 _SHORT = 22  # characters of a label, two of which fit side by side
-_BLOCK = 10  # neighbouring queries drawn together
 _RESAMPLES = 500
 _GRID_POINTS = 200  # recalls at which resampled curves are compared
 _ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
 _BAND = 0.15  # opacity
-_WILSON = "Bands are 95 % intervals (Wilson), which take the queries as independent."
+_BANDS = f"Bands are 95 % intervals: {METHOD}."
 _SEEDS = "the line is the mean, thin lines are the seeds, and the band is that of the mean hits"
 
 
@@ -55,7 +55,7 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
             for curve in curves:
                 axes.step(curve.recall, curve.precision, color=look.colour, linewidth=0.4, alpha=0.6)
         else:
-            grid, low, high = _resampled(row.runs[0].outcome, float(recall[-1]))
+            grid, low, high = _resampled(row.runs[0], float(recall[-1]))
             axes.fill_between(grid, low, high, color=look.colour, alpha=_BAND, linewidth=0)
         label = f"{row.name}, AP {_mean_and_spread([average_precision(curve) for curve in curves])}"
         (line,) = axes.step(recall, precision, color=look.colour, linestyle=look.dash, marker=look.marker, label=label)
@@ -73,13 +73,15 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
             _single(
                 series,
                 "The band of a single run is the 95 % interval of its precision at that recall (bootstrap of blocks of "
-                f"{_BLOCK} consecutive queries, {_RESAMPLES} resamples; it ends where 1 in 20 of them ends).",
+                f"consecutive queries, as long as for its R@1, {_RESAMPLES} resamples; it ends where 1 in 20 of them "
+                "ends).",
             ),
             seed_sentence(
                 series,
                 "thin lines are the seeds, the thick one is their mean and ends where the first of them ends; AP is "
                 "the mean ± one standard deviation",
             ),
+            tuned_sentence(series),
         ),
     )
 
@@ -88,8 +90,8 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
 def recall_at_n(series: Sequence[Series]) -> Drawn:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
-    The band is Wilson's 95 % interval, of several seeds that of their mean hits. Raises BadInput for no rows, for rows
-    on different data and where no query has a right place.
+    The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput for no rows,
+    for rows on different data and where no query has a right place.
     """
     run = _answerable(series, "recall at N")
     numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
@@ -105,8 +107,9 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
             "where scores tie.",
             dataset_sentence([run]),
             _unanswerable(run),
-            _WILSON,
+            _BANDS,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 
@@ -138,8 +141,9 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
             _unseen_ties(series),
             dataset_sentence([run]),
             _unanswerable(run),
-            _WILSON,
+            _BANDS,
             seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
         ),
     )
 
@@ -183,15 +187,17 @@ def _precision_at(curve: PRCurve, recall: Values) -> Values:
     return precision[np.searchsorted(curve.recall, recall)]
 
 
-def _resampled(outcome: Outcome, end: float) -> tuple[Values, Values, Values]:
+def _resampled(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     random = np.random.default_rng(0)
-    n_blocks = -(-len(outcome) // _BLOCK)
+    outcome = _of_queries(run.outcome, along_the_journey(run))
+    block = block_length(hits_at(outcome, 1))
+    n_blocks = -(-len(outcome) // block)
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
     for precision in precisions:
         starts = random.integers(len(outcome), size=(n_blocks, 1))
-        drawn = ((starts + np.arange(_BLOCK)) % len(outcome)).ravel()[: len(outcome)]
+        drawn = ((starts + np.arange(block)) % len(outcome)).ravel()[: len(outcome)]
         curve = pr_curve(_of_queries(outcome, drawn), "A")
         if curve is not None:
             precision[:] = _precision_at(curve, grid)
@@ -217,18 +223,16 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
     lowest = 100.0
     for row in series:
         look = styles[row.name]
-        sums = np.stack([hits(run).sum(axis=1) for run in row.runs])  # (n_seeds, len(xs))
-        n_queries = len(row.runs[0].outcome)
-        mean = sums.mean(axis=0)
-        ends = [interval for hits_of_all in mean if (interval := wilson(float(hits_of_all), n_queries))]
+        of_seeds = np.stack([hits(run) for run in row.runs])  # (n_seeds, len(xs), n_queries)
+        shares = of_seeds.mean(axis=2)
+        mean = shares.mean(axis=0)
+        ends = [end for each in of_seeds.mean(axis=0) if (end := interval_of_hits(row.runs[0], each))]
         low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
-        for seed in sums if len(row.runs) > 1 else ():
-            axes.plot(xs, 100 * seed / n_queries, color=look.colour, linewidth=0.4, alpha=0.6)
-            lowest = min(lowest, 100 * float(seed.min()) / n_queries)
+        for seed in shares if len(row.runs) > 1 else ():
+            axes.plot(xs, 100 * seed, color=look.colour, linewidth=0.4, alpha=0.6)
+            lowest = min(lowest, 100 * float(seed.min()))
         axes.fill_between(xs, low, high, color=look.colour, alpha=_BAND, linewidth=0)
-        (line,) = axes.plot(
-            xs, 100 * mean / n_queries, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name
-        )
+        (line,) = axes.plot(xs, 100 * mean, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name)
         line.set_markevery(_marked(xs))
         lowest = min(lowest, float(low.min()))
     axes.set_ylim(10 * (lowest // 10), 102)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from vprbench import contests
 from vprbench.records import Run
 from vprbench.series import Series
+from vprbench.tuned import tuned_note
 
 
 def runs_of(series: Sequence[Series]) -> list[Run]:
@@ -43,6 +44,12 @@ def seed_sentence(series: Sequence[Series], meaning: str) -> str:
     """Say which series have several seeds and what is drawn of them; empty where none has."""
     several = [f"{one.name} ({len(one.runs)} seeds)" for one in series if len(one.runs) > 1]
     return f"{listed(several)}: {meaning}." if several else ""
+
+
+def tuned_sentence(series: Sequence[Series]) -> str:
+    """Say of each series whose settings were chosen on a dataset on which; empty where there is none."""
+    told = dict.fromkeys(f"{one.name}: {note}." for one in series for note in map(tuned_note, one.runs) if note)
+    return " ".join(told)
 
 
 def noise_sentence(series: Sequence[Series]) -> str:

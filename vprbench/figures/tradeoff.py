@@ -19,12 +19,13 @@ from vprbench.figures.measured_on import (
     noise_sentence,
     runs_of,
     seed_sentence,
+    tuned_sentence,
 )
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
 from vprbench.interface import BadInput
-from vprbench.intervals import Interval, wilson
-from vprbench.metrics import hits_at, recall_at
+from vprbench.intervals import Interval
+from vprbench.recall_intervals import METHOD, recall_interval
 from vprbench.records import Run
 from vprbench.series import Series
 
@@ -110,15 +111,13 @@ def _points(series: Sequence[Series], figure: str, cost: Callable[[Run], float])
 
 
 def _point(one: Series, cost: float, figure: str) -> _Point:
-    if recall_at(one.runs[0].outcome, 1) is None:
+    interval = recall_interval(one.runs)
+    if interval is None:
         raise BadInput(
             f"the figure of {figure} has nothing to draw: no query of {one.runs[0].dataset} has a right place"
         )
-    n_queries = len(one.runs[0].outcome)
-    hits = mean(float(hits_at(run.outcome, 1).sum()) for run in one.runs)
-    interval = wilson(hits, n_queries)
-    assert interval is not None  # a query has a right place, so there is one
-    return _Point(one.name, cost, 100 * hits / n_queries, Interval(100 * interval.low, 100 * interval.high))
+    recall = 100 * (contests.mean_recall(one.runs) or 0.0)
+    return _Point(one.name, cost, recall, Interval(100 * interval.low, 100 * interval.high))
 
 
 def _draw(axes: Axes, points: Sequence[_Point], label: str, lower_is_better: bool) -> None:
@@ -166,9 +165,10 @@ def _on_gpu(series: Sequence[Series]) -> str:
 def _closing(series: Sequence[Series]) -> tuple[str, ...]:
     runs = runs_of(series)
     return (
-        "Bars are 95 % intervals of R@1 (Wilson), which take the queries as independent.",
+        f"Bars are 95 % intervals of R@1: {METHOD}.",
         dataset_sentence(runs),
         seed_sentence(series, "means over the seeds, the bar is that of the mean hits"),
         machine_sentence(runs),
         noise_sentence(series),
+        tuned_sentence(series),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -151,6 +151,17 @@ def place_ranges(places: npt.NDArray[np.int64]) -> str:
     ordered = np.unique(places)
     parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1) if len(ordered) else []
     return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts)
+
+
+def by_interest(run: Run) -> Iterator[tuple[int, set[int]]]:
+    """Yield the queries of a run with the places shown beside each, those that are not answered right first.
+
+    Otherwise they come in an order that is the same for all runs, from all over the journey.
+    """
+    answers = judged(run)
+    order = np.random.default_rng(0).permutation(len(answers.verdicts)).tolist()
+    for query in sorted(order, key=lambda query: answers.verdicts[query] == RIGHT):
+        yield query, {*answers.places[query].tolist(), int(answers.right_places[query])} - {NOWHERE}
 
 
 def places_shown(answers: Iterable[Answers]) -> list[int]:

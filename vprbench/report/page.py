@@ -26,6 +26,7 @@ MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larg
 
 _FOLDER = Path(__file__).parent
 _FRAMES_MISSING = "The frames of this dataset are not stored, so names stand in their places."
+_SOME_MISSING = "Of this large dataset some frames are stored; names stand in the places of the others."
 _FRAMES_TOO_LARGE = "This page would be too large with frames, so names stand in their places."
 
 
@@ -131,9 +132,17 @@ def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
         "placeNames": place_names,
         "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
         "rightPlaces": [place_ranges(right) for right in run.positives],
-        "framesMissing": "" if kept else _FRAMES_MISSING,
+        "framesMissing": _missing(kept, len(run.outcome), shown),
         "runs": [{"name": name, **columns(one)} for name, one in answers.items()],
     }
+
+
+def _missing(kept: Thumbnails | None, n_queries: int, places: Iterable[int]) -> str:
+    """Return the sentence on frames that are not stored; empty where all are that the page shows."""
+    if kept is None:
+        return _FRAMES_MISSING
+    whole = all(kept.query(query) for query in range(n_queries)) and all(kept.reference(place) for place in places)
+    return "" if whole else _SOME_MISSING
 
 
 def _frames(section: Section, answers: Iterable[Answers]) -> _Frames:
@@ -144,7 +153,7 @@ def _frames(section: Section, answers: Iterable[Answers]) -> _Frames:
     n_queries = len(section.series[0].runs[0].outcome)
     return _Frames(
         tuple(kept.query(query) for query in range(n_queries)),
-        {place: kept.reference(place) for place in places_shown(answers)},
+        {place: frame for place in places_shown(answers) if (frame := kept.reference(place))},
     )
 
 

@@ -14,7 +14,7 @@ def small_png(png: bytes) -> bytes:
     """Return a PNG as it is, or, where it is large, on white with at most 256 colours if that takes fewer bytes."""
     if len(png) <= _LARGE:
         return png
-    with Image.open(io.BytesIO(png)) as image:
+    with Image.open(io.BytesIO(png), formats=["PNG"]) as image:
         drawn = image.convert("RGBA")
     paper = Image.new("RGBA", drawn.size, "white")
     written = io.BytesIO()

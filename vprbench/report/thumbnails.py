@@ -20,14 +20,17 @@ def text_bytes(frames: Sequence[bytes]) -> int:
 def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
     """Return the frames so that all of them fill at most `most_bytes` of a page; None where they cannot.
 
-    They stay as they are where that is little enough, or else are all made coarser in the same way.
+    They stay as they are where that is little enough, or else are all made coarser in the same way. An empty frame, in
+    the place of an image that is not kept, stays empty.
     """
     if not frames or text_bytes(frames) <= most_bytes:
         return list(frames)
-    sample = frames[:: max(1, len(frames) // _SAMPLED)]
+    there = [frame for frame in frames if frame]
+    empty = text_bytes([b""]) * (len(frames) - len(there))
+    sample = there[:: max(1, len(there) // _SAMPLED)] or [b""]
     for side, quality in _STEPS:
-        estimated = text_bytes([_coarser(frame, side, quality) for frame in sample]) / len(sample) * len(frames)
-        if estimated > most_bytes:
+        estimated = text_bytes([_coarser(frame, side, quality) for frame in sample]) / len(sample) * len(there)
+        if estimated + empty > most_bytes:
             continue
         made = [_coarser(frame, side, quality) for frame in frames]
         if text_bytes(made) <= most_bytes:
@@ -37,7 +40,9 @@ def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
 
 def _coarser(frame: bytes, side: int, quality: int) -> bytes:
     """Return a WebP image with its longest side at most `side`, never larger in bytes than it was."""
-    with Image.open(io.BytesIO(frame)) as image:
+    if not frame:
+        return frame
+    with Image.open(io.BytesIO(frame), formats=["WEBP"]) as image:
         small = image.convert("RGB")
     small.thumbnail((side, side))
     written = io.BytesIO()

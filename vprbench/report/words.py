@@ -6,8 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from vprbench.layout import TRAINING_TIME
+from vprbench.recall_intervals import METHOD
 from vprbench.records import Run
 from vprbench.series import Series
+from vprbench.tuned import all_notes
 
 Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
 
@@ -29,15 +32,14 @@ TERMS: Facts = (
     ),
     (
         "Interval",
-        "95 % Wilson score interval of R@1 of one run. It takes queries as independent; neighbouring frames are not, "
-        "so the true uncertainty is larger.",
+        f"95 % interval of R@1 over the queries, of several seeds that of their mean hits: {METHOD}.",
     ),
     (
         "Seeds",
         "Methods with chance in their training run with several seeds. Their cells hold the mean and the standard "
         "deviation over the seeds, which is not the interval of the queries.",
     ),
-    ("Train", "Wall time from the first reference image to the finished map, reading the images included."),
+    ("Train", TRAINING_TIME),
     (
         "Query rate",
         "Images per second when one image is asked at a time and is in memory already: 1 / median time of a query, "
@@ -115,7 +117,7 @@ def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]
         (f"{title}: {run_name(one, run)}{_elsewhere(run)}", note)
         for title, one in measured
         for run in one.runs
-        for note in run.notes
+        for note in all_notes(run)
     )
 
 

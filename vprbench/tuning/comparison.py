@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from vprbench import progress
-from vprbench.intervals import Interval, McNemar, block_bootstrap, mcnemar_exact
+from vprbench.intervals import McNemar, WiderInterval, difference_interval, mcnemar_exact
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import PAPER, Values
 from vprbench.tuning.workers import Workers
@@ -19,7 +19,6 @@ Verdict = Literal["better", "worse", "not told apart"]
 
 SEEDS = 5
 AGREE = 4  # seeds of one sign, at least, for a verdict
-BLOCK = 10  # neighbouring queries that the bootstrap draws together
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Comparison:
     seeds: tuple[int, ...]
     best: Repeated
     paper: Repeated
-    interval: Interval | None  # 95 % of the difference over the queries; None: too few queries for two blocks
+    interval: WiderInterval | None  # 95 % of the difference over the queries; None: too few queries
     tests: tuple[McNemar, ...]  # by seed, b: only best right
 
     @property
@@ -95,16 +94,16 @@ def compare(n_places: int, seeds: Sequence[int], best: Sequence[Tried], paper: S
     """Compare how the same queries were answered under both settings, each trained once with each of `seeds`.
 
     The interval is that of a paired test over everything: of each query the mean hits over the seeds, best minus
-    paper, by block bootstrap.
+    paper (`intervals.difference_interval`).
     """
-    difference = np.mean([tried.hits for tried in best], axis=0) - np.mean([tried.hits for tried in paper], axis=0)
+    of_best, of_paper = (np.mean([tried.hits for tried in each], axis=0) for each in (best, paper))
     return Comparison(
         n_places,
-        len(difference),
+        len(of_best),
         tuple(seeds),
         _repeated(best),
         _repeated(paper),
-        block_bootstrap(difference, BLOCK),
+        difference_interval(of_best, of_paper),
         tuple(mcnemar_exact(b.sure_hits, p.sure_hits) for b, p in zip(best, paper, strict=True)),
     )
 

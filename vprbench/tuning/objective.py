@@ -123,6 +123,6 @@ def _encoded(images: Images, method: Method, report: Callable[[int], None]) -> n
     codes = []
     report(0)
     for block in images.blocks(_TOGETHER):
-        codes.append(method.encode(block))
+        codes.append(np.array(method.encode(block)))  # a method may use its array again
         report(sum(map(len, codes)))
     return np.concatenate(codes)

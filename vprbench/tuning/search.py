@@ -17,8 +17,9 @@ import optuna
 from vprbench import environment, progress, registry
 from vprbench.interface import BadInput
 from vprbench.plan import read_plan
-from vprbench.records import Store, content_key
+from vprbench.records import content_key
 from vprbench.runner import code_hash, fingerprint
+from vprbench.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 
 from vprbench.bench_text import machine_lines
 from vprbench.replacing import replace_text
 from vprbench.tables import markdown
-from vprbench.tuning.comparison import AGREE, BLOCK, SEEDS, Comparison, Repeated, Verdict
+from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings
 from vprbench.tuning.space import PARAMETERS
@@ -206,12 +207,19 @@ def _verdicts(found: Found) -> list[str]:
     ]
     verdicts.append(
         f"Both settings are trained with the same {SEEDS} seeds, none of which chose the best: R@1 is the mean over "
-        "them and ± their standard deviation. The interval is that of the difference of per-query mean hits, by a "
-        f"bootstrap of blocks of {BLOCK} neighbouring queries. One is called better only where that interval excludes "
-        f"0 and {AGREE} or more of the {SEEDS} seeds agree. What the searched places say holds for no others, because "
-        "the best settings were chosen there."
+        "them and ± their standard deviation. The interval is that of the difference of per-query mean hits: the wider "
+        "one of Agresti and Min's, which takes queries as independent, and that of a bootstrap of blocks of "
+        f"neighbouring queries, as long as the queries are found to be alike{_blocks(found.compared)}. One is called "
+        f"better only where that interval excludes 0 and {AGREE} or more of the {SEEDS} seeds agree. What the searched "
+        "places say holds for no others, because the best settings were chosen there."
     )
     return verdicts
+
+
+def _blocks(compared: Mapping[StretchName, Comparison]) -> str:
+    """Name the lengths of the blocks; nothing without an interval."""
+    lengths = [f"{each.interval.block} {_SHORT[name]}" for name, each in compared.items() if each.interval]
+    return f" ({', '.join(lengths)})" if lengths else ""
 
 
 def _seeds(compared: Comparison, repeated: Repeated) -> str:

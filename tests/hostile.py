@@ -1,0 +1,52 @@
+"""Methods that do to a run what a plug-in may do: each is SAD, after it has done something in `fit`."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import os
+import sys
+import time
+from typing import Any, Self
+
+from vprbench.interface import BadInput
+from vprbench.methods.sad import SAD
+
+
+class Crashing(SAD):
+    def fit(self, *given: Any) -> Self:
+        ctypes.string_at(0)
+        return super().fit(*given)
+
+
+class Leaving(SAD):
+    def fit(self, *given: Any) -> Self:
+        sys.exit()
+
+
+class Hanging(SAD):
+    def fit(self, *given: Any) -> Self:
+        time.sleep(600)
+        return self
+
+
+class Silent(SAD):
+    def fit(self, *given: Any) -> Self:
+        raise BadInput
+
+
+class Colourful(SAD):
+    def fit(self, *given: Any) -> Self:
+        raise RuntimeError("a name\x1b[31m\nvprbench: all is well")
+
+
+class Unruly(SAD):
+    def fit(self, *given: Any) -> Self:
+        print('{"method": "mine"}')
+        os.write(1, b"{}\n")
+        os.system("echo from a shell")
+        atexit.register(print, "bye")
+        os.close(1)
+        os.chdir("/")
+        os.fork()
+        return super().fit(*given)

@@ -1,0 +1,54 @@
+"""Where no home is known, one line says what to set."""
+
+from __future__ import annotations
+
+import pwd
+from pathlib import Path
+
+import pytest
+
+from vprbench.cli import main
+from vprbench.file_hashes import hashes_folder
+from vprbench.interface import BadInput
+from vprbench.partial import partial_folder
+from vprbench.weights import weights_folder
+
+
+@pytest.fixture(autouse=True)
+def nameless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Be a user without a name and a home, as in many a container."""
+
+    def unknown(_: object) -> None:
+        raise KeyError("uid not found")
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    for name in ("HOME", "XDG_CACHE_HOME", "VPRBENCH_WEIGHTS", "VPRBENCH_PARTIAL", "VPRBENCH_HASHES"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("folder", "variable"),
+    [
+        (weights_folder, "VPRBENCH_WEIGHTS"),
+        (partial_folder, "VPRBENCH_PARTIAL"),
+        (hashes_folder, "VPRBENCH_HASHES"),
+    ],
+)
+def test_a_cache_without_a_home_asks_for_its_variable(folder, variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BadInput, match=f"HOME, or {variable}"):
+        folder()
+    monkeypatch.setenv(variable, "~/kept")
+    with pytest.raises(BadInput, match=f"{variable}=~/kept"):
+        folder()
+    monkeypatch.setenv(variable, "kept")
+    assert folder() == Path("kept")
+
+
+def test_bad_input_without_a_home_is_told_and_stored(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
+    assert main(["method.patch=0", "dataset.places=12", "dataset.first_query_place=0"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("vprbench: method.patch=0")
+    assert len(list(Path("results").rglob("failure.json"))) == 1

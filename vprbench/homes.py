@@ -1,0 +1,46 @@
+"""Paths below a person's home, where that is known, and the folders of caches there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+
+from vprbench.interface import BadInput
+
+
+def expanded(option: str, path: str) -> Path:
+    """Return a path with its ~ resolved; raises BadInput, naming the option, where nobody knows that home."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise BadInput(
+            f"{option}={path}: the home of {path.split('/')[0]} is not known, write the whole path"
+        ) from error
+
+
+def insist_on_homes(options: Mapping[str, Any], above: str = "") -> None:
+    """Raise BadInput for a path in a home that is not known, as in ~nobody/frames."""
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            insist_on_homes(value, f"{above}{name}.")
+        for text in value if isinstance(value, list) else [value]:
+            if isinstance(text, str) and text.startswith("~"):
+                expanded(f"{above}{name}", text)
+
+
+def cache_folder(variable: str, name: str) -> Path:
+    """Return the folder that an environment variable names, or one of this name in the person's cache.
+
+    Raises BadInput where neither is known.
+    """
+    chosen = os.environ.get(variable)
+    if chosen:
+        return expanded(variable, chosen)
+    try:
+        return platformdirs.user_cache_path("vprbench", appauthor=False).expanduser() / name
+    except RuntimeError as error:
+        raise BadInput(f"nobody knows the home of this user: set HOME, or {variable} to a folder") from error

@@ -1,0 +1,227 @@
+"""The store of runs on disk: several processes may write to it at once, a reader finds whole runs alone."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import os
+import shutil
+import tempfile
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from vprbench.interface import BadInput
+from vprbench.records import (
+    SUMMARY,
+    DamagedRunError,
+    Failure,
+    NewerLayoutError,
+    Run,
+    UnreadableRunError,
+    content_key,
+    load,
+    read_failure,
+    write,
+    write_failure,
+)
+from vprbench.replacing import PARTIAL, REPLACED, move_folder, remove_leftovers, unfinished
+
+logger = logging.getLogger(__name__)
+
+_DAMAGED = ".damaged"
+_FAILURE_KEYS = 3  # the layout whose number is in the key of a failure: what failed under it is still found
+
+
+class Store:
+    """A results folder: `<dataset>/<method>-<key>/` holds one run. Several processes may write to it at once."""
+
+    def __init__(self, root: Path, read_only: bool = False) -> None:
+        """Use the folder `root`, where nothing is written yet, or never where it is only read."""
+        self.root = root
+        self.read_only = read_only
+
+    def prepare(self) -> None:
+        """Make the folder and see that it can be written; raises BadInput before work is wasted on a run."""
+        self._insist_on_writing()
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            self._remove_leftovers()
+            self._partial().rmdir()
+        except OSError as error:
+            raise BadInput(
+                f"results={self.root} cannot be written ({error.strerror or error}): "
+                "choose another folder with results=..."
+            ) from error
+
+    def folder(self, dataset: str, method: str, key: str) -> Path:
+        """Return where a run with this key lies, or would lie."""
+        return self.root / dataset / f"{method}-{key}"
+
+    def find(self, dataset: str, method: str, key: str) -> Run | None:
+        """Return the stored run with this key; a damaged one is set aside by name and counts as absent."""
+        return self._load(self.folder(dataset, method, key))
+
+    def runs(self) -> Iterator[Run]:
+        """Yield every whole run; damaged ones are named and set aside, and never keep the others from being read."""
+        for folder in self._folders():
+            run = self._load(folder, SUMMARY)
+            if run is not None:
+                yield run
+
+    def failures(self) -> Iterator[Failure]:
+        """Yield every stored failure; a damaged one is named in a warning and left out."""
+        for folder in self._folders():
+            failure = read_failure(folder)
+            if failure is not None:
+                yield failure
+
+    def save(self, run: Run) -> Path:
+        """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
+        self._insist_on_writing()
+        folder = self.folder(run.dataset, run.method, run.key)
+        try:
+            partial = self._partial()
+            try:
+                write(run, partial)
+                move_folder(partial, folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
+        except OSError as error:
+            raise BadInput(
+                f"the run could not be stored in {folder} ({error.strerror or error}): nothing was left there; "
+                "make room or choose another folder with results=..."
+            ) from error
+        return folder
+
+    def save_failure(self, failure: Failure) -> Path:
+        """Store that a run ended in an error, until a run of the same configuration succeeds."""
+        self._insist_on_writing()
+        folder = self._failure_folder(failure.method, failure.dataset, failure.config)
+        try:
+            partial = self._partial()
+            try:
+                write_failure(failure, partial)
+                move_folder(partial, folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+        except OSError as error:
+            raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
+        return folder
+
+    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
+        """Return how the last run of this configuration failed, None if it did not."""
+        return read_failure(self._failure_folder(method, dataset, config))
+
+    def _folders(self) -> Iterator[Path]:
+        """Yield the folders of all datasets, by dataset and name; those that cannot be read are named in a warning."""
+        try:
+            datasets = _visible(self.root)
+        except OSError as error:
+            raise BadInput(f"results={self.root} cannot be read ({error.strerror or error})") from error
+        for dataset in datasets:
+            try:
+                yield from _visible(dataset)
+            except OSError as error:
+                logger.warning("%s cannot be read (%s): its runs are left out", dataset, error.strerror or error)
+
+    def _insist_on_writing(self) -> None:
+        if self.read_only:
+            raise RuntimeError(f"the store {self.root} was opened to be read only")
+
+    def _load(self, folder: Path, part: str = "") -> Run | None:
+        """Read the run of a folder that has this part; one that another process replaces meanwhile is read again.
+
+        A damaged one is set aside; one that cannot be read is named, and left where it is.
+        """
+        try:
+            while (before := _identity(folder, part)) is not None:
+                try:
+                    return load(folder)
+                except DamagedRunError as error:
+                    if _identity(folder) == before:
+                        self._set_aside(folder, str(error))
+                        return None
+        except NewerLayoutError as error:
+            logger.warning("%s is left as it is: %s", folder, error)
+        except UnreadableRunError as error:
+            logger.warning("%s cannot be read (%s): it is left out, and left as it is", folder, error)
+        return None
+
+    def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
+        asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
+        return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
+
+    def _partial(self) -> Path:
+        """Make a folder that no reader looks at."""
+        folder = unfinished(self.root)
+        folder.mkdir()
+        return folder
+
+    def _remove_leftovers(self) -> None:
+        """Remove what was left unfinished, and return runs whose replacement never arrived to their places."""
+        for folder in self.root.glob(f"{PARTIAL}*{REPLACED}*"):
+            with contextlib.suppress(NewerLayoutError, UnreadableRunError):  # it is left to whoever can read it
+                self._put_back(folder)
+        remove_leftovers(self.root)
+
+    def _put_back(self, folder: Path) -> None:
+        try:
+            run = load(folder)
+            folder.rename(self.folder(run.dataset, run.method, run.key))
+        except DamagedRunError:  # no longer whole: its replacement has arrived
+            shutil.rmtree(folder, ignore_errors=True)
+        except OSError as error:
+            if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _set_aside(self, folder: Path, reason: str) -> None:
+        if self.read_only:
+            logger.warning("%s cannot be used (%s)", folder, reason)
+            return
+        aside = folder.with_name(f"{_DAMAGED}-{folder.name}-{uuid.uuid4().hex[:8]}")
+        try:
+            folder.rename(aside)
+        except OSError:
+            logger.warning("%s cannot be used (%s) and could not be set aside", folder, reason)
+        else:
+            logger.warning("%s cannot be used (%s): set aside as %s", folder, reason, aside.name)
+
+
+def _visible(folder: Path) -> list[Path]:
+    """Return the folders in a folder, by name, without those that no reader looks at."""
+    try:
+        return sorted(path for path in folder.iterdir() if not path.name.startswith(".") and path.is_dir())
+    except FileNotFoundError:
+        return []
+
+
+def _identity(folder: Path, part: str = "") -> tuple[int, int] | None:
+    """Return what tells a folder from its replacement of the same name; None where there is none with this part."""
+    try:
+        (folder / part).stat()
+        found = folder.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise UnreadableRunError(error.strerror or error) from error
+    return found.st_ino, found.st_mtime_ns  # a number may be used again
+
+
+def insist_on_writing(folder: Path) -> None:
+    """Raise BadInput for a folder that nothing can be written to, as a link to a disk that is not there; none is made.
+
+    A folder that is missing will be made, if the one above it takes it.
+    """
+    if not os.path.lexists(folder):
+        return
+    try:
+        tempfile.TemporaryDirectory(prefix=".partial-", dir=folder).cleanup()
+    except OSError as error:
+        raise BadInput(
+            f"{folder} cannot be written ({error.strerror or error}), where the run would be stored: mend that, or "
+            "choose another folder with results=..."
+        ) from error

@@ -1,0 +1,39 @@
+"""What the settings of a method were chosen on, as its yaml declares it: numbers on these places are no contest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from vprbench.records import Run
+
+
+@dataclass(frozen=True)
+class TunedOn:
+    """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
+
+    dataset: str  # its name, as runs hold it
+    places: str  # in words: the first 1000 places
+    also_in: tuple[str, ...] = ()  # datasets that show these places under other names
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+
+def tuned_here(run: Run) -> bool:
+    """Tell whether a run's dataset shows the places on which the method's settings were chosen."""
+    declared = run.tuned_on or {}
+    return run.dataset in (declared.get("dataset"), *declared.get("also_in", ()))
+
+
+def tuned_note(run: Run) -> str:
+    """Return what a reader has to know of the settings of a run's method; empty where none were chosen on a dataset."""
+    if not run.tuned_on:
+        return ""
+    words = f"tuned on {run.tuned_on['places']} of {run.tuned_on['dataset']}"
+    return f"{words}, so in no contest on {run.dataset}" if tuned_here(run) else words
+
+
+def all_notes(run: Run) -> tuple[str, ...]:
+    """Return the notes of a run, before them on what its method was tuned."""
+    return (*filter(None, [tuned_note(run)]), *run.notes)
