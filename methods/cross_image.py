@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput, Image
+from vprbench.interface import BadInput
 from vprbench.neural import NeuralDescriptor
 
 _HEADS, _LAYERS = 16, 2
@@ -46,7 +48,7 @@ class CrossImageDescriptor(NeuralDescriptor):
         """Tell that descriptors are worth keeping where they do not depend on the images that are encoded with them."""
         return self.images_together == 1
 
-    def _at_most(self, image: Image) -> int:
+    def _at_most(self, image: npt.NDArray[Any]) -> int:
         together = self.images_together
         return max(together, super()._at_most(image) // together * together)
 
