@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vprbench import interface
 from vprbench.datasets.folders import folders
 from vprbench.images import Images
 from vprbench.interface import BadInput
@@ -173,7 +174,8 @@ def test_scores_are_cosines():
     assert method.query(Images.from_arrays(queries)) == pytest.approx(np.array(cosines), abs=TOLERANCE)
 
 
-def test_fitting_needs_little_more_memory_than_the_descriptors():
+def test_fitting_needs_little_more_memory_than_the_descriptors(monkeypatch):
+    monkeypatch.setattr(interface, "_BLOCK", 8)
     image, n = np.zeros((8, 8, 3), np.uint8), 64
     tracemalloc.start()
     try:

@@ -22,7 +22,7 @@ class Window:
         """
         self._n_images, self._readers = n_images, readers
         self._largest = 0
-        self._n_bytes = n_bytes or (lambda _: self._largest or _BYTES // (2 * readers))
+        self._n_bytes = n_bytes or (lambda _: self._largest or _BYTES // (2 * CHUNK * readers))
         self._next = 0
         self._under_way: dict[int, int] = {}  # the bytes of each
         self._waiting: int | None = None  # the bytes of the next one, where it had no room
