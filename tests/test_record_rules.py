@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from little import a_failure, a_run
 
+from vprbench.interface import BadInput
 from vprbench.records import content_key
 from vprbench.store import Store
 
@@ -116,6 +117,14 @@ def test_a_summary_that_cannot_be_is_left_out_by_name(
 ) -> None:
     forge_summary(forged, where, value)
     assert left_out_by_name(store, forged, caplog)
+
+
+@pytest.mark.parametrize("changes", [{"notes": (5,)}, {"method": "a/b"}, {"protocol": {"tolerance_places": "0"}}])
+def test_a_run_that_would_not_be_believed_is_not_stored(store: Store, changes: dict[str, Any]) -> None:
+    with pytest.raises(BadInput, match=next(iter(changes))):
+        store.save(a_run(key="b", **changes))
+    assert [run.key for run in store.runs()] == ["a", "b", "c"]
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,10 @@ def _name_protocol(content: dict[str, Any]) -> None:
 
 
 def write(run: Run, folder: Path) -> None:
-    """Write a run into an empty folder, its summary last; raises OSError where the disk refuses."""
+    """Write a run into an empty folder, its summary last.
+
+    Raises OSError where the disk refuses, ValueError for a run that `load` would not take.
+    """
     laps = {"streaming": run.timing.streaming}
     laps |= {f"offline_{number}": laps for number, laps in enumerate(run.timing.offline)}
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
@@ -223,6 +226,7 @@ def write(run: Run, folder: Path) -> None:
         "timing": plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
+    check_summary(json.loads(json.dumps(summary)))
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 

@@ -79,7 +79,7 @@ class Store:
                 yield failure
 
     def save(self, run: Run) -> Path:
-        """Store a run, replacing one with the same key; raises BadInput where the disk refuses."""
+        """Store a run, replacing one with the same key; raises BadInput where the disk refuses, or a run cannot be."""
         self._insist_on_writing()
         folder = self.folder(run.dataset, run.method, run.key)
         try:
@@ -90,6 +90,8 @@ class Store:
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
             shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
+        except ValueError as error:
+            raise BadInput(f"the run cannot be stored: {error}; mend the method or dataset that gave it") from error
         except OSError as error:
             raise BadInput(
                 f"the run could not be stored in {folder} ({error.strerror or error}): nothing was left there; "
