@@ -34,12 +34,14 @@ def _waited_for() -> int:
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
     signal.signal(signal.SIGINT, _interrupt)
-    from vprbench import cli
-
     try:
+        from vprbench import cli
+
         code = cli.main()
     except SystemExit as error:  # of Hydra, that says why; of a plug-in it is caught where that runs
         code = error.code if isinstance(error.code, int) else int(error.code is not None)
+    except KeyboardInterrupt:  # before the command line could say so: the process that waits does
+        return 128 + signal.SIGINT
     except BaseException:
         ending.tell(code=1)  # and the traceback says the rest
         raise
