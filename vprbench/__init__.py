@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-__version__ = "0.6.0"
+__version__ = "0.6.1"
 
 # In a bare checkout `methods/`, `datasets/` and `conf/` stand beside this package instead of inside it;
 # a wheel maps them to vprbench.methods, vprbench.datasets and vprbench.conf.
