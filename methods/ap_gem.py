@@ -17,7 +17,6 @@ from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly, read, state_dict, without_prefix
 
 from .backbones.resnet import n_channels, resnet
-from .numpy_pickles import numpy_allowed
 from .pooling import GeM
 
 _BACKBONE = "resnet101"
@@ -49,7 +48,9 @@ class APGeM(NeuralDescriptor):
 
         Raises BadInput for any other file.
         """
-        with numpy_allowed({f"sklearn.decomposition.{module}.PCA": _PCA for module in ("pca", "_pca")}):
+        with torch.serialization.safe_globals(
+            [(_PCA, f"sklearn.decomposition.{name}.PCA") for name in ("pca", "_pca")]
+        ):
             content = read(path)
             tensors = without_prefix(state_dict(path, "state_dict"), "module.")
         options = content.get("model_options")

@@ -19,7 +19,6 @@ from vprbench.weights import load_strictly, state_dict, without_prefix
 from .backbones.vit import SIZES, VisionTransformer
 from .cross_image import CrossImageDescriptor, CrossImageEncoder
 from .dinov2 import transformer
-from .numpy_pickles import numpy_allowed
 from .pooling import GeM
 from .salad import n_outputs
 
@@ -48,8 +47,7 @@ class CricaVPR(CrossImageDescriptor):
 
     def load(self, path: Path) -> nn.Module:
         """Return the network with the values of a published file; raises BadInput for any other file."""
-        with numpy_allowed():  # the file keeps recalls too
-            tensors = without_prefix(state_dict(path, "model_state_dict"), "module.")
+        tensors = without_prefix(state_dict(path, "model_state_dict"), "module.")
         n_hidden = n_outputs(tensors, path, "encoder.layers.0.linear1.weight")
         model = transformer(tensors, path, "backbone.")
         with torch.device("meta"):

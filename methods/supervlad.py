@@ -17,7 +17,6 @@ from vprbench.weights import load_strictly, state_dict, without_prefix
 from .backbones.vit import SIZES, VisionTransformer
 from .cross_image import CrossImageDescriptor, CrossImageEncoder
 from .dinov2 import transformer
-from .numpy_pickles import numpy_allowed
 from .salad import n_outputs
 
 _CLUSTERS, _GHOSTS = 4, 1
@@ -75,8 +74,7 @@ class SuperVLADCrossImage(CrossImageDescriptor):
 
 def _loaded(path: Path, together: int | None = None) -> nn.Module:
     """Return the network of a file, with an encoder for so many images; None: without one."""
-    with numpy_allowed():  # the file keeps recalls too
-        tensors = without_prefix(state_dict(path, "model_state_dict"), "module.")
+    tensors = without_prefix(state_dict(path, "model_state_dict"), "module.")
     n_shares = n_outputs(tensors, path, "aggregation.conv.weight")
     model = transformer(tensors, path, "backbone.")
     with torch.device("meta"):

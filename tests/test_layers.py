@@ -30,7 +30,7 @@ ORDER = [
     "unpacking",
     "file_hashes",
     "download",
-    "pickled_scalars",
+    "pickled_numpy",
     "weights",
     "ahead",
     "images",

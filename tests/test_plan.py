@@ -98,8 +98,8 @@ def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
 
 
 def test_networks_of_an_ensemble_are_in_no_two_runs_of_its_row(plan: Plan) -> None:
-    row = plan.more_rows["vprtempo_ensemble"]  # members of seed s: s to s + 4
-    assert len({seed + member for seed in row.seeds for member in range(5)}) == 15
+    for name in ("vprtempo_ensemble", "vprtempo_tuned_ensemble"):  # members of seed s: s to s + 4
+        assert len({seed + member for seed in plan.more_rows[name].seeds for member in range(5)}) == 15
 
 
 @pytest.mark.parametrize(("method", "seeds", "training"), [("vprtempo_tuned", (0, 1, 2), "own"), ("hog", (0,), "map")])
@@ -119,7 +119,7 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
             config = composing.composed([f"method={row.method}", *asked])["method"]
             assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
             calibrated += [row.method] * (config["calibrated_scores"] is True)
-    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble"]
+    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
 
 
 def test_every_rendered_column_says_that_its_hardness_was_set_by_hand(plan: Plan) -> None:

@@ -42,7 +42,9 @@ def test_numbers_hold_the_interval_what_it_is_of_and_the_memory() -> None:
     # Wilson's of 30 of 30: 30 / (30 + 1.96^2) to 1
     assert (numbers["recall_at_1_low"], numbers["recall_at_1_high"]) == (pytest.approx(0.88649, abs=1e-5), 1.0)
     assert (numbers["recall_at_1_interval"], numbers["recall_at_1_block"]) == ("independent", 1)
+    assert tables.interval_line(run) is None
     assert numbers["peak_memory_bytes"] == run.peak_memory_bytes
     hits = ([1] * 20 + [0] * 20) * 10
     alike = tables.numbers(run_with(hits))
     assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(hits))
+    assert f" {block_length(hits)} " in str(tables.interval_line(run_with(hits)))

@@ -341,7 +341,17 @@ class TestReading:
         path.write_bytes(written.replace(b"c" + ours + b"\n", b"c" + module + b"\n"))
         assert read(path) == {"best_score": 0.852}
 
-    def test_a_method_may_let_arrays_be_read_too(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("zipped", [True, False])
+    @pytest.mark.parametrize(
+        "value",
+        [np.array([0.5, 2.0]), np.array([[1, 2], [3, 4]], ">i2", order="F"), np.array([True]), np.array("ab")],
+    )
+    def test_numpy_arrays_beside_tensors_are_read(self, tmp_path: Path, value: Any, zipped: bool) -> None:
+        content = read(write_torch({"recalls": value, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped))
+        assert content["recalls"].dtype.newbyteorder("=") == value.dtype.newbyteorder("=")
+        np.testing.assert_array_equal(content["recalls"], value)
+
+    def test_a_method_may_let_numpys_own_types_be_read(self, tmp_path: Path) -> None:
         value, number = np.array([0.5, 2.0]), np.float64(0.5)
         path = write_torch({"pca": value, "best": number, "state_dict": TENSORS}, tmp_path / "net.pth")
         rebuilders = [value.__reduce__()[0], number.__reduce__()[0]]
@@ -352,8 +362,8 @@ class TestReading:
 
     @pytest.mark.parametrize(
         "value",
-        [np.array([(1, 2.0)], "i4,f8")[0], np.datetime64("2026-01-01"), np.array([0.5])],
-        ids=["record", "date", "array"],
+        [np.array([(1, 2.0)], "i4,f8")[0], np.datetime64("2026-01-01"), np.array([{}])],
+        ids=["record", "date", "objects"],
     )
     def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path, value: Any) -> None:
         path = write_torch({"state_dict": TENSORS, "best": value}, tmp_path / "net.pth")
@@ -378,7 +388,7 @@ class TestReading:
     def test_the_conversion_that_a_refusal_names_works(
         self, content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        path = write_torch({**content, "best": np.array([0.5])}, tmp_path / "net.pth")
+        path = write_torch({**content, "best": np.array([{}])}, tmp_path / "net.pth")
         with pytest.raises(BadInput) as error:
             read(path)
         named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))

@@ -143,8 +143,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
             allow_nan=False,
         )
     lines = [tables.protocol_line(run), *tables.plain_row(tables.readable_row(run)).splitlines()]
-    if (line := tables.tolerance_line(run)) is not None:
-        lines.append(line)
+    lines += filter(None, [tables.interval_line(run), tables.tolerance_line(run)])
     lines += [f"note: {note}" for note in all_notes(run)]
     if from_store:
         lines.append(f"from the store: {folder} (force=true runs again)")

@@ -61,7 +61,8 @@ class Method(ABC):
 
     A subclass is best a dataclass: its constructor only stores its arguments, and their type hints are what
     the command line checks. `references` and `images` are `Images`; codes are arrays whose first axis is the
-    image. Scores are finite float32, higher means more alike; -inf marks a place that is no candidate.
+    image. Scores are finite float32, higher means more alike; -inf marks a place that is no candidate. No later call
+    changes an array that was returned.
     """
 
     #: Rules of the conformance suite that a method cannot meet, each with the reason.

@@ -30,7 +30,7 @@ class Row:
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0,)
-    most_places: int | None = None  # how many places are its share of 15 minutes; None: any number
+    most_places: int | None = None  # with more it takes too long for a table; None: any number
 
     @property
     def learns_here(self) -> bool:

@@ -346,7 +346,8 @@ def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _An
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
         yield "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
     if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
-        yield "caching: images seen before are answered much faster than new ones"
+        share = 100 * timing.repeated_seconds / timing.unseen_seconds
+        yield f"caching: images seen before are answered in {share:.0f} % of the time of new ones"
     if not _same_answers(timing, answers):
         yield "audit failed: the timed run gave other answers than the scored run"
 

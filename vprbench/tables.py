@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from vprbench.recall_intervals import recall_interval
 from vprbench.records import Failure, Run
 from vprbench.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
 from vprbench.tuned import tuned_note
@@ -114,6 +115,14 @@ def protocol_line(run: Run) -> str:
     chosen = ", ".join(f"{name} {_plain(value)}" for name, value in run.protocol.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
+
+
+def interval_line(run: Run) -> str | None:
+    """Return in one line how long the blocks are that the interval of R@1 comes from; None where it is Wilson's."""
+    interval = recall_interval([run])
+    if interval is None or interval.kind == "independent":
+        return None
+    return f"interval of R@1: from blocks of {interval.block} neighbouring queries"
 
 
 def tolerance_line(run: Run) -> str | None:

@@ -16,7 +16,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from vprbench import pickled_scalars
+from vprbench import pickled_numpy
 from vprbench.download import fetch
 from vprbench.homes import cache_folder
 from vprbench.interface import BadInput, NotThere
@@ -276,7 +276,7 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
     import torch
 
     try:
-        with warnings.catch_warnings(), pickled_scalars.readable():
+        with warnings.catch_warnings(), pickled_numpy.readable():
             warnings.simplefilter("ignore")  # about what was written by an older torch
             return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
     except pickle.UnpicklingError as error:
