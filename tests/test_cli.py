@@ -340,6 +340,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
         (["results=~nobody_here/r"], "results=~nobody_here/r"),
+        ([f"results={'a' * 300}", *QUICK], "File name too long"),
         (["save=~nobody_here/n.safetensors"], "save=~nobody_here/n.safetensors"),
         (["load=~nobody_here/n.safetensors"], "load=~nobody_here/n.safetensors"),
         (["dataset=nordland", "dataset.root=~nobody_here"], "dataset.root=~nobody_here"),
