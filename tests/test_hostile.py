@@ -69,11 +69,11 @@ def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said
 
 @pytest.mark.usefixtures("here")
 def test_a_run_that_hangs_ends_at_its_limit_and_is_a_failure_that_names_it() -> None:
-    done = asked("method=hanging", "limit_minutes=0.001")  # which is over before it hangs
+    done = asked("method=hanging", "limit_minutes=0.02")
     assert (done.returncode, done.stdout) == (1, "")
     (failure,) = Store(Path("results")).failures()
-    assert (failure.method, failure.config["limit_minutes"]) == ("hanging", 0.001)
-    assert "limit_minutes=0.001" in done.stderr.splitlines()[-1]
+    assert (failure.method, failure.config["limit_minutes"]) == ("hanging", 0.02)
+    assert "limit_minutes=0.02" in done.stderr.splitlines()[-1]
 
 
 def test_a_run_that_nobody_watches_is_stored(tmp_path: Path) -> None:
