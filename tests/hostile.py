@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import os
+import signal
 import sys
 import time
 from typing import Any, Self
@@ -28,6 +29,7 @@ class Leaving(SAD):
 
 class Hanging(SAD):
     def fit(self, *given: Any) -> Self:
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)  # as what has time limits of its own
         time.sleep(600)
         return self
 
@@ -40,6 +42,11 @@ class Silent(SAD):
 class Colourful(SAD):
     def fit(self, *given: Any) -> Self:
         raise RuntimeError("a name\x1b[31m\nvprbench: all is well")
+
+
+class Rootless(SAD):
+    def fit(self, *given: Any) -> Self:
+        raise GeneratorExit("a name\x1b[31m\nvprbench: all is well")
 
 
 class Unruly(SAD):

@@ -19,6 +19,7 @@ from PIL import Image as PillowImage
 
 from vprbench import cli, registry
 from vprbench.cli import main
+from vprbench.sweep import Ending
 
 ROOT = Path(__file__).resolve().parents[1]
 QUICK = [
@@ -94,17 +95,22 @@ def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made
     assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("_run_apart", ["-m"], 1)])
+@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("run_apart", ["-m"], 1)])
 def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
 ) -> None:
     temporary = tmp_path / "temporary"
-    old = temporary / ".partial-0-vprbench-sweep"
+    old = temporary / ".partial-0-vprbench"
     old.mkdir(parents=True)
     os.utime(old, (0, 0))
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     seen: list[int] = []
-    monkeypatch.setattr(cli, one, lambda *_: seen.append(len({*temporary.iterdir()} - {old})) or 0)
+
+    def look(*_: object) -> int | Ending:
+        seen.append(len({*temporary.iterdir()} - {old}))
+        return Ending(0) if options else 0
+
+    monkeypatch.setattr(cli, one, look)
     assert main([*options, "method=sad", *QUICK]) == 0
     assert (seen, old.exists()) == ([n_folders], not n_folders)
     assert {*temporary.iterdir()} <= {old}
@@ -340,6 +346,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
         (["results=~nobody_here/r"], "results=~nobody_here/r"),
+        ([f"results={'a' * 300}", *QUICK], "File name too long"),
         (["save=~nobody_here/n.safetensors"], "save=~nobody_here/n.safetensors"),
         (["load=~nobody_here/n.safetensors"], "load=~nobody_here/n.safetensors"),
         (["dataset=nordland", "dataset.root=~nobody_here"], "dataset.root=~nobody_here"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -142,7 +143,9 @@ class Sweep:
 
 def of_make(command: str) -> list[str]:
     """Return the options with which a target of the Makefile calls the program."""
-    told = subprocess.run(["make", "-n", *command.split()[1:]], cwd=ROOT, capture_output=True, text=True, check=True)
+    given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
+    asked = ["make", "-n", *command.split()[1:]]
+    told = subprocess.run(asked, cwd=ROOT, env=given, capture_output=True, text=True, check=True)
     return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
 
 

@@ -176,7 +176,7 @@ def test_scores_are_cosines():
 
 def test_fitting_needs_little_more_memory_than_the_descriptors(monkeypatch):
     monkeypatch.setattr(interface, "_BLOCK", 4)
-    image, n = np.zeros((8, 8, 3), np.uint8), 64
+    image, n = np.zeros((8, 8, 3), np.uint8), 128
     tracemalloc.start()
     try:
         HOG().fit(Images.from_arrays([image] * n), np.arange(n))

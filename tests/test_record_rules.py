@@ -95,6 +95,7 @@ def test_a_record_that_is_signed_anew_is_believed(store: Store, forged: Path) ->
         *(("environment.time_utc", value) for value in (None, 20250131, "yesterday")),
         *(("environment.libraries", value) for value in ("torch", {"torch": 2.6})),
         ("environment.load_average", 0.5),
+        *(("tuned_on", value) for value in ([5], {"dataset": "journey"})),
         *(("network", value) for value in (5, [])),
         *(("search.bytes_per_place", value) for value in ("4352", None)),
         ("search.recall_at_1", 98.4),

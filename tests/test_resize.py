@@ -131,8 +131,8 @@ def test_no_two_ways_give_the_same(kind) -> None:
         assert np.abs(one - other).max() > 0.4
 
 
-def test_there_are_the_three_ways_that_were_compared() -> None:
-    assert set(get_args(Resize)) == {"pillow", "tensor", "opencv"}
+def test_there_are_the_four_ways_that_were_compared() -> None:
+    assert set(get_args(Resize)) == {"pillow", "tensor", "opencv", "area"}
 
 
 def test_bicubic_levels_are_cut_in_an_image_and_not_in_a_tensor() -> None:

@@ -178,7 +178,7 @@ def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPa
 
     run = run_of(Slow(np.eye(6, dtype=np.float32)), journey(6, 6))
     assert clock.seconds() > 1000
-    assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.006))
+    assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.007))  # the first query is asked twice
     assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import tempfile
 from itertools import product
 from pathlib import Path
 
@@ -37,6 +38,18 @@ def test_a_run_apart_is_given_its_options_and_told_that_it_is_one_of_many(ends, 
     script = f"""echo "$@" "$VPRBENCH_IN_SWEEP" > {asked}; echo '{GOOD}' > "$VPRBENCH_ENDING" """
     assert ends(script, "method=sad", "seed=1") == Ending(0)
     assert asked.read_text().split()[-5:] == ["-m", "vprbench", "method=sad", "seed=1", "1"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="files without a name that another process opens")
+def test_a_run_apart_has_no_temporary_file_that_a_kill_could_leave(
+    ends, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    script = f"""ls -A {temporary} > {tmp_path}/seen; echo '{GOOD}' > "$VPRBENCH_ENDING" """
+    assert ends(script) == Ending(0)
+    assert (tmp_path / "seen").read_text() == ""
 
 
 @pytest.mark.parametrize(

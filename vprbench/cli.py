@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 import textwrap
+import time
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -74,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
         return _run_or_sweep(in_order(readable(arguments)))
     except BadInput as error:
-        return _complain(str(error) or "bad input, of which nothing is said")
+        return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(explained(error, arguments))
     except BrokenPipeError:
@@ -152,11 +153,14 @@ def _run(config: DictConfig) -> int:
     store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
     output = settings.output if os.environ.get(IN_SWEEP) else "row"
     ending.tell(run=whose, results=str(store.root.absolute()), threads=threads, output=output)
-    _limit(settings.limit_minutes)
+    if settings.limit_minutes is not None:
+        ending.tell(limit_minutes=settings.limit_minutes, until=time.monotonic() + 60 * settings.limit_minutes)
     with answers_alone() as say:
         try:
             return answer(choices["method"], asked, settings, store, say)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever a plug-in raises
             ending.leave_if_forked(process)
             failure = Failure(
                 **whose,
@@ -175,14 +179,6 @@ def _run(config: DictConfig) -> int:
             if not isinstance(error, TrainingDivergedError):
                 print(textwrap.indent(printable(traceback.format_exc(), but="\n"), "  "), file=sys.stderr)
             return _complain(f"{failure.method} failed: {failure.error}", 1)
-
-
-def _limit(minutes: float | None) -> None:
-    """Let the system end this process after so many minutes, whatever it is stuck in; the one that waits says so."""
-    if minutes is not None and ending.waited_for():
-        ending.tell(limit_minutes=minutes)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.setitimer(signal.ITIMER_REAL, 60 * minutes)
 
 
 def _told(error: BaseException) -> str:

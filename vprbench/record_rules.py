@@ -114,6 +114,12 @@ class _Frames(_Part):
     bytes: _Count | None
 
 
+class _Tuned(_Part):
+    dataset: str
+    places: str
+    also_in: list[str] = []
+
+
 class _Batch(_Part):
     images_per_call: Annotated[int, Field(ge=1, le=1 << 53)]
     valid: bool
@@ -156,6 +162,7 @@ class _Summary(_Part):
     method_seconds: _Number
     spikes: _Spikes | None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]  # empty in older runs
+    tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)] | None
     timing: _Timing
     sha256: _Digests
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from vprbench.records import Failure
 
 IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
+_LOOK_EVERY = 1.0  # seconds between looks at whether a child's limit is over
 _PATIENCE = 1.0  # seconds after which a second interruption ends what the first did not
 
 
@@ -46,11 +48,10 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
     """
     home = str(Path(vprbench.__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    with scratch() as folder, _signals_passed_on() as (children, signals):
-        left = folder / "ending"
+    with _slip() as left, _signals_passed_on() as (children, signals):
         given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
-        with subprocess.Popen(command, env=given, stdout=stdout) as child:
+        with subprocess.Popen(command, env=given, stdout=stdout) as child, _limited(child, left):
             children.append(child)
             for number in signals:
                 child.send_signal(number)
@@ -96,8 +97,8 @@ def _dead(code: int, words: dict[str, Any]) -> Ending:
         error = f"was ended by signal {-code} ({name})"
         if name == "SIGKILL":
             error += ", as the system ends what takes more memory than there is"
-        if name == "SIGALRM" and words.get("limit_minutes") is not None:
-            error = f"was not done after limit_minutes={words['limit_minutes']}"
+            if time.monotonic() > words.get("until", math.inf):
+                error = f"was not done after limit_minutes={words['limit_minutes']}"
     if words.get("doing"):
         error += f" while {words['doing']}"
     run = words.get("run")
@@ -120,6 +121,38 @@ def _flags() -> list[str]:
     """Return the options of the interpreter that this program was started with."""
     own = [at for at, pair in enumerate(pairwise(sys.orig_argv)) if pair == ("-m", "vprbench")]
     return sys.orig_argv[1 : own[0]] if own else ["-P"]  # a program that does not look for modules in its folder
+
+
+@contextlib.contextmanager
+def _slip() -> Iterator[Path]:
+    """Yield the file for the last words of a child; where the system can, one that no kill of this process leaves."""
+    with tempfile.TemporaryFile() as nameless:
+        path = Path(f"/proc/{os.getpid()}/fd/{nameless.fileno()}")
+        if path.exists():
+            yield path
+            return
+    with scratch() as folder:
+        yield folder / "ending"
+
+
+@contextlib.contextmanager
+def _limited(child: subprocess.Popen[bytes], left: Path) -> Iterator[None]:
+    """End a child at the moment `until` that it left, whatever it is stuck in, and whatever it does to its signals."""
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def look(*_: object) -> None:
+        if time.monotonic() > ending.told(left).get("until", math.inf):
+            child.kill()
+
+    before = signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, _LOOK_EVERY, _LOOK_EVERY)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextlib.contextmanager
