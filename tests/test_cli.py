@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -431,6 +432,17 @@ def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
     Path("results/synthetic").symlink_to("/nowhere/synthetic")
     assert "results/synthetic cannot be written" in refused(["method=sad", *QUICK], capsys)
     assert not ran
+
+
+def test_a_stored_run_that_can_be_neither_read_nor_replaced_is_named_before_the_run(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    main(["method=sad", *QUICK])
+    (stored,) = Path("results/synthetic").iterdir()
+    shutil.rmtree(stored)
+    stored.symlink_to("/nowhere/run")
+    capsys.readouterr()
+    assert f"{stored} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
 def test_what_a_full_disk_refuses_is_still_shown(

@@ -56,7 +56,8 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         if run is not None:  # whoever stored it may have asked in other words
             run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
         else:
-            insist_on_writing(store.root / dataset.name)
+            for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
+                insist_on_writing(place)
             caches = _caches(store, threads) if settings.cache else (None, None)
             with progress_shown(f"{name} on {dataset.name}"), chdir("."):
                 run = runner.run(
