@@ -16,7 +16,7 @@ from vprbench.interface import BadInput
 from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
-METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly")
+METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")
 QUICK = [
     *("dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "threads=1", "frames=false"),
     *("timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "timing.batch_sizes=[1]"),
@@ -94,6 +94,14 @@ def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(
     assert len(printed.splitlines()[-1]) > len("vprbench: ")
     assert "\x1b" not in printed
     assert len(list(Store(Path("results")).failures())) == (code == 1)
+
+
+def test_a_method_that_changes_the_folder_moves_nothing_that_is_stored(here: Path) -> None:
+    assert main(["method=moving", *QUICK, "save=net.safetensors"]) == 0
+    assert Path.cwd() == here
+    assert {path.name for path in here.iterdir()} == {"plugins", "results", "net.safetensors"}
+    (run,) = Store(here / "results").runs()
+    assert run.method == "moving"
 
 
 def test_of_plug_ins_that_share_a_name_none_is_used_all_are_named_and_the_built_ins_stay(

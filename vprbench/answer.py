@@ -29,8 +29,6 @@ from vprbench.weights import content_hash
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
     """Find the run in the store or make it, and say it; `asked` is its configuration.
 
-    Neither a change of the working folder by a plug-in nor a fork of this process changes what is stored, and where.
-
     Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
     """
     asked["method"], tuned_on = registry.declared(name, asked["method"])
@@ -65,7 +63,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
                 run = runner.run(
                     name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
                 )
-        ending.leave_if_forked(process)
+        ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = dataclasses.replace(run, tuned_on=tuned_on)
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import chdir
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +71,7 @@ def learn(
     progress.report("fit", 0.0)
     references, places = whole.watched(_reading(len(whole))), _read_only(dataset.places)
     from_cache = False
-    with stopwatch.lap() as fit:
+    with chdir("."), stopwatch.lap() as fit:  # a method may leave the folder that the other paths start from
         if described is None:
             method.fit(references, places)
         else:
