@@ -309,7 +309,7 @@ def test_stage_rates_are_plain_numbers() -> None:
     assert isinstance(rates, StageRates)
 
 
-def test_the_interval_of_blocks_holds_the_recall_where_every_query_ties() -> None:
+def test_the_interval_holds_the_recall_where_every_query_ties() -> None:
     scores, right = np.ones((40, 2), np.float32), (np.array([0]),) * 40
     shown = tables.numbers(a_run(outcome=outcome(scores, right), positives=right))
     low, recall, high = (shown[f"recall_at_1{end}"] for end in ("_low", "", "_high"))
