@@ -258,7 +258,7 @@ def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_t
         assert measured(made, "VPRTempo", quantity).best == best
         assert any("tuned on half" in reason for reason in reasons(made, "VPRTempo", quantity)) == bool(tuned_on)
         assert not any("tuned" in reason for reason in reasons(made, "VPRSNN", quantity))
-    others = table([*tuned, run("vprsnn", hits=[1] * 30 + [0] * 30, **slow), run(hits=[0] * 60)])
+    others = table([*tuned, run("vprsnn", hits=[1, 0] * 30, **slow), run(hits=[0] * 60)])
     assert measured(others, "VPRSNN", "recall_at_1").best == (not best)  # it beats the others that are in the contest
 
 

@@ -94,7 +94,7 @@ def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made
     assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("_run_apart", ["-m"], 1)])
+@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("run_apart", ["-m"], 1)])
 def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
 ) -> None:
