@@ -90,7 +90,7 @@ def write_run(folder: Path, layout: str, **changes: Any) -> Path:
         counts = {"neurons": 3, "spikes_per_query": [1.0, 2.0], "active_share": 1.0, "amplitude_mean": None}
         summary |= {"spikes": {"queries": 2, "layers": [{"name": "output", **counts}]}}
     if schema >= 5:
-        summary |= {"data": {"names_sha256": "b" * 64}}
+        summary |= {"data": {"names_sha256": "b" * 64, "content_sha256": "c" * 64, "images": 6, "bytes": 600}}
     summary |= changes
     if not first:
         text = json.dumps(summary, sort_keys=True, separators=(",", ":"))
