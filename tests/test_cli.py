@@ -19,6 +19,7 @@ from PIL import Image as PillowImage
 
 from vprbench import cli, registry
 from vprbench.cli import main
+from vprbench.sweep import Ending
 
 ROOT = Path(__file__).resolve().parents[1]
 QUICK = [
@@ -99,12 +100,13 @@ def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_remov
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
 ) -> None:
     temporary = tmp_path / "temporary"
-    old = temporary / ".partial-0-vprbench-sweep"
+    old = temporary / ".partial-0-vprbench"
     old.mkdir(parents=True)
     os.utime(old, (0, 0))
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     seen: list[int] = []
-    monkeypatch.setattr(cli, one, lambda *_: seen.append(len({*temporary.iterdir()} - {old})) or 0)
+    answer = Ending(0) if one == "run_apart" else 0
+    monkeypatch.setattr(cli, one, lambda *_: seen.append(len({*temporary.iterdir()} - {old})) or answer)
     assert main([*options, "method=sad", *QUICK]) == 0
     assert (seen, old.exists()) == ([n_folders], not n_folders)
     assert {*temporary.iterdir()} <= {old}
