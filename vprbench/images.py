@@ -24,6 +24,10 @@ from vprbench.interface import BadInput, Image
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
+_UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
+    *(OSError, SyntaxError, ValueError),
+    *(PillowImage.DecompressionBombError, PillowImage.DecompressionBombWarning),
+)
 _READERS = min(64, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
@@ -290,13 +294,7 @@ def read_image(path: Path) -> Image:
             return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
     except FileNotFoundError as error:
         raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        PillowImage.DecompressionBombError,
-        PillowImage.DecompressionBombWarning,
-    ) as error:
+    except _UNREADABLE as error:
         reason = str(error).replace(f" {str(path)!r}", "").replace(str(path), "it").splitlines()[0]
         raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
 
@@ -319,13 +317,7 @@ def _decoded_bytes(path: Path) -> int:
     try:
         with opened(path) as image:
             return max(1, 3 * image.width * image.height)
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        PillowImage.DecompressionBombError,
-        PillowImage.DecompressionBombWarning,
-    ):  # said when the image is read
+    except _UNREADABLE:  # said when the image is read
         return 1
 
 
