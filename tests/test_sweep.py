@@ -95,7 +95,10 @@ def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) ->
     assert signal.getsignal(number) is before
 
 
-def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_option_of_a_sweep_goes_to_each_of_its_methods(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
     asked: list[list[str]] = []
     monkeypatch.setattr(cli, "run_apart", lambda options: asked.append(list(options)) or Ending(len(asked) % 2))
     monkeypatch.chdir(tmp_path)
@@ -108,3 +111,4 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkey
     ]
     assert all(places in options and "dataset=nordland_64x32" in options for options in asked)
     assert [options[4] for options in asked] == ["seed=0", "seed=1"] * 4
+    assert [record.name for record in caplog.records] == ["root"] * 8  # a line of ours for each run, none of Hydra's

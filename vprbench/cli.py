@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import os
 import re
 import signal
@@ -104,8 +105,12 @@ def _run_or_sweep(arguments: list[str]) -> int:
     @hydra.main(version_base="1.3", config_path="pkg://vprbench.conf", config_name="run")
     def task(config: DictConfig) -> None:
         try:
-            sweeping = HydraConfig.get().mode == RunMode.MULTIRUN
-            codes.append(run_apart(HydraConfig.get().overrides.task).code if sweeping else _run(config))
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                options = HydraConfig.get().overrides.task
+                logging.info("run %d of the sweep: %s", len(codes) + 1, " ".join(options))
+                codes.append(run_apart(options).code)
+            else:
+                codes.append(_run(config))
         except Exception as error:  # Hydra would print lines of its own; it is raised again below
             errors.append(error)
 

@@ -29,6 +29,7 @@ class _OneLine(logging.Formatter):
 def log_lines() -> None:
     """Let each logged message be a line on standard error."""
     logging.basicConfig(level=logging.INFO)
+    logging.getLogger("hydra").setLevel(logging.WARNING)  # its words on a sweep are not ours
     for handler in logging.getLogger().handlers:
         if type(handler) is logging.StreamHandler:
             handler.setFormatter(_OneLine("%(message)s"))
