@@ -365,6 +365,7 @@ def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (["method=s\nvprbench: done\x1b[2J"], r"method=s\nvprbench: done\x1b[2J is unknown: there are"),
         (["dataset=nordland", "dataset.root=/q\nvprbench: \x1b[2Jx"], r"\x1b[2J"),
         (["limit_minutes=0"], "limit_minutes=0"),
+        (["dataset=folders", "dataset.references=[~/north,~/süd]", "dataset.queries=b"], "~/north is no folder"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
 )

@@ -95,6 +95,19 @@ def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) ->
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.parametrize("in_sweep", [True, False])
+def test_an_interruption_is_told_once_by_the_process_that_was_asked(
+    in_sweep: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt(signal.SIGTERM)
+
+    monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
+    monkeypatch.setenv(sweep.IN_SWEEP, "1" if in_sweep else "")
+    assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
+    assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
+
+
 def test_an_option_of_a_sweep_goes_to_each_of_its_methods(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

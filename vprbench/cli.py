@@ -84,8 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt as error:
-        reason = "interrupted; what was finished before is kept: give the same command again"
-        return _complain(reason, 128 + (error.args or (signal.SIGINT,))[0])
+        code = 128 + (error.args or (signal.SIGINT,))[0]
+        if os.environ.get(IN_SWEEP):  # the sweep or the table that waits for this run says it
+            return code
+        return _complain("interrupted; what was finished before is kept: give the same command again", code)
 
 
 def _command(name: str, options: list[str]) -> int:

@@ -31,17 +31,32 @@ def composed(options: Sequence[str]) -> dict[str, Any]:
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """Put quotes around values, such as paths with letters from abroad, that Hydra's grammar cannot read bare."""
+    """Put quotes around values, such as paths with letters from abroad, that Hydra's grammar cannot read bare.
+
+    Of a list, as in [~/north,~/south], around each value.
+    """
     quoted = []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if equals and not argument.startswith("-"):
-            try:
-                OverridesParser.create().parse_override(argument)
-            except HydraException:
-                argument = f"{key}='" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+        if equals and not argument.startswith("-") and not _is_override(argument):
+            parts = (
+                [f"{key}=[{','.join(map(_quoted, value[1:-1].split(',')))}]"] if value[:1] + value[-1:] == "[]" else []
+            )
+            argument = next(filter(_is_override, parts), f"{key}={_quoted(value)}")
         quoted.append(argument)
     return quoted
+
+
+def _is_override(argument: str) -> bool:
+    try:
+        OverridesParser.create().parse_override(argument)
+    except HydraException:
+        return False
+    return True
+
+
+def _quoted(value: str) -> str:
+    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def in_order(arguments: Sequence[str]) -> list[str]:
