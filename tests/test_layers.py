@@ -57,6 +57,7 @@ ORDER = [
     "store",
     "recall_intervals",
     "sources",
+    "harness",
     "descriptor_cache",
     "described",
     "preprocessed",

@@ -223,7 +223,7 @@ def test_the_network_of_another_method_is_named(path: Path) -> None:
         pass
 
     line = refusal(path, Others())
-    assert "it is one of little.Prototypes, not of " in line
+    assert "it is one of Prototypes, not of Others" in line
     assert "Others" in line
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
+import inspect
+import json
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -15,9 +18,10 @@ import pytest
 from little import Lookup, journey, picture, pictures
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
 
-from vprbench import environment, runner
+from vprbench import environment, harness, runner
 from vprbench.images import Images
 from vprbench.interface import Dataset, Method
+from vprbench.sources import meaning
 from vprbench.stopwatch import Protocol
 
 
@@ -27,6 +31,7 @@ def surroundings() -> Iterator[SimpleNamespace]:
         yield stand_in
 
 
+DECIDED = Path(__file__).with_name("harness.json")
 METHOD = Lookup(np.ones((6, 4), np.float32))
 
 
@@ -92,8 +97,9 @@ def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_tra
         {"overrides": ["results=elsewhere"]},
         {"method": {"device": "cpu", "window": 5, "_target_": "little.Lookup"}},
         {"method": {"window": 5, "_target_": "little.Lookup"}},
+        {"method": {"window": 5, "_target_": "moved.elsewhere.Lookup"}},
     ],
-    ids=["way of asking", "order of the arguments", "device among the arguments"],
+    ids=["way of asking", "order of the arguments", "device among the arguments", "module of the class"],
 )
 def test_what_cannot_change_a_run_does_not_change_its_key(changes: dict[str, Any]) -> None:
     assert key(**changes) == key()
@@ -165,15 +171,26 @@ def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Met
     assert runner.code_hash(given) == before
 
 
-@pytest.mark.parametrize(
-    "name", ["interface", "search", "images", "ranking", "networks", "stopwatch", "learning", "runner"]
-)
-def test_a_change_in_what_all_methods_use_changes_their_hash(
-    given: type[Method], monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    before, read = runner.code_hash(given), Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path.name == f"{name}.py"))
+def test_another_harness_changes_the_hash_of_every_method(given: type[Method], monkeypatch: pytest.MonkeyPatch) -> None:
+    before = runner.code_hash(given)
+    monkeypatch.setattr(harness, "VERSION", harness.VERSION + 1)
     assert runner.code_hash(given) != before
+
+
+def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None:
+    decided = json.loads(DECIDED.read_text())
+    files = [Path(inspect.getfile(importlib.import_module(name))) for name in harness.MODULES]
+    now = {"version": harness.VERSION, "meaning": meaning(files)}
+    assert now == decided, (
+        "the harness changed: if a run may now have other answers or times, raise harness.VERSION; in any case write "
+        f"{json.dumps(now)} to {DECIDED}"
+    )
+
+
+def test_the_version_of_this_package_is_in_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, version = key(), importlib.metadata.version
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "9.9" if name == "vprbench" else version(name))
+    assert (key(), environment.capture("cpu", 1)["vprbench"]) == (before, "9.9")
 
 
 def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:

@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
     except KeyboardInterrupt as error:
-        code = 128 + (error.args or (signal.SIGINT,))[0]
+        code = 128 + int((error.args or (signal.SIGINT,))[0])
         if os.environ.get(IN_SWEEP):  # the sweep or the table that waits for this run says it
             return code
         return _complain("interrupted; what was finished before is kept: give the same command again", code)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from vprbench import environment, sources
+from vprbench import environment
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
 from vprbench.interface import DescriptorMethod, Method, encoded_blocks
 from vprbench.records import content_key
+from vprbench.sources import source_hash
 from vprbench.weights import Weights
 
 
@@ -31,7 +31,7 @@ class Described:
         """
         if cache is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
             return None
-        apart = {"device", *method.query_arguments, *method.search_arguments}
+        apart = {"_target_", "device", *method.query_arguments, *method.search_arguments}
         apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
         return cls(
             cache,
@@ -66,11 +66,3 @@ class Described:
                 done(count)
 
         return self._cache.keep(key, len(images), blocks(), origin), False
-
-
-def source_hash(method: type) -> str:
-    """Return the hash of the source behind a method, or behind a part of one."""
-    digest = hashlib.sha256()
-    for name, path in sources.behind(method).items():
-        digest.update(name.encode() + path.read_bytes())
-    return digest.hexdigest()

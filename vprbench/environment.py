@@ -40,6 +40,7 @@ def capture(device: str, threads: int) -> dict[str, Any]:
         "threads": threads,
         "device": device,
         **_accelerator(device),
+        "vprbench": _version("vprbench"),
         "libraries": library_versions(),
         "git": _git_state(),
         "load_average": list(psutil.getloadavg()),
@@ -50,8 +51,8 @@ def capture(device: str, threads: int) -> dict[str, Any]:
 
 
 def library_versions() -> dict[str, str | None]:
-    """Return the versions of this project and of the libraries that compute, None where not installed."""
-    return {name: _version(name) for name in ("vprbench", *_LIBRARIES)}
+    """Return the versions of the libraries that compute, None for those that are not installed."""
+    return {name: _version(name) for name in _LIBRARIES}
 
 
 def cores() -> list[int]:

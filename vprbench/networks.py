@@ -85,7 +85,7 @@ def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Or
     held_out = calibration(method, dataset)
     kept = {name: value for name, value in arguments.items() if name not in ("_target_", "device")}
     return Origin(
-        kind=method.stored_as or f"{type(method).__module__}.{type(method).__qualname__}",
+        kind=method.stored_as or type(method).__name__,
         arguments=json.loads(json.dumps(kept)),  # as it will be read: a tuple is a list
         dataset=dataset.name,
         n_places=dataset.n_places,
@@ -181,7 +181,7 @@ def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) 
 
 def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str]) -> Iterator[str]:
     """Yield each difference between what a network was trained with and on and what is wanted."""
-    if there["kind"] != wanted.kind:
+    if there["kind"].rpartition(".")[2] != wanted.kind:  # version 0.6 wrote the module of the class too
         yield f"it is one of {there['kind']}, not of {wanted.kind}"
         return  # the arguments of another method say nothing
     given, missing = there["arguments"], object()

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from vprbench import environment
 from vprbench.array_cache import ArrayCache
-from vprbench.described import source_hash
 from vprbench.images import Images
 from vprbench.preprocess import PatchNormalisation
 from vprbench.records import content_key
+from vprbench.sources import source_hash
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, networks, progress, spikes
+from vprbench import environment, harness, networks, progress, spikes
 from vprbench.data_record import data_record
-from vprbench.described import Described, source_hash
+from vprbench.described import Described
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
 from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Scores, calibration, held_together
@@ -26,6 +24,7 @@ from vprbench.preprocessed import Preprocessed
 from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.search import Audit, Search
+from vprbench.sources import source_hash
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
@@ -54,13 +53,14 @@ def run_key(
 ) -> str:
     """Return the hash of all that can change the outcome of a run or the times it measures.
 
+    Where files lie does not count: of the module of the method's class its name alone.
     `network` is the hash of the file that the run loads; a run that trains has another key.
     """
-    arguments = {name: value for name, value in config["method"].items() if name != "device"}
+    arguments = {name: value for name, value in config["method"].items() if name not in ("_target_", "device")}
     held_out = calibration(method, dataset)
     return content_key(
         {
-            "method": arguments,
+            "method": {"class": type(method).__qualname__, **arguments},
             "code": code_hash(type(method)),
             "dataset": dataset.name,
             "protocol": dict(dataset.protocol),
@@ -79,11 +79,8 @@ def run_key(
 
 
 def code_hash(method: type[Method]) -> str:
-    """Return the hash of the source behind a method and of what runs, ranks and times all methods."""
-    digest = hashlib.sha256(source_hash(method).encode())
-    for part in (Method, Images, Outcome, Stopwatch, networks.load, learn, run):
-        digest.update(Path(inspect.getfile(part)).read_bytes())
-    return digest.hexdigest()
+    """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
+    return hashlib.sha256(f"{source_hash(method)} {harness.VERSION}".encode()).hexdigest()
 
 
 def fingerprint(dataset: Dataset) -> str:

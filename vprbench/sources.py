@@ -1,40 +1,66 @@
-"""The source files that a method's answers come from: its own, and all that they import from its package or ours."""
+"""The code that computes a method's answers, and a hash of its meaning: not of its words, nor of where it lies."""
 
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib.util
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+#: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
+COMPUTING = frozenset(
+    f"vprbench.{name}"
+    for name in ("compiled", "interface", "neural", "preprocess", "preprocess_compiled", "resize", "search", "weights")
+)
 
 
-def behind(method: type) -> dict[str, Path]:
-    """Return the files behind a class by module name, in order of the names.
+def source_hash(kind: type) -> str:
+    """Return the hash of the code behind a class: its own file, and all that compute for it.
 
-    Imports are followed, inside functions too, as long as they stay in the package of the class or in vprbench: what
-    other packages hold is covered by their versions.
+    Comments, docstrings, imports for types and the places of files do not count: an edited sentence and a moved file
+    give the same hash. Values, defaults and statements count. Raises OSError for a class without a source file.
     """
-    name = method.__module__
-    ours = {name.partition(".")[0], "vprbench"}
-    found = {name: Path(inspect.getfile(method))}
+    return meaning(behind(kind).values())
+
+
+def meaning(files: Iterable[Path]) -> str:
+    """Return the hash of what Python files say to the interpreter, in whatever order and under whatever names."""
+    return hashlib.sha256("".join(sorted(map(_meaning, files))).encode()).hexdigest()
+
+
+def behind(kind: type) -> dict[str, Path]:
+    """Return the files that compute for a class by module name, in order of the names.
+
+    Imports are followed, inside functions too, within the package of the class and the `COMPUTING` modules of this
+    project: the versions of other packages stand for what these hold.
+    """
+    name = kind.__module__
+    found = {name: Path(inspect.getfile(kind))}
     waiting = [name]
     while waiting:
         current = waiting.pop()
         for imported in _imported(current, found[current]):
-            if imported in found or imported.partition(".")[0] not in ours:
-                continue
-            path = _file(imported)
-            if path is not None:
+            if imported not in found and _counts(imported, name) and (path := _file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
     return dict(sorted(found.items()))
 
 
+def _counts(module: str, asking: str) -> bool:
+    ours, package = module.partition(".")[0] == "vprbench", asking.partition(".")[0]
+    if not ours:
+        return module.partition(".")[0] == package
+    return module in COMPUTING or module.startswith("vprbench.methods.")
+
+
 def _imported(module: str, path: Path) -> Iterator[str]:
     """Yield the full names of all that a file imports, modules and what may be one."""
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
@@ -42,6 +68,18 @@ def _imported(module: str, path: Path) -> Iterator[str]:
             source = importlib.util.resolve_name(source, package) if node.level else source
             yield source
             yield from (f"{source}.{alias.name}" for alias in node.names)
+
+
+def _statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes of a tree but those that are for type checkers alone."""
+    yield tree
+    for child in ast.iter_child_nodes(tree):
+        if not _is_for_types(child):
+            yield from _statements(child)
+
+
+def _is_for_types(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and not node.orelse and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
 def _file(module: str) -> Path | None:
@@ -53,3 +91,31 @@ def _file(module: str) -> Path | None:
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return None
     return Path(spec.origin)
+
+
+def _meaning(path: Path) -> str:
+    text = path.read_text(encoding="utf-8")
+    return _hash_of(text)
+
+
+@cache
+def _hash_of(text: str) -> str:
+    return hashlib.sha256(repr(_plain(ast.parse(text))).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Return a syntax tree as nested tuples; empty parts are left out, for versions of Python differ in them."""
+    if isinstance(value, list):
+        return tuple(_plain(item) for item in value if not _says_nothing(item))
+    if isinstance(value, ast.ImportFrom):  # under which names things are known here, not where they lie
+        return ("ImportFrom", *((alias.name, alias.asname) for alias in value.names))
+    if isinstance(value, ast.AST):
+        parts = ((name, _plain(part)) for name, part in ast.iter_fields(value) if part not in (None, []))
+        return (type(value).__name__, *((name, part) for name, part in parts if part != ()))
+    return value
+
+
+def _says_nothing(node: Any) -> bool:
+    """Tell whether a statement is a text that nobody reads at run time, as a docstring is, or for type checkers."""
+    text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    return text or _is_for_types(node)

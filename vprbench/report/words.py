@@ -199,6 +199,7 @@ def _machine(number: int, named: Sequence[tuple[str, Run]]) -> Machine:
         "System": first.get("platform"),
         "Clock governor": _several(e["governor"] for e in all_of_it if e.get("governor")),
         "Python": _several(e["python"] for e in all_of_it if e.get("python")),
+        "vprbench": _several(e["vprbench"] for e in all_of_it if e.get("vprbench")),
         "Libraries": _libraries(all_of_it),
         "Commit": _several(map(_commit, all_of_it)),
         "Load before a run": _load(all_of_it),

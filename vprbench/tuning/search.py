@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
 from collections import Counter
@@ -19,6 +18,7 @@ from vprbench.interface import BadInput
 from vprbench.plan import read_plan
 from vprbench.records import content_key
 from vprbench.runner import code_hash, fingerprint
+from vprbench.sources import meaning
 from vprbench.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
@@ -93,8 +93,8 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     method = {**method, "seed": settings.seed, "device": "cpu"}
     encoder = registry.make_method(method)
     origin = {
-        "method": method,
-        "code": [code_hash(type(encoder)), hashlib.sha256(Path(objective.__file__).read_bytes()).hexdigest()],
+        "method": {name: value for name, value in method.items() if name != "_target_"},
+        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
         "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
         "seed": settings.seed,

@@ -1,0 +1,13 @@
+"""The version of all that reads, scores and times every method alike, which is part of the key of a run."""
+
+from __future__ import annotations
+
+#: Raise it with a change by which a run may have other answers or times; a test holds that nobody forgets to decide.
+VERSION = 1
+
+#: The modules whose changes are decided about.
+MODULES = (
+    *("vprbench.images", "vprbench.ahead", "vprbench.png", "vprbench.png_pixels", "vprbench.image_formats"),
+    *("vprbench.ranking", "vprbench.stopwatch", "vprbench.learning", "vprbench.runner", "vprbench.networks"),
+    *("vprbench.described", "vprbench.descriptor_cache", "vprbench.preprocessed", "vprbench.environment"),
+)
