@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput, NotThere
 from vprbench.mat_files import MatFileError, read_mat
 
 from .file_dataset import Unmatched, dataset_of_files

@@ -10,8 +10,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.arrays import Places
+from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, FrameFolder, Places
 
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 

@@ -7,8 +7,9 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import vprbench
+from vprbench.api.dataset import FrameFolder
 from vprbench.data_folder import data_folder
-from vprbench.interface import FrameFolder, NotThere
+from vprbench.errors import NotThere
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _ARCHIVES = "archives"  # what was downloaded and not unpacked yet

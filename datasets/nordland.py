@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, get_args
 
+from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, FrameFolder
 
 from .frame_folders import check_folders, root_folder
 from .traverses import Evaluation, check_recorded, dataset_of, recorded_split

@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.dataset import Dataset, FrameFolder, HeldOut
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, FrameFolder, HeldOut
 
 Evaluation = Literal["vprtempo", "vprsnn"]  # whose way to split places
 Numbers = npt.NDArray[np.int64]  # (n,), of places along the journey, ascending

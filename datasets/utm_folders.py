@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput, NotThere
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder

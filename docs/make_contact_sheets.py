@@ -9,10 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.datasets.rendering.film import HEIGHT, WIDTH
 from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
-from vprbench.interface import Dataset, Image
 
 GAP = 4  # pixels between frames
 LABEL = 74  # pixels to the left of the frames

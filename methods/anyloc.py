@@ -14,8 +14,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench import progress
+from vprbench.api.arrays import Places
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError, Places
 from vprbench.neural import NeuralDescriptor
 from vprbench.resize import Interpolation, Resize
 from vprbench.search import faiss_module

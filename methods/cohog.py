@@ -18,9 +18,12 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from vprbench.api.arrays import Image, Places, Scores
+from vprbench.api.descriptor import best_image_of_place
+from vprbench.api.method import Method
 from vprbench.compiled import compiled
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image, Method, NotFittedError, Places, Scores, best_image_of_place
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 Regions = npt.NDArray[np.float32]  # (n_regions, d)

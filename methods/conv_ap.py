@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 from vprbench.resize import Interpolation
 from vprbench.weights import load_strictly, state_dict

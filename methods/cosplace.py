@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 from vprbench.resize import Resize
 from vprbench.weights import load_strictly, state_dict

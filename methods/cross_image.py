@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 
 _HEADS, _LAYERS = 16, 2

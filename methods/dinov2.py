@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly, state_dict
 

@@ -13,7 +13,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput, Places, Scores
+from vprbench.api.arrays import Places, Scores
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly, state_dict, without_prefix
 

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, DescriptorMethod
 
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.resize import Resize
 from vprbench.weights import load_strictly, state_dict
 

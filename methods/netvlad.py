@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.mat_files import read_mat
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly, state_dict, without_prefix

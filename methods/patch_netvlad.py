@@ -16,8 +16,9 @@ import psutil
 import torch
 from torch import nn
 
+from vprbench.api.arrays import Places, Scores
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError, Places, Scores
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import load_strictly
 

@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from sklearn import decomposition
 
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.descriptor import best_image_of_place
+from vprbench.api.method import Method
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, NotFittedError, Places, Scores, best_image_of_place
 from vprbench.preprocess import PatchNormalisation, Variant
 
 

@@ -14,9 +14,12 @@ import numpy.typing as npt
 import torch
 from numba import types
 
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.descriptor import best_image_of_place
+from vprbench.api.method import Method
 from vprbench.compiled import compiled
+from vprbench.errors import NotFittedError
 from vprbench.images import Images
-from vprbench.interface import Method, NotFittedError, Places, Scores, best_image_of_place
 from vprbench.preprocess import PatchNormalisation, Variant
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)

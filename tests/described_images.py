@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from omegaconf import OmegaConf
 
+from vprbench.api.arrays import Image
+from vprbench.api.method import Method
 from vprbench.images import Images
-from vprbench.interface import Image, Method
 
 
 def image(height: int, width: int, seed: int = 0) -> Image:

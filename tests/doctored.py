@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from PIL import Image as PillowImage
 
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.doctor import Finding, examine
 from vprbench.images import Images
-from vprbench.interface import Dataset, FrameFolder, Image
 
 PLACES = 60
 NAMES = [f"{place:03d}.png" for place in range(PLACES)]

@@ -12,7 +12,7 @@ import little
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import Scores
+from vprbench.api.arrays import Scores
 from vprbench.ranking import best_places, outcome
 from vprbench.records import Run
 from vprbench.series import Series

@@ -17,8 +17,8 @@ from little import Lookup, journey
 from little_runs import run_of, table
 
 from vprbench import environment
+from vprbench.api.arrays import Places
 from vprbench.images import Images
-from vprbench.interface import Places
 
 Answer = TypeVar("Answer")
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from little import Prototypes
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = ROOT.parent / "shared" / "data"

@@ -16,8 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import frames, networks
+from vprbench.api.arrays import Image, Places, Scores
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Image, Method, NotFittedError, Places, Scores
 from vprbench.ranking import Outcome
 from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from vprbench import environment, runner
-from vprbench.interface import Dataset, Method, Scores
+from vprbench.api.arrays import Scores
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.records import Run
 from vprbench.stopwatch import Protocol
 

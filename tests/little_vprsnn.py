@@ -11,9 +11,10 @@ import numpy.typing as npt
 import pytest
 from vprsnn_constants import constants
 
+from vprbench.api.arrays import Image, Places
+from vprbench.api.method import LayerSpikes, Method
 from vprbench.conformance import Journey
 from vprbench.images import Images
-from vprbench.interface import Image, LayerSpikes, Method, Places
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.module import Train
 from vprbench.methods.vprsnn.physics import physics_of, traces_of

@@ -11,10 +11,10 @@ from figure_runs import five_rows, run, series
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from vprbench.errors import BadInput
 from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.figures.style import Drawn, pdf
 from vprbench.figures.tradeoff import against_rate
-from vprbench.interface import BadInput
 from vprbench.intervals import share_interval
 from vprbench.ranking import outcome
 from vprbench.records import Run

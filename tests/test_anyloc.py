@@ -14,8 +14,8 @@ from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tok
 from described_images import composed, distance, encoded, image
 
 from vprbench import conformance, registry
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.anyloc import AnyLoc
 from vprbench.methods.anyloc import vlad as gathered
 from vprbench.weights import Weights

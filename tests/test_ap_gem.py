@@ -17,7 +17,7 @@ from described_images import composed, distance, drawn_images, encoded
 from sklearn.decomposition import PCA
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.ap_gem import APGeM
 from vprbench.weights import Weights
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.backbones.resnet import NAMES, n_channels, resnet
 from vprbench.methods.backbones.vgg import vgg16_features
 from vprbench.methods.backbones.vit import SIZES, Sizes, VisionTransformer, first_blocks

@@ -20,10 +20,12 @@ import torch
 from stopped_clock import Clock
 
 from vprbench import bench, bench_text, bench_vprsnn, measures, progress
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.method import Method
 from vprbench.bench_report import QUICK, Failed, Settings, chosen
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, Places, Scores
 from vprbench.measures import AFTER, BEFORE, floor_laps, growth, timed_fit
 from vprbench.workload import Route
 

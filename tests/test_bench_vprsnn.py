@@ -10,9 +10,10 @@ import pytest
 from stopped_clock import Clock
 
 from vprbench import bench_vprsnn, bench_vprsnn_text, measures, progress
+from vprbench.api.method import Method
 from vprbench.bench_report import QUICK, AskingCell, Failed, ModuleCell, Settings
 from vprbench.bench_vprsnn import affordable, asking_cell, copies, module_cell, watched
-from vprbench.interface import BadInput, Method
+from vprbench.errors import BadInput
 from vprbench.measures import Fit
 from vprbench.methods.vprsnn import module, recipe, simulation, training
 from vprbench.methods.vprsnn.method import VPRSNN

@@ -18,9 +18,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench import conformance, registry
+from vprbench.api.arrays import Image
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image
 from vprbench.methods.boq import BoQ, BoQResNet50
 from vprbench.weights import Weights
 

@@ -14,9 +14,12 @@ import numpy.typing as npt
 import pytest
 
 from vprbench import registry
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.method import LayerSpikes, Method
 from vprbench.conformance import RULES, Journey, check
+from vprbench.errors import NotFittedError
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod, LayerSpikes, Method, NotFittedError, Places, Scores
 from vprbench.neural import NeuralDescriptor
 
 ENTRIES = registry.entries("method")

@@ -17,8 +17,8 @@ from PIL import Image as PillowImage
 from torch.nn import functional
 
 from vprbench import conformance, registry
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput
 from vprbench.methods.cosplace import CosPlace, EigenPlaces
 from vprbench.weights import Weights
 

@@ -17,7 +17,7 @@ from PIL import Image as PillowImage
 from torch.nn import functional
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.cricavpr import CricaVPR
 from vprbench.weights import Weights
 

@@ -19,10 +19,10 @@ from little_runs import QUICK, quiet_surroundings, run_of
 from PIL import Image as PillowImage
 
 from vprbench import file_hashes, tables
+from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.data_record import DataRecord, data_record
 from vprbench.images import Images
-from vprbench.interface import Dataset
 from vprbench.records import Run
 from vprbench.store import Store
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.configuration import set_hypothesis_home_dir
 from little import numbers_in, pictures
 
+from vprbench.api.dataset import Dataset
 from vprbench.datasets import nordland as nordland_module
 from vprbench.datasets.folders import folders
 from vprbench.datasets.nordland import chosen_names, nordland
@@ -28,7 +29,7 @@ from vprbench.datasets.traverses import (
     right_places,
     set_aside,
 )
-from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.errors import BadInput, NotThere
 
 quickly = settings(derandomize=True, deadline=None, max_examples=100, database=None)
 

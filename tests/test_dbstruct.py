@@ -7,7 +7,7 @@ from scipy.io import savemat
 
 from vprbench import mat_files
 from vprbench.datasets.dbstruct import dbstruct
-from vprbench.interface import NotThere
+from vprbench.errors import NotThere
 
 DATABASE = ["000/a.jpg", "000/b.jpg", "001/c.jpg"]
 QUERIES = ["q1.jpg", "q2.jpg"]

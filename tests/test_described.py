@@ -13,9 +13,11 @@ from little import journey, number_in
 from PIL import Image as PillowImage
 
 from vprbench import described, runner
+from vprbench.api.dataset import Dataset
+from vprbench.api.descriptor import DescriptorMethod
 from vprbench.descriptor_cache import DescriptorCache
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, DescriptorMethod
 from vprbench.records import Run
 from vprbench.stopwatch import Protocol, Stopwatch
 from vprbench.weights import Weights

@@ -11,9 +11,11 @@ import torch
 from torch import nn
 
 from vprbench import registry
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.descriptor_bench import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
-from vprbench.interface import BadInput, DescriptorMethod, Method
+from vprbench.errors import BadInput
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import Weights
 

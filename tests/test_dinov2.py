@@ -15,7 +15,7 @@ from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.dinov2 import DINOv2
 from vprbench.weights import Weights
 

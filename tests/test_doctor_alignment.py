@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.doctor import Finding, examine, offsets
 from vprbench.images import Images
-from vprbench.interface import Dataset, Image
 
 from .doctored import PLACES, notes, season, wrong
 

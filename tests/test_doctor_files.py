@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.doctor import insist, quick
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Image
 
 from .doctored import NAMES, PLACES, dataset_of, examined, healthy, notes, save, season, wrong
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vprbench.api.dataset import Dataset
 from vprbench.doctor import Finding, quick
 from vprbench.images import Images
-from vprbench.interface import Dataset
 
 from .doctored import NAMES, PLACES, notes, wrong
 from .little import picture

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.doctor import Finding, examine
 from vprbench.images import Images
-from vprbench.interface import Dataset, FrameFolder
 
 from .doctored import notes, wrong
 

@@ -19,7 +19,7 @@ import pytest
 import requests
 
 from vprbench.download import fetch
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.progress import listening
 
 CHUNK = 512 * 1024  # bytes that gdown writes at once: less than that of a broken answer is lost

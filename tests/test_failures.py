@@ -12,7 +12,7 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.cli import main
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 from vprbench.records import Failure
 from vprbench.store import Store
 

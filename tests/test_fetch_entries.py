@@ -8,9 +8,9 @@ import pytest
 from archive_files import zipped
 
 from vprbench import registry
+from vprbench.errors import BadInput
 from vprbench.fetch_entries import Download, downloads, read
 from vprbench.fetched import content_sha256, count_files
-from vprbench.interface import BadInput
 from vprbench.unpacking import unpack
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -31,9 +31,9 @@ from little_download import (
 from served_files import Server
 
 from vprbench import fetching
+from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Held, Part
 from vprbench.fetching import Settings, fetch
-from vprbench.interface import BadInput, NotThere
 from vprbench.progress import listening
 from vprbench.unpacking import Wanted
 

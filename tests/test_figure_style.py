@@ -12,10 +12,10 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
+from vprbench.errors import BadInput
 from vprbench.figures.log_axis import plain, plain_log
 from vprbench.figures.measured_on import listed
 from vprbench.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, Look, looks, new, pdf, png, styled, write
-from vprbench.interface import BadInput
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
 OTHERS = [f"method {i}" for i in range(10)]

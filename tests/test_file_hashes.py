@@ -19,8 +19,8 @@ import platformdirs
 import pytest
 
 from vprbench import file_hashes
+from vprbench.errors import BadInput
 from vprbench.file_hashes import FileHash, FileHashes
-from vprbench.interface import BadInput
 from vprbench.progress import listening
 
 ROOT = Path(__file__).resolve().parents[1]

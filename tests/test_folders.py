@@ -9,7 +9,7 @@ from PIL import Image as PillowImage
 
 from vprbench.datasets.folders import folders
 from vprbench.datasets.image_files import images_in
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 
 @pytest.fixture

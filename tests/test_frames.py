@@ -18,9 +18,11 @@ from little import keep_frames_often
 from PIL import Image as PillowImage
 
 from vprbench import ahead, frames, images, progress
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Image
 
 FINGERPRINT = "0123456789abcdef" * 4
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]

@@ -18,8 +18,8 @@ from PIL import Image as PillowImage
 from torch.nn import functional
 
 from vprbench import conformance, registry
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
 from vprbench.weights import Weights
 

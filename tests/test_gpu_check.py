@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from vprbench import gpu_check, registry
+from vprbench.api.method import Method
 from vprbench.bench_report import chosen
 from vprbench.cli import main
 from vprbench.gpu_check import Comparison, Settings, compared
-from vprbench.interface import Method
 from vprbench.measures import Make
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.workload import Route

@@ -9,10 +9,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 
+from vprbench.errors import BadInput
 from vprbench.figures.growth import growth
 from vprbench.figures.style import png
 from vprbench.growth_series import GrowthSamples, samples
-from vprbench.interface import BadInput
 from vprbench.plan import Row
 from vprbench.records import Run
 

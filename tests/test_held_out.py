@@ -17,8 +17,11 @@ from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import images, networks, partial, progress, runner
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, HeldOut, Method, Places, Scores
 from vprbench.records import Run
 
 

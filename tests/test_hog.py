@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vprbench import interface
+from vprbench.api import descriptor
 from vprbench.datasets.folders import folders
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput
 from vprbench.methods.hog import HOG
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -175,7 +175,7 @@ def test_scores_are_cosines():
 
 
 def test_fitting_needs_little_more_memory_than_the_descriptors(monkeypatch):
-    monkeypatch.setattr(interface, "_BLOCK", 4)
+    monkeypatch.setattr(descriptor, "_BLOCK", 4)
     image, n = np.zeros((8, 8, 3), np.uint8), 128
     tracemalloc.start()
     try:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from vprbench.cli import main
+from vprbench.errors import BadInput
 from vprbench.file_hashes import hashes_folder
-from vprbench.interface import BadInput
 from vprbench.partial import partial_folder
 from vprbench.weights import weights_folder
 

@@ -12,7 +12,7 @@ import pytest
 
 from vprbench import registry
 from vprbench.cli import main
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from image_folders import answer, brute_force, fill, numbered, reds, rights, used
 
 from vprbench.datasets.image_list import image_list
-from vprbench.interface import NotThere
+from vprbench.errors import NotThere
 
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=40)
 

@@ -12,8 +12,8 @@ from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import ahead, images
+from vprbench.errors import BadInput
 from vprbench.images import Images, read_image
-from vprbench.interface import BadInput
 
 PATIENCE = 120  # seconds for what takes none unless something is broken
 

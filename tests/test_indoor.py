@@ -13,7 +13,7 @@ from described_images import composed, distance, drawn_images, encoded, image
 from torch.nn import functional
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.indoor import EigenPlacesIndoor, SALADIndoor
 from vprbench.weights import Weights
 

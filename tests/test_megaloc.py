@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from torch.nn import functional
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.megaloc import MegaLoc
 from vprbench.weights import Weights
 

@@ -6,8 +6,8 @@ import tracemalloc
 
 import numpy as np
 
+from vprbench.api.dataset import Dataset
 from vprbench.images import Images
-from vprbench.interface import Dataset
 from vprbench.runner import _Answers
 
 N_PLACES = 27_592  # Nordland, every frame

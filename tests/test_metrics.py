@@ -16,7 +16,7 @@ from sklearn.metrics import auc as sklearn_auc
 from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
 
 from vprbench import ranking
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.metrics import (
     FullPrecision,
     PRCurve,

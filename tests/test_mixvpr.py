@@ -16,8 +16,8 @@ from PIL import Image as PillowImage
 from torch.nn import functional
 
 from vprbench import conformance, registry
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput
 from vprbench.methods.mixvpr import MixVPR
 from vprbench.weights import Weights
 

@@ -18,8 +18,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from vprbench import conformance
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput
 from vprbench.methods.netvlad import NetVLAD
 from vprbench.weights import Weights
 

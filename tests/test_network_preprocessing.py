@@ -16,8 +16,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench import registry
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image
 from vprbench.neural import NeuralDescriptor
 
 Levels = npt.NDArray[Any]

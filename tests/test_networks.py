@@ -33,8 +33,10 @@ from little import (
 from safetensors.numpy import save_file
 
 from vprbench import networks, tables
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.cli import main
-from vprbench.interface import BadInput, Dataset, Method, NotFittedError
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -20,8 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench import conformance, neural
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image
 from vprbench.neural import NeuralDescriptor
 from vprbench.weights import Weights, load_strictly, state_dict
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image as PillowImage
 
 from vprbench.datasets.nordland import nordland, published_frames
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "nordland_64x32"
 needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")

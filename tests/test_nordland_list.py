@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vprbench.datasets.nordland import chosen_names, published_frames
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "nordland_64x32"
 needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")

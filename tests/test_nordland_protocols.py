@@ -13,9 +13,9 @@ import pytest
 from stored_runs import ROWS, run
 
 from vprbench import composing, registry
+from vprbench.api.dataset import Dataset
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.datasets.nordland import published_frames
-from vprbench.interface import Dataset
 from vprbench.paper import Asked, choose
 from vprbench.plan import read_plan
 

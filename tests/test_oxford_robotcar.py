@@ -9,7 +9,7 @@ from PIL import Image as PillowImage
 
 from vprbench.datasets.oxford_robotcar import oxford_robotcar
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, every, published_timestamps
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 
 TINY = {"places": 4, "first_query_place": 1, "query_places": 3}
 TINY_STAMPS = {traverse: published_timestamps(traverse)[:28:7] for traverse in RECORDINGS}

@@ -142,7 +142,7 @@ def test_methods_and_datasets_have_no_init_file_of_their_own() -> None:
 
 
 def test_importing_the_package_needs_neither_torch_nor_matplotlib() -> None:
-    code = "import sys, vprbench, vprbench.interface; print('torch' in sys.modules, 'matplotlib' in sys.modules)"
+    code = "import sys, vprbench, vprbench.api.descriptor; print('torch' in sys.modules, 'matplotlib' in sys.modules)"
     assert run(sys.executable, "-c", code, cwd=ROOT).stdout.split() == ["False", "False"]
 
 

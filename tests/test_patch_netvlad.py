@@ -22,8 +22,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vprbench import conformance
+from vprbench.api.method import held_together
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError, held_together
 from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_geometry import centres, inliers, mutual, score
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vprbench.datasets.folders import folders
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 

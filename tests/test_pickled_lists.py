@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from image_folders import lists
 
 from vprbench.datasets.pickled_lists import read_lists
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
 ADVICE = "get it again"

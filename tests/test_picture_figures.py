@@ -8,10 +8,11 @@ import pytest
 from figure_runs import run, scores_with_recall
 from matplotlib.axes import Axes
 
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput
 from vprbench.figures.pictures import frames, similarity
 from vprbench.figures.style import Drawn, pdf
 from vprbench.frames import Example, Thumbnails
-from vprbench.interface import BadInput, Image
 from vprbench.ranking import outcome
 from vprbench.records import Run
 

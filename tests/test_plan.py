@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from vprbench import composing, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.paper import Asked, Chosen, choose, wanted
 from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
 

@@ -14,8 +14,8 @@ from PIL import Image as PillowImage
 from PIL import PngImagePlugin
 
 from vprbench import images, png
+from vprbench.errors import BadInput
 from vprbench.images import read_image
-from vprbench.interface import BadInput
 
 Pixels = npt.NDArray[np.uint8]
 HEIGHT, WIDTH = 37, 50

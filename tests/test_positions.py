@@ -10,7 +10,7 @@ from image_folders import answer, brute_force
 
 from vprbench.datasets.positions import by_radius, earth_centred
 from vprbench.datasets.utm_names import by_names, position_in
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 EASTING, NORTHING = 54_325_696, 417_890_670  # centimetres, a corner of San Francisco
 AROUND = st.tuples(st.integers(-6000, 6000), st.integers(-6000, 6000))

@@ -5,8 +5,8 @@ import preprocess_oracle as oracle
 import pytest
 from preprocess_frames import smooth_frame
 
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput
 from vprbench.preprocess import PatchNormalisation, gamma_correct, patch_normalise
 
 VARIANTS = ("A", "B", "C")

@@ -21,9 +21,11 @@ from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import images, preprocess, preprocessed, runner
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.images import Images
-from vprbench.interface import Dataset, HeldOut, Method, Places, Scores
 from vprbench.preprocess import PatchNormalisation
 from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run

@@ -20,8 +20,8 @@ from vprbench import registry
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.cli import main
 from vprbench.comparison import reasons
+from vprbench.errors import BadInput
 from vprbench.growth_series import samples
-from vprbench.interface import BadInput
 from vprbench.plan import PlannedColumn, Row
 from vprbench.records import Failure, Run
 from vprbench.report import words

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from little import a_failure, a_run
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.records import content_key
 from vprbench.store import Store
 

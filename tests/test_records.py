@@ -35,7 +35,7 @@ from little import (
 )
 
 from vprbench import records
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.records import DamagedRunError, NewerLayoutError, Run, content_key, load
 from vprbench.replacing import replace_text
 from vprbench.store import Store

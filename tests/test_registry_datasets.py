@@ -13,7 +13,8 @@ import pytest
 from little import journey
 
 from vprbench import registry
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from vprbench import registry
+from vprbench.api.method import Method
 from vprbench.cli import main
-from vprbench.interface import Method
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo

@@ -9,7 +9,7 @@ from rendered_frames import frames_of_traverse, mean_difference
 from vprbench.datasets.rendering.journey import Rendered
 from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 TRAVERSES = {street: ("sun", "rain", "dusk"), synthetic: ("spring", "summer", "fall", "winter")}
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from vprbench.interface import Image
+from vprbench.api.arrays import Image
 from vprbench.resize import Interpolation, Resize, resize_batch, resize_image
 
 KINDS = get_args(Interpolation)

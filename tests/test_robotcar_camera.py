@@ -20,7 +20,7 @@ from vprbench.datasets.oxford_robotcar.calibration import (
     read_calibration,
     read_raw,
 )
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 
 
 def calibration(folder: Path, x: np.ndarray, y: np.ndarray, camera: Camera = SMALL) -> Calibration:

@@ -29,9 +29,10 @@ from robotcar_download import (
 
 import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench import runner
+from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.datasets.oxford_robotcar import kept
-from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.errors import BadInput, NotThere
 
 
 @pytest.fixture(autouse=True)

@@ -11,9 +11,10 @@ import yaml
 from PIL import Image as PillowImage
 
 from vprbench import registry
+from vprbench.api.dataset import Dataset
 from vprbench.datasets.oxford_robotcar import oxford_robotcar
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, vprsnn_timestamps
-from vprbench.interface import BadInput, Dataset, NotThere
+from vprbench.errors import BadInput, NotThere
 
 START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
 ROWS = 3876

@@ -19,8 +19,9 @@ from little import Lookup, journey, picture, pictures
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
 
 from vprbench import environment, harness, runner
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.images import Images
-from vprbench.interface import Dataset, Method
 from vprbench.sources import meaning
 from vprbench.stopwatch import Protocol
 
@@ -131,7 +132,7 @@ def test_another_device_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 METHOD_SOURCE = """
-from vprbench.interface import Method
+from vprbench.api.method import Method
 
 class Given(Method):
     def fit(self, references, places): return self

@@ -15,9 +15,12 @@ from little import Lookup, journey, number_in, picture
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 
 from vprbench import runner
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.method import LayerSpikes
 from vprbench.descriptor_cache import DescriptorCache
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, DescriptorMethod, LayerSpikes, Places, Scores
 from vprbench.ranking import Outcome, outcome
 
 

@@ -14,8 +14,10 @@ from little_runs import QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock
 
 from vprbench import images, runner
+from vprbench.api.arrays import Scores
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.images import Images
-from vprbench.interface import Dataset, Method, Scores
 from vprbench.stopwatch import Protocol
 
 

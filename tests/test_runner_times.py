@@ -15,8 +15,9 @@ from little_runs import quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import images, progress, runner, tables
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.dataset import Dataset
 from vprbench.images import Images
-from vprbench.interface import Dataset, Places, Scores
 from vprbench.records import Run
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vprbench.datasets.nordland import nordland
+from vprbench.errors import NotFittedError
 from vprbench.images import Images
-from vprbench.interface import NotFittedError
 from vprbench.intervals import block_bootstrap, share_interval
 from vprbench.methods.sad import SAD
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import pytest
 import torch
 
+from vprbench.api.arrays import Scores
 from vprbench.images import Images
-from vprbench.interface import Scores
 from vprbench.methods import sad
 from vprbench.methods.sad import SAD, Levels
 

@@ -15,7 +15,7 @@ from described_images import composed, distance, drawn_images, encoded
 from PIL import Image as PillowImage
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.sfrs import SFRS
 from vprbench.weights import Weights
 

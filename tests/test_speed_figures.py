@@ -9,9 +9,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 
+from vprbench.errors import BadInput
 from vprbench.figures.speed import query_rate, training_time
 from vprbench.figures.style import Drawn, looks, png
-from vprbench.interface import BadInput
 from vprbench.plan import Quantity, Row, read_plan
 from vprbench.series import Series
 

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
+from vprbench.errors import BadInput
 from vprbench.figures.spikes import spike_statistics
-from vprbench.interface import BadInput
 from vprbench.records import Run
 from vprbench.series import Series
 

@@ -16,8 +16,10 @@ from little import number_in, numbers_in, pictures
 from PIL import Image as PillowImage
 
 from vprbench import stopwatch
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, Places, Scores
 from vprbench.stopwatch import (
     Protocol,
     Stopwatch,

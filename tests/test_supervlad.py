@@ -15,7 +15,7 @@ from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import composed, distance, encoded, image
 
 from vprbench import conformance, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.supervlad import SuperVLAD, SuperVLADCrossImage
 from vprbench.weights import Weights
 

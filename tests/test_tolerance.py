@@ -13,7 +13,7 @@ from little import a_run, unanswerable_run
 
 from vprbench import tables
 from vprbench.datasets.synthetic import synthetic
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.metrics import hits_at, recall_at
 from vprbench.ranking import best_places, outcome
 from vprbench.records import Run

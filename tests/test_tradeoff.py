@@ -14,9 +14,9 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from stored_runs import answers
 
+from vprbench.errors import BadInput
 from vprbench.figures.style import Drawn, png
 from vprbench.figures.tradeoff import against_memory, against_rate, front
-from vprbench.interface import BadInput
 from vprbench.intervals import share_interval
 from vprbench.series import Series
 

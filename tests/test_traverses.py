@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vprbench.datasets.traverses import check_recorded, places_of, recorded_split, right_places, set_aside, split
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 
 def refusal(check, *arguments, **named):

@@ -12,7 +12,8 @@ import yaml
 from little import a_run, pictures
 
 from vprbench import registry
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 from vprbench.plan import PlannedColumn, read_plan
 from vprbench.records import Run
 from vprbench.tuning.places import Searchable, cut, querying, searchable

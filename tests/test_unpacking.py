@@ -22,7 +22,7 @@ from archive_files import special, tarred, zip_with, zipped
 
 from vprbench import unpacking
 from vprbench.archives import DamagedArchive, Member
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.progress import listening
 from vprbench.unpacking import Wanted, unpack
 

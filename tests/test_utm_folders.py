@@ -4,7 +4,7 @@ import pytest
 from image_folders import answer, fill, reds, rights, used
 
 from vprbench.datasets.utm_folders import utm_folders
-from vprbench.interface import NotThere
+from vprbench.errors import NotThere
 
 
 def at(*positions):

@@ -11,7 +11,7 @@ from image_folders import REAL, answer, fill, lists, needs_real_frames, numbered
 
 from vprbench import registry
 from vprbench.datasets.vpr_bench import in_range, vpr_bench
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
 

@@ -9,7 +9,7 @@ from image_folders import REAL, answer, fill, needs_real_frames, numbered, reds,
 
 from vprbench import registry
 from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
-from vprbench.interface import NotThere
+from vprbench.errors import NotThere
 
 
 @pytest.fixture

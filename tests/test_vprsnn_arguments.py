@@ -13,7 +13,7 @@ import pytest
 import yaml
 from little_vprsnn import WORLD, fitted, images, layers
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 

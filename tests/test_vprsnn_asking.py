@@ -11,7 +11,7 @@ import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, recorded_trains, tiny_recipe
 from vprsnn_constants import constants
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.vprsnn import asking, scoring
 from vprbench.methods.vprsnn.assignment import Learnt
 from vprbench.methods.vprsnn.method import VPRSNN

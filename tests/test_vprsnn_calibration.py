@@ -11,8 +11,10 @@ import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, references, same, tiny_recipe
 
+from vprbench.api.arrays import Places
+from vprbench.api.dataset import HeldOut
+from vprbench.errors import NotFittedError
 from vprbench.images import Images
-from vprbench.interface import HeldOut, NotFittedError, Places
 from vprbench.methods.vprsnn import asking, method, training
 from vprbench.methods.vprsnn.asking import Asked, reactions
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble

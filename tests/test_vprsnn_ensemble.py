@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, WORLD, State, fitted, images, layers, lit, made, references, same
 
-from vprbench.interface import BadInput, NotFittedError
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 

@@ -11,7 +11,7 @@ import yaml
 from little_vprsnn import SMALL, WORLD, fitted, images, references, same, second_sight
 
 from vprbench.conformance import check
-from vprbench.interface import NotFittedError
+from vprbench.errors import NotFittedError
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.method import VPRSNN
 

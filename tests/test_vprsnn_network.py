@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, made, references, same, second_sight
 
-from vprbench.interface import BadInput, NotFittedError, NotThere
+from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.methods.vprsnn.method import VPRSNN
 
 Array = npt.NDArray[Any]

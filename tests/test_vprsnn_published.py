@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 from vprbench.methods.vprsnn.published import PublishedModule, files_of, read_modules
 
 INPUTS, NEURONS = 6, 4

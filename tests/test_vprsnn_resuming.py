@@ -14,7 +14,7 @@ import torch
 from little_vprsnn import SMALL, WORLD, fitted, images, references, same
 
 from vprbench import partial
-from vprbench.interface import HeldOut
+from vprbench.api.dataset import HeldOut
 from vprbench.methods.vprsnn import batched, method, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.lessons import Lesson

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.interface import Scores
+from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.assignment import Learnt, labels
 from vprbench.methods.vprsnn.order import modules

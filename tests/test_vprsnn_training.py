@@ -13,7 +13,7 @@ from little_vprsnn import SMALL, WORLD, fitted, images, recorded_trains, referen
 from vprsnn_constants import constants
 
 from vprbench import progress
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.methods.vprsnn import recipe
 from vprbench.methods.vprsnn.lessons import Lesson, lesson
 from vprbench.methods.vprsnn.method import VPRSNN

@@ -13,8 +13,8 @@ import torch
 
 from vprbench.conformance import RULES as CONFORMANCE
 from vprbench.conformance import Journey, check
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import Engine, VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from vprbench.errors import TrainingDivergedError
 from vprbench.images import Images
-from vprbench.interface import TrainingDivergedError
 from vprbench.methods.vprtempo import fused, training
 from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
 from vprbench.methods.vprtempo.method import VPRTempo

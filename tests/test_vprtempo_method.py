@@ -15,8 +15,8 @@ import vprtempo_oracle as oracle
 import yaml
 
 from vprbench.conformance import Journey
+from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer, draw_layer
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network

@@ -16,8 +16,8 @@ from vprbench import networks
 from vprbench.cli import main
 from vprbench.conformance import Journey
 from vprbench.datasets.synthetic import synthetic
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.store import Store

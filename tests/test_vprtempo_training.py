@@ -12,7 +12,7 @@ import pytest
 import torch
 import vprtempo_oracle as oracle
 
-from vprbench.interface import TrainingDivergedError
+from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
 from vprbench.methods.vprtempo.training import (

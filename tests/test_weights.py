@@ -22,7 +22,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from vprbench import weights as module_under_test
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.registry import checked
 from vprbench.weights import (
     Stated,

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from vprbench import ending, environment, frames, networks, registry, runner
+from vprbench.api.dataset import Dataset
 from vprbench.console import progress_shown
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.doctor import insist
-from vprbench.interface import BadInput, Dataset
+from vprbench.errors import BadInput
 from vprbench.options import Settings, n_threads
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed

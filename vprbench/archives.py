@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, BinaryIO, cast
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 _CHUNK = 1 << 20  # bytes read at once
 _HEADER_BYTES = 1 << 20  # of one member in a tar, far more than any honest one has

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import psutil
 
 from vprbench import environment, progress
+from vprbench.api.method import Method
 from vprbench.bench_reading import frame_files, in_own_process, kept_cell, reading_cell
 from vprbench.bench_report import (
     ENGINES,
@@ -41,7 +42,7 @@ from vprbench.bench_report import (
     TrainingCell,
 )
 from vprbench.bench_vprsnn import asking_cell, module_cell
-from vprbench.interface import BadInput, Method
+from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
 from vprbench.preprocess import Engine, PatchNormalisation
 from vprbench.progress import listening

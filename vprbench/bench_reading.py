@@ -16,9 +16,9 @@ import psutil
 from PIL import Image as PillowImage
 
 from vprbench import environment, progress
+from vprbench.api.arrays import Image
 from vprbench.bench_report import PATCH, KeptCell, ReadingCell, Settings
 from vprbench.images import Images, read_image
-from vprbench.interface import Image
 from vprbench.measures import rounded
 from vprbench.preprocess import PatchNormalisation
 from vprbench.preprocessed import Preprocessed

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, get_type_hints
 
 from vprbench import registry
+from vprbench.errors import BadInput
 from vprbench.homes import insist_on_homes
-from vprbench.interface import BadInput
 from vprbench.measures import Fit, Rates
 from vprbench.preprocess import Engine
 from vprbench.stopwatch import Protocol

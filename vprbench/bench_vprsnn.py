@@ -14,8 +14,9 @@ import numpy.typing as npt
 import psutil
 
 from vprbench import environment, progress
+from vprbench.api.method import Method
 from vprbench.bench_report import LOOKED, TRAVERSES, VPRSNN, AskingCell, ModuleCell, Part, Settings
-from vprbench.interface import BadInput, Method
+from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, rounded, timed_fit
 from vprbench.progress import listening
 from vprbench.stopwatch import Protocol, Stopwatch

@@ -27,7 +27,7 @@ from vprbench import ending, registry
 from vprbench.commands import COMMANDS
 from vprbench.composing import check_names, explained, in_order, readable
 from vprbench.console import answers_alone, log_lines
-from vprbench.interface import BadInput, NotThere, TrainingDivergedError
+from vprbench.errors import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
 from vprbench.printable import printable
 from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from vprbench import registry
+from vprbench.api.method import Method
 from vprbench.composing import check_names, composed, readable
-from vprbench.interface import BadInput, Method
+from vprbench.errors import BadInput
 from vprbench.options import checked_settings, n_threads
 from vprbench.printable import printable
 

@@ -13,7 +13,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from vprbench import registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.options import KNOWN
 from vprbench.stopwatch import Protocol
 

@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import networks
+from vprbench.api.arrays import Image, Places
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.errors import NotFittedError
 from vprbench.images import Images
-from vprbench.interface import Dataset, Image, Method, NotFittedError, Places
 from vprbench.registry import arguments, checked, make_method
 
 N_PLACES = 20

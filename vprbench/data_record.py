@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import TypedDict
 
-from vprbench.interface import Dataset
+from vprbench.api.dataset import Dataset
 
 
 class DataRecord(TypedDict):

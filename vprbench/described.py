@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from vprbench import environment
+from vprbench.api.descriptor import DescriptorMethod, encoded_blocks
+from vprbench.api.method import Method
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod, Method, encoded_blocks
 from vprbench.records import content_key
 from vprbench.sources import source_hash
 from vprbench.weights import Weights

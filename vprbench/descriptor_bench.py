@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment, progress, registry
+from vprbench.api.method import Method
 from vprbench.bench_text import machine_lines
-from vprbench.interface import BadInput, Method
+from vprbench.errors import BadInput
 from vprbench.measures import Make, median
 from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from vprbench.interface import BadInput, NotThere
+from vprbench.errors import BadInput, NotThere
 from vprbench.progress import report
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import yaml
 
 from vprbench import registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.unpacking import Wanted
 
 _FORBID: Any = {"extra": "forbid"}

@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from vprbench.errors import BadInput
 from vprbench.fetch_entries import Part
-from vprbench.interface import BadInput
 from vprbench.progress import report
 from vprbench.replacing import replace_text
 

@@ -15,9 +15,9 @@ from vprbench import download, registry
 from vprbench.archives import DamagedArchive
 from vprbench.console import progress_shown
 from vprbench.data_folder import data_folder
+from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Part, downloads
 from vprbench.fetched import RECORD, approve, count_files, insist_on_stated, record, remember
-from vprbench.interface import BadInput, NotThere
 from vprbench.unpacking import UNFINISHED, unpack
 
 logger = logging.getLogger(__name__)

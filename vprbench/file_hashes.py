@@ -16,8 +16,8 @@ from time import time_ns
 from typing import TypeVar
 
 from vprbench import progress
+from vprbench.errors import BadInput
 from vprbench.homes import cache_folder
-from vprbench.interface import BadInput
 
 logger = logging.getLogger(__name__)
 

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench import progress
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
 from vprbench.images import Images
-from vprbench.interface import Dataset, Image
 from vprbench.replacing import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)

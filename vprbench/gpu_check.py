@@ -17,10 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment, progress
+from vprbench.api.arrays import Scores
+from vprbench.api.method import Method
 from vprbench.bench_report import FRAME, PATCH, RULES, TRAVERSES
 from vprbench.bench_text import machine_lines, rates_text
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, Scores
 from vprbench.measures import Make, Rates, measured_rates
 from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser

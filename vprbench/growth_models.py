@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 Law = Literal["constant", "logarithmic", "linear"]
 LAWS: tuple[Law, ...] = ("constant", "logarithmic", "linear")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import contests
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.plan import Boundary, Row
 from vprbench.records import Run
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import platformdirs
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 
 def expanded(option: str, path: str) -> Path:

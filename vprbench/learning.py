@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench import networks, progress
+from vprbench.api.arrays import Places
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.method import Method, calibration
 from vprbench.described import Described
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, DescriptorMethod, HeldOut, Method, Places, calibration
 from vprbench.partial import Resumed
 from vprbench.preprocessed import Preprocessed
 from vprbench.stopwatch import Stopwatch

@@ -12,8 +12,9 @@ import numpy as np
 import psutil
 
 from vprbench import environment, stopwatch
+from vprbench.api.arrays import Places
+from vprbench.api.method import Method
 from vprbench.images import Images
-from vprbench.interface import Method, Places
 from vprbench.progress import Listener, listening, report
 from vprbench.stopwatch import Stopwatch, best_batch, offline_rate, streaming_rate, synchroniser
 from vprbench.summary import StageRates

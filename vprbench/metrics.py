@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput, Scores
+from vprbench.api.arrays import Scores
+from vprbench.errors import BadInput
 from vprbench.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, right_and_soft_cells
 
 Values = npt.NDArray[np.float64]

@@ -17,7 +17,9 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from vprbench.interface import BadInput, Dataset, Method, calibration
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method, calibration
+from vprbench.errors import BadInput
 from vprbench.replacing import remove_leftovers, unfinished
 
 if TYPE_CHECKING:

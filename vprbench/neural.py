@@ -17,8 +17,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from vprbench.api.arrays import Image
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, DescriptorMethod, Image
 from vprbench.resize import (
     VPR_METHODS_EVALUATION,
     Interpolation,

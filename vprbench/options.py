@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench import environment, registry
+from vprbench.errors import BadInput
 from vprbench.homes import insist_on_homes
-from vprbench.interface import BadInput
 from vprbench.stopwatch import Protocol
 
 

@@ -13,8 +13,8 @@ from vprbench import registry
 from vprbench.assembly import assemble
 from vprbench.belonging import ColumnAsked, Group, groups
 from vprbench.cells import Table
+from vprbench.errors import BadInput
 from vprbench.fill import Wanted, fill, results_folder
-from vprbench.interface import BadInput
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
 from vprbench.records import Failure, Run
 from vprbench.store import Store

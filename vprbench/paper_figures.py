@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench.belonging import ColumnAsked, Group, accuracy_series, groups, of_row, series, title
+from vprbench.errors import BadInput
 from vprbench.fill import fill, results_folder
 from vprbench.frames import Thumbnails, find
 from vprbench.growth_series import GrowthSamples, samples
-from vprbench.interface import BadInput
 from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
 from vprbench.plan import Quantity, Row

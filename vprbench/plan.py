@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 import yaml
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 Quantity = Literal["recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu"]
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from PIL import Image as PillowImage
 
-from vprbench.interface import Image
+from vprbench.api.arrays import Image
 from vprbench.png_pixels import insist_on_pixels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"

@@ -16,8 +16,9 @@ import torch
 from torch.nn import functional
 
 from vprbench import preprocess_compiled
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image
 
 Variant = Literal["A", "B", "C"]
 Engine = Literal["fused", "readable"]

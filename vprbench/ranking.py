@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput, Scores
+from vprbench.api.arrays import Scores
+from vprbench.errors import BadInput
 
 PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty where there are none
 Counts = npt.NDArray[np.int64]  # (n_queries,)

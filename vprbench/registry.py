@@ -22,7 +22,9 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench import ending
-from vprbench.interface import BadInput, Dataset, Method
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
 from vprbench.returned_dataset import disk_errors_told, insist_on_dataset
 from vprbench.tuned import TunedOn
 

@@ -12,7 +12,7 @@ from PIL import Image as PillowImage
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.interface import Image
+from vprbench.api.arrays import Image
 
 Resize = Literal["pillow", "tensor", "opencv", "area"]
 Interpolation = Literal["bilinear", "bicubic"]

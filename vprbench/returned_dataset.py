@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 
 _MOST_NAME_BYTES = 200  # file systems take 255, and other names are made of this one
 _SHOWN = 150  # characters of a name in a message

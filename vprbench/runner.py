@@ -13,11 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment, harness, networks, progress, spikes
+from vprbench.api.arrays import Scores
+from vprbench.api.dataset import Dataset
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.method import Method, calibration, held_together
 from vprbench.data_record import data_record
 from vprbench.described import Described
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, DescriptorMethod, Method, Scores, calibration, held_together
 from vprbench.learning import learn
 from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed

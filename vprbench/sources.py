@@ -9,12 +9,15 @@ import inspect
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 #: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
 COMPUTING = frozenset(
     f"vprbench.{name}"
-    for name in ("compiled", "interface", "neural", "preprocess", "preprocess_compiled", "resize", "search", "weights")
+    for name in (
+        *("api.descriptor", "api.method"),
+        *("compiled", "neural", "preprocess", "preprocess_compiled", "resize", "search", "weights"),
+    )
 )
 
 
@@ -100,15 +103,15 @@ def _meaning(path: Path) -> str:
 
 @cache
 def _hash_of(text: str) -> str:
-    return hashlib.sha256(repr(_plain(ast.parse(text))).encode()).hexdigest()
+    tree = ast.parse(text)
+    known = {(alias.name, alias.asname) for node in _statements(tree) if _is_import(node) for alias in node.names}
+    return hashlib.sha256(repr((sorted(known, key=repr), _plain(tree))).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
     """Return a syntax tree as nested tuples; empty parts are left out, for versions of Python differ in them."""
     if isinstance(value, list):
         return tuple(_plain(item) for item in value if not _says_nothing(item))
-    if isinstance(value, ast.ImportFrom):  # under which names things are known here, not where they lie
-        return ("ImportFrom", *((alias.name, alias.asname) for alias in value.names))
     if isinstance(value, ast.AST):
         parts = ((name, _plain(part)) for name, part in ast.iter_fields(value) if part not in (None, []))
         return (type(value).__name__, *((name, part) for name, part in parts if part != ()))
@@ -116,6 +119,11 @@ def _plain(value: Any) -> Any:
 
 
 def _says_nothing(node: Any) -> bool:
-    """Tell whether a statement is a text that nobody reads at run time, as a docstring is, or for type checkers."""
+    """Tell whether a statement is a text that nobody reads at run time, an import of names, or for type checkers."""
     text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    return text or _is_for_types(node)
+    return text or _is_import(node) or _is_for_types(node)
+
+
+def _is_import(node: ast.AST) -> TypeGuard[ast.ImportFrom]:
+    """Tell whether names are imported: under which names things are known counts, not where they lie."""
+    return isinstance(node, ast.ImportFrom)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.interface import BadInput, LayerSpikes
+from vprbench.api.method import LayerSpikes
+from vprbench.errors import BadInput
 
 __all__ = ["LayerSpikes", "summary"]
 

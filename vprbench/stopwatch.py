@@ -13,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.arrays import Scores
+from vprbench.api.method import Method, held_together
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Method, Scores, held_together
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.records import (
     SUMMARY,
     DamagedRunError,

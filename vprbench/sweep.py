@@ -76,7 +76,7 @@ def scratch() -> Iterator[Path]:
 
 def record(failure: Failure, root: Path) -> None:
     """Store a failure, where that is possible: the error itself is told in any case."""
-    from vprbench.interface import BadInput
+    from vprbench.errors import BadInput
     from vprbench.store import Store
 
     with contextlib.suppress(OSError, BadInput):

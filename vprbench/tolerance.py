@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput, Scores
+from vprbench.api.arrays import Scores
+from vprbench.errors import BadInput
 from vprbench.metrics import Values
 from vprbench.ranking import PlacesPerQuery
 

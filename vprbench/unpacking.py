@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from vprbench.archives import Member, members
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.progress import report
 
 UNFINISHED = ".unpacking-"  # how the names of folders begin that hold what is not whole yet

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from vprbench import pickled_numpy
 from vprbench.download import fetch
+from vprbench.errors import BadInput, NotThere
 from vprbench.homes import cache_folder
-from vprbench.interface import BadInput, NotThere
 
 if TYPE_CHECKING:
     import torch

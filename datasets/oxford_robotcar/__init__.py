@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+from vprbench.api.dataset import Dataset
 from vprbench.data_folder import data_folder
 from vprbench.images import Images
-from vprbench.interface import Dataset
 
 from ..frame_folders import root_folder
 from ..traverses import Evaluation, check_recorded, dataset_of, recorded_split, right_places

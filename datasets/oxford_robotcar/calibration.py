@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput, NotThere
 from vprbench.image_formats import opened
-from vprbench.interface import BadInput, Image, NotThere
 
 from .undistortion import undistort
 

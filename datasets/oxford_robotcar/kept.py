@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
+from vprbench.api.arrays import Image
 from vprbench.image_formats import opened
 from vprbench.images import Images
-from vprbench.interface import Image
 
 from .calibration import VERSION, Calibration, processed, read_raw
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vprbench.api.dataset import FrameFolder
+from vprbench.errors import BadInput
 from vprbench.image_formats import opened
 from vprbench.images import Images
-from vprbench.interface import BadInput, FrameFolder
 
 from ..frame_folders import check_folders, files_in
 from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable

@@ -9,8 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset, Image
 
 from ..traverses import Evaluation, dataset_of, split
 from .film import HEIGHT, WIDTH

@@ -10,7 +10,7 @@ from typing import Literal
 
 from torch import Tensor, nn
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 
 N_STAGES = 4
 

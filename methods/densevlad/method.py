@@ -13,8 +13,10 @@ import torch
 from torch import Tensor
 
 from vprbench import progress
+from vprbench.api.arrays import Image, Places
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, DescriptorMethod, Image, NotFittedError, Places
 from vprbench.search import faiss_module
 
 from .dense_sift import (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.mat_files import read_mat
 
 from .dense_sift import DIMENSIONS

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.preprocess import Variant
 
 Engine = Literal["compiled", "batched"]

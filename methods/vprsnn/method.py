@@ -14,8 +14,11 @@ import numpy.typing as npt
 import torch
 
 from vprbench import partial
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.dataset import HeldOut
+from vprbench.api.method import LayerSpikes, Method
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, HeldOut, LayerSpikes, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation
 
 from . import published, scoring

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 
 from vprbench import progress
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.partial import Partial
 
 from . import batched

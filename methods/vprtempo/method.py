@@ -15,8 +15,10 @@ import torch
 from torch import Tensor
 
 from vprbench import progress
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.method import LayerSpikes, Method
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.images import Images
-from vprbench.interface import BadInput, LayerSpikes, Method, NotFittedError, Places, Scores
 from vprbench.preprocess import PatchNormalisation, Variant
 
 from . import fused, training

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from vprbench.interface import BadInput, Scores, TrainingDivergedError
+from vprbench.api.arrays import Scores
+from vprbench.errors import BadInput, TrainingDivergedError
 
 from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing

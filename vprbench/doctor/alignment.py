@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.interface import Dataset
+from vprbench.api.dataset import Dataset
 
 from . import offsets
 from .finding import Finding, Level, plural

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Dataset
 
 from . import files, ground_truth, names, pictures, repeats
 from .alignment import alignment

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vprbench.api.dataset import FrameFolder
 from vprbench.image_formats import is_beside, is_image_name
-from vprbench.interface import FrameFolder
 
 from .finding import Finding, be, plural, some
 

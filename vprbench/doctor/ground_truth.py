@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vprbench.interface import Dataset
+from vprbench.api.dataset import Dataset
 
 from .finding import Finding, plural, some
 from .traverse import advances, middles_of

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
+from vprbench.api.arrays import Image
+from vprbench.errors import BadInput
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image
 
 from .offsets import HEIGHT, WIDTH, Small
 

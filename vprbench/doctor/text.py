@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Literal
 
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 
 from .examination import examine
 from .finding import Finding, plural

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.arrays import Places
+from vprbench.api.dataset import Dataset
 from vprbench.images import Images
-from vprbench.interface import Dataset, Places
 
 Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 where there is none
 

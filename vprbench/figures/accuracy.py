@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vprbench.block_length import block_length
+from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
-from vprbench.interface import BadInput
 from vprbench.intervals import share_interval
 from vprbench.metrics import PRCurve, Values, average_precision, hits_at, pr_curve
 from vprbench.ranking import Outcome

@@ -8,11 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
+from vprbench.api.arrays import Image, Scores
+from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence
 from vprbench.figures.style import DOUBLE_MM, Drawn, new, styled
 from vprbench.frames import Thumbnails
 from vprbench.images import Images
-from vprbench.interface import BadInput, Image, Scores
 from vprbench.ranking import PlacesPerQuery
 from vprbench.records import Run
 

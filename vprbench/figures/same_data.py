@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from vprbench.errors import BadInput
 from vprbench.figures.measured_on import runs_of
-from vprbench.interface import BadInput
 from vprbench.records import Run
 from vprbench.series import Series
 

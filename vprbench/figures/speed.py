@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 
 from vprbench import contests
 from vprbench.comparison import PAPER, PAPER_CPU, PAPER_GPU
+from vprbench.errors import BadInput
 from vprbench.figures.log_axis import plain, plain_log
 from vprbench.figures.measured_on import (
     caption,
@@ -26,7 +27,6 @@ from vprbench.figures.measured_on import (
     seed_sentence,
 )
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
-from vprbench.interface import BadInput
 from vprbench.plan import PlannedColumn, Quantity, Row, published
 from vprbench.records import Run
 from vprbench.series import Series

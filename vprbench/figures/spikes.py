@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
+from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
-from vprbench.interface import BadInput
 from vprbench.records import Run
 from vprbench.series import Series
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.replacing import replace_bytes
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it tells every glyph that it embeds

@@ -9,6 +9,7 @@ from statistics import mean
 from matplotlib.axes import Axes
 
 from vprbench import contests
+from vprbench.errors import BadInput
 from vprbench.figures.label_places import Label, place_labels
 from vprbench.figures.log_axis import plain_log
 from vprbench.figures.measured_on import (
@@ -23,7 +24,6 @@ from vprbench.figures.measured_on import (
 )
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
-from vprbench.interface import BadInput
 from vprbench.intervals import Interval
 from vprbench.recall_intervals import METHOD, recall_interval
 from vprbench.records import Run

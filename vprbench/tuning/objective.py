@@ -12,8 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment, progress, registry
+from vprbench.api.arrays import Places
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.errors import TrainingDivergedError
 from vprbench.images import Images
-from vprbench.interface import Dataset, Method, Places, TrainingDivergedError
 from vprbench.metrics import hits_at
 from vprbench.ranking import outcome
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from vprbench.interface import BadInput, Dataset
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
 from vprbench.plan import PlannedColumn
 from vprbench.records import Run
 

@@ -14,7 +14,7 @@ from typing import Any
 import optuna
 
 from vprbench import environment, progress, registry
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.plan import read_plan
 from vprbench.records import content_key
 from vprbench.runner import code_hash, fingerprint

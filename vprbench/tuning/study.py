@@ -15,7 +15,7 @@ from optuna.importance import FanovaImportanceEvaluator, get_param_importances
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock, JournalStorage
 from optuna.trial import FrozenTrial, TrialState
 
-from vprbench.interface import BadInput
+from vprbench.errors import BadInput
 from vprbench.tuning import space
 from vprbench.tuning.space import Values
 

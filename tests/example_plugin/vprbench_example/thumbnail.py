@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.descriptor import DescriptorMethod
 from vprbench.images import Images
-from vprbench.interface import DescriptorMethod
 
 
 @dataclass

@@ -1,0 +1,123 @@
+"""What a dataset has to be: two traverses, their places and their ground truth."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.api.arrays import Places
+from vprbench.errors import BadInput
+
+if TYPE_CHECKING:
+    from vprbench.images import Images
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Places whose queries are no part of the evaluation: a method may choose its settings by them.
+
+    Raises BadInput where the parts do not fit one another.
+    """
+
+    references: Images  # of those places alone
+    places: Places  # (n_references,), numbered from 0 on their own
+    queries: Images
+    right: Places  # (n_queries,), the right place of each, in that numbering
+    in_map: bool  # whether the references are also among those of the dataset
+    n_places: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit one another."""
+        object.__setattr__(self, "n_places", _number_of_places("held-out places", self.references, self.places))
+        if not len(self.queries) or len(self.right) != len(self.queries):
+            raise BadInput(
+                f"held-out places: {len(self.queries)} queries but {len(self.right)} right places; "
+                "wanted one for each of at least one query"
+            )
+        if not 0 <= self.right.min() <= self.right.max() < self.n_places:
+            raise BadInput(
+                f"held-out places: the right places run from {self.right.min()} to {self.right.max()}, "
+                f"the places from 0 to {self.n_places - 1}"
+            )
+
+    def fingerprint(self) -> str:
+        """Return the hash of images, order and ground truth."""
+        digest = hashlib.sha256(self.references.fingerprint().encode())
+        digest.update(self.places.tobytes())
+        digest.update(self.queries.fingerprint().encode())
+        digest.update(self.right.tobytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class FrameFolder:
+    """A folder that a dataset takes frames from, with what is known of it beforehand."""
+
+    path: Path
+    used: tuple[str, ...]  # file names that the dataset wants of it
+    counts: tuple[int, ...] = ()  # how many images a whole, right copy holds; empty: nothing is known
+    wrong_counts: Mapping[int, str] = field(default_factory=dict)  # what another count is known to mean
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Reference and query traverses with their ground truth.
+
+    Raises BadInput where the parts do not fit one another.
+    """
+
+    name: str
+    references: Images
+    places: Places  # (n_references,)
+    queries: Images
+    positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places; empty where there is none
+    protocol: Mapping[str, Any]  # what was selected and how; part of every record
+    n_places: int = field(init=False)
+    held_out: HeldOut | None = None  # None: there are no such places
+    place_numbers: Places | None = None  # (n_places,), along the whole journey, where the map lacks some of its places
+    folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty where they are no files
+    notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit one another."""
+        if re.fullmatch(r"\w[\w.-]*", self.name) is None:
+            raise BadInput(f"dataset.name={self.name}: give letters, digits, '.', '_' and '-', for it names a folder")
+        object.__setattr__(self, "n_places", _number_of_places(f"dataset {self.name}", self.references, self.places))
+        if self.place_numbers is not None and len(self.place_numbers) != self.n_places:
+            raise BadInput(f"dataset {self.name}: {len(self.place_numbers)} numbers for {self.n_places} places")
+        if not len(self.queries):
+            raise BadInput(f"dataset {self.name} has no query images: ask for at least one")
+        if len(self.positives) != len(self.queries):
+            raise BadInput(
+                f"dataset {self.name}: {len(self.queries)} queries but ground truth for {len(self.positives)}"
+            )
+        for query, right in enumerate(self.positives):
+            if len(right) and not (right.min() >= 0 and right.max() < self.n_places):
+                wrong = int(right.min() if right.min() < 0 else right.max())
+                raise BadInput(
+                    f"dataset {self.name}: the ground truth of query {query} ({self.queries.names[query]}) names "
+                    f"place {wrong}, but places run from 0 to {self.n_places - 1}"
+                )
+
+
+def _number_of_places(whose: str, references: Images, places: Places) -> int:
+    """Return the number of places; raises BadInput where the ids do not fit the images or leave one out."""
+    if not len(references):
+        raise BadInput(f"{whose} has no reference images")
+    if len(places) != len(references):
+        raise BadInput(f"{whose}: {len(references)} reference images but {len(places)} place ids")
+    n_places = int(places.max()) + 1
+    unseen = np.setdiff1d(np.arange(n_places), places)
+    if len(unseen) or places.min() < 0:
+        raise BadInput(
+            f"{whose}: place ids must run from 0 to {n_places - 1} without a gap, "
+            + (f"but {unseen[:3].tolist()} are missing" if len(unseen) else f"but {int(places.min())} came")
+        )
+    return n_places

@@ -1,0 +1,138 @@
+"""What a method has to be: it learns a map, describes images, and scores places."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
+
+import numpy.typing as npt
+
+from vprbench.api.arrays import Places, Scores
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.errors import BadInput
+
+if TYPE_CHECKING:
+    from vprbench.images import Images
+
+_CODES_BYTES = 1 << 30  # of large codes held together
+
+
+@dataclass(frozen=True)
+class LayerSpikes:
+    """What the neurons of one layer did for some queries.
+
+    `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
+    spike where `kind` is "amplitude".
+    """
+
+    name: str  # input, feature, output, ...
+    values: npt.NDArray[Any]
+    kind: Literal["count", "amplitude"] = "count"
+
+
+class Method(ABC):
+    """A place recognition method: learns a map from reference images, then scores each place for a query.
+
+    A subclass is best a dataclass: its constructor only stores its arguments, and their type hints are what
+    the command line checks. `references` and `images` are `Images`; codes are arrays whose first axis is the
+    image. Scores are finite float32, higher means more alike; -inf marks a place that is no candidate. No later call
+    changes an array that was returned.
+    """
+
+    #: Rules of the conformance suite that a method cannot meet, each with the reason.
+    conformance_exceptions: ClassVar[Mapping[str, str]] = {}
+    #: Arguments under which the conformance suite builds the method, where its defaults do not fit 20 places.
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {}
+    #: The kind of network that `state` gives, named where classes share it; empty: the class's own.
+    stored_as: ClassVar[str] = ""
+    #: Arguments that act at the query alone, or choose how something is computed: a network fits any value of them.
+    query_arguments: ClassVar[frozenset[str]] = frozenset()
+
+    @property
+    def code_bytes(self) -> int:
+        """Bytes of one image's code, where it is large: bounds how many are held together; 0 bounds nothing."""
+        return 0
+
+    @abstractmethod
+    def fit(self, references: Images, places: Places) -> Self:
+        """Learn the map and forget any earlier one.
+
+        `places` (n_references,) holds for each reference image its place, 0 to n_places - 1, each at least once.
+        """
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether `calibrate` chooses anything under the arguments that were given; else it is not called."""
+        return type(self).calibrate is not Method.calibrate
+
+    def calibrate(self, held_out: HeldOut) -> Self:
+        """Choose settings by held-out places; called after `fit`, where the dataset has any, and timed as part of it.
+
+        The map stays that of `fit`.
+        """
+        return self
+
+    @abstractmethod
+    def encode(self, images: Images) -> npt.NDArray[Any]:
+        """Turn images into codes (n_images, ...), as far as that does not need the map."""
+
+    @abstractmethod
+    def match(self, codes: npt.NDArray[Any]) -> Scores:
+        """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return what `fit` has learnt, as named arrays of numbers; raises NotFittedError before `fit`.
+
+        A method that can store it has `restore` as well; for the others this raises BadInput.
+        """
+        raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """Take what `state` of the same arguments gave, and forget any earlier fit.
+
+        Raises BadInput for arrays that are not this method's; a published file may hold any.
+        """
+        raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
+
+    def files(self) -> Sequence[Path]:
+        """Return the files, beside the images, that its answers come from; their content is part of a run's key.
+
+        Raises BadInput where one is missing.
+        """
+        return ()
+
+    def notes(self) -> Sequence[str]:
+        """Return what a reader of its results has to know of what was learnt or loaded; a line each."""
+        return ()
+
+    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        """Return the spikes of each layer for these codes, first layer first; empty for what is no spiking network.
+
+        Raises NotFittedError before `fit`.
+        """
+        return ()
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Keep `query` what it is: encode and match."""
+        super().__init_subclass__(**arguments)
+        if "query" in cls.__dict__:
+            raise TypeError(f"{cls.__name__} replaces query: write encode and match, which are timed apart")
+
+    @final
+    def query(self, images: Images) -> Scores:
+        """Score every place for every image, (n_images, n_places)."""
+        return self.match(self.encode(images))
+
+
+def held_together(method: Method, wanted: int) -> int:
+    """Return how many codes of a method are held together: `wanted`, fewer where they would fill more than 1 GiB."""
+    code_bytes = method.code_bytes
+    return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted
+
+
+def calibration(method: Method, dataset: Dataset) -> HeldOut | None:
+    """Return the places that a method chooses its settings by; None where it chooses none or the dataset has none."""
+    return dataset.held_out if method.calibrates else None
