@@ -8,8 +8,8 @@ from pathlib import Path
 
 import vprbench
 from vprbench.api.dataset import FrameFolder
-from vprbench.data_folder import data_folder
 from vprbench.errors import NotThere
+from vprbench.storage.folders import data_folder
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _ARCHIVES = "archives"  # what was downloaded and not unpacked yet

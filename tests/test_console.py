@@ -7,8 +7,8 @@ import io
 import pytest
 from stopped_clock import Clock
 
-from vprbench import console, progress
-from vprbench.console import answers_alone, progress_shown
+from vprbench import progress
+from vprbench.progress import answers_alone, progress_shown
 
 
 class Terminal(io.StringIO):

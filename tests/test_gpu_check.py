@@ -13,11 +13,11 @@ import torch
 
 from vprbench import gpu_check, registry
 from vprbench.api.method import Method
-from vprbench.bench_report import chosen
 from vprbench.cli import main
 from vprbench.gpu_check import Comparison, Settings, compared
 from vprbench.measures import Make
 from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins.options import chosen
 from vprbench.workload import Route
 
 AGAINST_CPU, AGAINST_READABLE, BATCH = 0, 1, 2

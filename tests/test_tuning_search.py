@@ -19,8 +19,8 @@ from search_stub import HALTS, Stub, recall
 
 import vprbench
 from vprbench import environment, registry
-from vprbench.bench_report import chosen
 from vprbench.errors import BadInput
+from vprbench.plugins.options import chosen
 from vprbench.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training, Tried

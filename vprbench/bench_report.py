@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Any, Literal
 
-from vprbench import registry
 from vprbench.errors import BadInput
-from vprbench.homes import insist_on_homes
 from vprbench.measures import Fit, Rates
 from vprbench.preprocess import Engine
 from vprbench.stopwatch import Protocol
 
-Given = TypeVar("Given")
 Counted = Literal["network", "matrix", "references"]
 Part = Literal["input", "normalising", "arrivals", "without learning", "with learning"]
 
@@ -305,30 +300,3 @@ class Report:
     def failures(self) -> list[Failed]:
         """The cells that could not be measured."""
         return [cell for name in SECTIONS for cell in getattr(self, name) if isinstance(cell, Failed)]
-
-
-def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
-    """Return the settings that `option=value` ask for, those of `quick` where quick=true stands among them.
-
-    Raises BadInput that names the option that is unknown or does not fit.
-    """
-    hints = get_type_hints(kind)
-    given = {}
-    for option in options:
-        name, equals, text = option.partition("=")
-        if name not in hints:
-            raise BadInput(f"option {name} is unknown: {registry.near(name, hints)}")
-        if not equals:
-            raise BadInput(f"option {name} has no value: give {name}=value")
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = _listed(text) if re.fullmatch(r"\[.+\]", text) else text
-        given[name] = registry.checked(name, value, hints[name])
-    insist_on_homes(given)
-    return kind(**{**(quick if given.get("quick") else {}), **given})
-
-
-def _listed(text: str) -> list[str]:
-    """Return the texts of a list without quotes, as in [hog,pca] or [/data/one,/data/two]."""
-    return [part.strip() for part in text[1:-1].split(",")]

@@ -26,11 +26,11 @@ from omegaconf.errors import OmegaConfBaseException
 from vprbench import ending, registry
 from vprbench.commands import COMMANDS
 from vprbench.composing import check_names, explained, in_order, readable
-from vprbench.console import answers_alone, log_lines
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
-from vprbench.printable import printable
+from vprbench.progress import answers_alone, log_lines
 from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch
+from vprbench.text import printable
 
 _USAGE = """\
 vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is

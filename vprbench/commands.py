@@ -13,7 +13,7 @@ from vprbench.api.method import Method
 from vprbench.composing import check_names, composed, readable
 from vprbench.errors import BadInput
 from vprbench.options import checked_settings, n_threads
-from vprbench.printable import printable
+from vprbench.text import printable
 
 if TYPE_CHECKING:
     from vprbench.paper import Asked, Compose
@@ -42,8 +42,8 @@ def report(options: list[str]) -> int:
 
 def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
     """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
-    from vprbench.bench_report import chosen
     from vprbench.paper import Asked
+    from vprbench.plugins.options import chosen
 
     own = [option for option in options if option.partition("=")[0] in Asked.__dataclass_fields__]
     rest = readable([option for option in options if option not in own])
@@ -60,8 +60,8 @@ def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
 
 def search_parameters(options: list[str]) -> int:
     """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
-    from vprbench.bench_report import chosen
-    from vprbench.console import progress_shown
+    from vprbench.plugins.options import chosen
+    from vprbench.progress import progress_shown
     from vprbench.store import Store
     from vprbench.tuning import search, text
 
@@ -80,7 +80,8 @@ def search_parameters(options: list[str]) -> int:
 def measure_speed(options: list[str]) -> int:
     """Measure how fast training, preprocessing and queries are, and write the numbers."""
     from vprbench import bench, bench_text
-    from vprbench.bench_report import QUICK, Settings, chosen
+    from vprbench.bench_report import QUICK, Settings
+    from vprbench.plugins.options import chosen
 
     settings = chosen(Settings, options, QUICK)
     with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
@@ -92,7 +93,7 @@ def measure_speed(options: list[str]) -> int:
 def measure_descriptors(options: list[str]) -> int:
     """Measure how fast each method describes frames and searches, and write the numbers."""
     from vprbench import descriptor_bench
-    from vprbench.bench_report import chosen
+    from vprbench.plugins.options import chosen
 
     settings = chosen(descriptor_bench.Settings, options, descriptor_bench.QUICK)
     check_names([f"method={','.join(settings.methods)}"])
@@ -106,7 +107,7 @@ def measure_descriptors(options: list[str]) -> int:
 def compare_gpu(options: list[str]) -> int:
     """Compare the GPU with the CPU, time it, and write both."""
     from vprbench import gpu_check
-    from vprbench.bench_report import chosen
+    from vprbench.plugins.options import chosen
 
     settings = chosen(gpu_check.Settings, options, gpu_check.QUICK)
     gpu_check.require_gpu(settings.device)
@@ -120,7 +121,7 @@ def compare_gpu(options: list[str]) -> int:
 def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
     """Check what all commands share, pin the threads and show the progress; yields the results folder."""
     from vprbench import environment
-    from vprbench.console import progress_shown
+    from vprbench.progress import progress_shown
     from vprbench.store import Store
 
     run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
@@ -170,7 +171,7 @@ def list_plugins(options: list[str]) -> int:
 def check_method(options: list[str]) -> int:
     """Test a method against the rules of the contract and count them; raises BadInput where none is named."""
     from vprbench import conformance, environment
-    from vprbench.console import progress_shown
+    from vprbench.progress import progress_shown
 
     if not any(option.startswith("method=") for option in options):
         raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
@@ -193,8 +194,8 @@ def doctor(options: list[str]) -> int:
 
     Raises BadInput where none is named, and for options that are neither its own nor output=json.
     """
-    from vprbench.console import answers_alone, progress_shown
     from vprbench.doctor import command
+    from vprbench.progress import answers_alone, progress_shown
 
     if not any(option.startswith("dataset=") for option in options):
         raise BadInput(f"doctor needs dataset=NAME; {registry.near('', registry.entries('dataset'))}")

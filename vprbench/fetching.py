@@ -13,11 +13,11 @@ from pathlib import Path
 
 from vprbench import download, registry
 from vprbench.archives import DamagedArchive
-from vprbench.console import progress_shown
-from vprbench.data_folder import data_folder
 from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Part, downloads
 from vprbench.fetched import RECORD, approve, count_files, insist_on_stated, record, remember
+from vprbench.progress import progress_shown
+from vprbench.storage.folders import data_folder
 from vprbench.unpacking import UNFINISHED, unpack
 
 logger = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
         return 0
     name, *options = arguments
     entry = _entry(name, known)
-    from vprbench.bench_report import chosen  # which takes seconds to import
+    from vprbench.plugins.options import chosen  # which takes seconds to import
 
     return fetch(entry, chosen(Settings, options, {}), check)
 

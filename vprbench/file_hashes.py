@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from vprbench import progress
 from vprbench.errors import BadInput
-from vprbench.homes import cache_folder
+from vprbench.storage.folders import cache_folder
 
 logger = logging.getLogger(__name__)
 

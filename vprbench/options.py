@@ -10,8 +10,8 @@ from typing import Any, Literal, get_type_hints
 
 from vprbench import environment, registry
 from vprbench.errors import BadInput
-from vprbench.homes import insist_on_homes
 from vprbench.stopwatch import Protocol
+from vprbench.storage.folders import insist_on_homes
 
 
 @dataclass(frozen=True)

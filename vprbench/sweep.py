@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import vprbench
 from vprbench import ending
-from vprbench.printable import printable
 from vprbench.replacing import PARTIAL, remove_leftovers
+from vprbench.text import printable
 
 if TYPE_CHECKING:
     from vprbench.records import Failure

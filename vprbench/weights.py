@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from vprbench import pickled_numpy
 from vprbench.download import fetch
 from vprbench.errors import BadInput, NotThere
-from vprbench.homes import cache_folder
+from vprbench.storage.folders import cache_folder
 
 if TYPE_CHECKING:
     import torch

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from vprbench.api.dataset import Dataset
-from vprbench.data_folder import data_folder
 from vprbench.images import Images
+from vprbench.storage.folders import data_folder
 
 from ..frame_folders import root_folder
 from ..traverses import Evaluation, check_recorded, dataset_of, recorded_split, right_places

@@ -1,4 +1,4 @@
-"""Paths below a person's home, where that is known, and the folders of caches there."""
+"""The folders of a person: paths below a home, of downloaded datasets, and of caches."""
 
 from __future__ import annotations
 
@@ -44,3 +44,8 @@ def cache_folder(variable: str, name: str) -> Path:
         return platformdirs.user_cache_path("vprbench", appauthor=False).expanduser() / name
     except RuntimeError as error:
         raise BadInput(f"nobody knows the home of this user: set HOME, or {variable} to a folder") from error
+
+
+def data_folder(name: str) -> Path:
+    """Return the folder of a dataset: `data/<name>` where the command runs, or below the folder VPRBENCH_DATA names."""
+    return expanded("VPRBENCH_DATA", os.environ.get("VPRBENCH_DATA") or "data") / name

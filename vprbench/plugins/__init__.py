@@ -1,0 +1,1 @@
+"""Plug-ins: found, built from options, checked, and their stored networks."""

@@ -1,0 +1,1 @@
+"""Files: whole, hashed, cached, downloaded, unpacked."""
