@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput, NotThere
-from vprbench.mat_files import MatFileError, read_mat
+from vprbench.storage.mat_files import MatFileError, read_mat
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder

@@ -12,7 +12,7 @@ from archive_files import tarred, zipped
 
 from vprbench.fetch_entries import Download, Held, Part
 from vprbench.fetching import Settings, fetch
-from vprbench.unpacking import Wanted
+from vprbench.storage.unpack import Wanted
 
 CHUNK = 512 * 1024  # bytes that a download writes at once
 NOISE = np.random.default_rng(0).bytes(3 * CHUNK)

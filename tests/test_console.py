@@ -23,7 +23,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """Let no time pass but what a test spends, before a terminal of 80 columns."""
     clock = Clock()
     clock.spend(1000)
-    clock.replaces_those_of([console], monkeypatch)
+    clock.replaces_those_of([progress], monkeypatch)
     monkeypatch.setattr("tqdm.std.time", clock.seconds)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")

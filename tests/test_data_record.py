@@ -18,12 +18,13 @@ from little import Lookup, a_failure, a_run, journey, picture
 from little_runs import QUICK, quiet_surroundings, run_of
 from PIL import Image as PillowImage
 
-from vprbench import file_hashes, tables
+from vprbench import tables
 from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.data_record import DataRecord, data_record
 from vprbench.images import Images
 from vprbench.records import Run
+from vprbench.storage import hashes
 from vprbench.store import Store
 
 RECORD: dict[str, Any] = {
@@ -67,15 +68,15 @@ def record(references: list[Path], queries: list[Path]) -> DataRecord:
 def read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Counter[str]]:
     """How often each file was read, by folder and name, where none has changed for long."""
     counts: Counter[str] = Counter()
-    digest = file_hashes.file_digest
+    digest = hashes.file_digest
 
     def counted(file: Any, kind: str) -> Any:
         counts["/".join(Path(os.fsdecode(file.name)).parts[-2:])] += 1
         return digest(file, kind)
 
     monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
-    monkeypatch.setattr(file_hashes, "time_ns", lambda: 4 * 10**18)
-    monkeypatch.setattr(file_hashes, "file_digest", counted)
+    monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)
+    monkeypatch.setattr(hashes, "file_digest", counted)
     return counts
 
 

@@ -5,9 +5,9 @@ import pytest
 from image_folders import answer, fill, reds, rights, used
 from scipy.io import savemat
 
-from vprbench import mat_files
 from vprbench.datasets.dbstruct import dbstruct
 from vprbench.errors import NotThere
+from vprbench.storage import mat_files
 
 DATABASE = ["000/a.jpg", "000/b.jpg", "001/c.jpg"]
 QUERIES = ["q1.jpg", "q2.jpg"]

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 import requests
 
-from vprbench.download import fetch
 from vprbench.errors import BadInput
 from vprbench.progress import listening
+from vprbench.storage.download import fetch
 
 CHUNK = 512 * 1024  # bytes that gdown writes at once: less than that of a broken answer is lost
 CONTENT = np.random.default_rng(0).bytes(3 * CHUNK + 1234)
@@ -227,7 +227,8 @@ def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: S
 def test_a_killed_process_leaves_what_the_next_continues(server: Server, to: Path) -> None:
     server.stalls_after = 2 * CHUNK
     program = (
-        f"from vprbench.download import *; fetch({server.url!r}, Path({str(to)!r}), timeout_seconds={2 * PATIENCE})"
+        "from vprbench.storage.download import *; "
+        f"fetch({server.url!r}, Path({str(to)!r}), timeout_seconds={2 * PATIENCE})"
     )
     with subprocess.Popen([sys.executable, "-c", program]) as process:
         try:
@@ -417,7 +418,7 @@ def test_an_empty_answer_is_not_taken_for_the_file(server: Server, to: Path) -> 
 
 
 def test_two_processes_that_want_one_file_download_it_once(server: Server, to: Path) -> None:
-    program = f"from vprbench.download import *; fetch({server.url!r}, Path({str(to)!r}), sha256={SHA256!r})"
+    program = f"from vprbench.storage.download import *; fetch({server.url!r}, Path({str(to)!r}), sha256={SHA256!r})"
     both = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(2)]
     assert [process.wait(PATIENCE) for process in both] == [0, 0]
     assert to.read_bytes() == CONTENT

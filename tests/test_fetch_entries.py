@@ -11,7 +11,7 @@ from vprbench import registry
 from vprbench.errors import BadInput
 from vprbench.fetch_entries import Download, downloads, read
 from vprbench.fetched import content_sha256, count_files
-from vprbench.unpacking import unpack
+from vprbench.storage.unpack import unpack
 
 ROOT = Path(__file__).resolve().parents[1]
 KNOWN = downloads()

@@ -35,7 +35,7 @@ from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Held, Part
 from vprbench.fetching import Settings, fetch
 from vprbench.progress import listening
-from vprbench.unpacking import Wanted
+from vprbench.storage.unpack import Wanted
 
 pytestmark = pytest.mark.usefixtures("on_the_net")
 

@@ -18,10 +18,10 @@ from typing import Any
 import platformdirs
 import pytest
 
-from vprbench import file_hashes
 from vprbench.errors import BadInput
-from vprbench.file_hashes import FileHash, FileHashes
 from vprbench.progress import listening
+from vprbench.storage import hashes as file_hashes
+from vprbench.storage.hashes import FileHash, FileHashes
 
 ROOT = Path(__file__).resolve().parents[1]
 SECOND = 1_000_000_000  # nanoseconds

@@ -9,8 +9,8 @@ import pytest
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.file_hashes import hashes_folder
 from vprbench.partial import partial_folder
+from vprbench.storage.hashes import hashes_folder
 from vprbench.weights import weights_folder
 
 

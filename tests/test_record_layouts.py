@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 from little import a_failure, a_run, save_keys
 
-from vprbench import records, replacing
+from vprbench import records
 from vprbench import store as store_module
 from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.storage import atomic
 from vprbench.store import Store
 
 KEY = "0123456789abcdef"
@@ -306,7 +307,7 @@ def test_reading_all_runs_never_misses_one_that_others_replace(
 ) -> None:
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
-    if not replacing.exchange(tmp_path / "one", tmp_path / "other"):
+    if not atomic.exchange(tmp_path / "one", tmp_path / "other"):
         pytest.skip("this system cannot exchange two folders in one step")
     keys = ["a", "b", "c"]
     save_keys(store.root, keys)
@@ -331,7 +332,7 @@ def test_a_run_that_vanishes_while_all_are_read_is_passed_over(store: Store) -> 
 def test_where_folders_cannot_be_exchanged_the_last_of_two_runs_stays_too(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(replacing, "exchange", lambda first, second: False)
+    monkeypatch.setattr(atomic, "exchange", lambda first, second: False)
     store.save(a_run(n_references=21))
     store.save(a_run(n_references=22))
     assert [run.n_references for run in store.runs()] == [22]

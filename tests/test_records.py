@@ -37,7 +37,7 @@ from little import (
 from vprbench import records
 from vprbench.errors import BadInput
 from vprbench.records import DamagedRunError, NewerLayoutError, Run, content_key, load
-from vprbench.replacing import replace_text
+from vprbench.storage.atomic import replace_text
 from vprbench.store import Store
 
 KEY = "0123456789abcdef"

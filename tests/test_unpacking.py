@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 from archive_files import special, tarred, zip_with, zipped
 
-from vprbench import unpacking
-from vprbench.archives import DamagedArchive, Member
 from vprbench.errors import BadInput
 from vprbench.progress import listening
-from vprbench.unpacking import Wanted, unpack
+from vprbench.storage import unpack as unpacking
+from vprbench.storage.archives import DamagedArchive, Member
+from vprbench.storage.unpack import Wanted, unpack
 
 NOISE = np.random.default_rng(0).bytes(100_000)  # that no compression makes smaller
 FILES = {"set/spring/1.png": b"one", "set/spring/2.png": b"two", "set/read.me": NOISE}

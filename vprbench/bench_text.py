@@ -24,7 +24,7 @@ from vprbench.bench_report import (
     TrainingCell,
 )
 from vprbench.measures import Growth, growth, median
-from vprbench.replacing import replace_text
+from vprbench.storage.atomic import replace_text
 from vprbench.summary import StageRates
 from vprbench.tables import markdown
 

@@ -18,8 +18,8 @@ from vprbench.api.method import Method
 from vprbench.bench_text import machine_lines
 from vprbench.errors import BadInput
 from vprbench.measures import Make, median
-from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.storage.atomic import replace_text
 from vprbench.tables import markdown
 from vprbench.workload import Route
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.array_cache import ArrayCache
+from vprbench.storage.arrays import ArrayCache
 
 Descriptors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 

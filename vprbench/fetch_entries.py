@@ -11,7 +11,7 @@ import yaml
 
 from vprbench import registry
 from vprbench.errors import BadInput
-from vprbench.unpacking import Wanted
+from vprbench.storage.unpack import Wanted
 
 _FORBID: Any = {"extra": "forbid"}
 

@@ -11,7 +11,7 @@ from typing import Any
 from vprbench.errors import BadInput
 from vprbench.fetch_entries import Part
 from vprbench.progress import report
-from vprbench.replacing import replace_text
+from vprbench.storage.atomic import replace_text
 
 RECORD = "fetched.json"  # in the dataset's folder
 _CHUNK = 1 << 22  # bytes hashed at once

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from vprbench import download, registry
-from vprbench.archives import DamagedArchive
+from vprbench import registry
 from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Part, downloads
 from vprbench.fetched import RECORD, approve, count_files, insist_on_stated, record, remember
 from vprbench.progress import progress_shown
+from vprbench.storage import download
+from vprbench.storage.archives import DamagedArchive
 from vprbench.storage.folders import data_folder
-from vprbench.unpacking import UNFINISHED, unpack
+from vprbench.storage.unpack import UNFINISHED, unpack
 
 logger = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.images import Images
-from vprbench.replacing import remove_leftovers, replace_bytes
+from vprbench.storage.atomic import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)
 

@@ -24,8 +24,8 @@ from vprbench.bench_text import machine_lines, rates_text
 from vprbench.errors import BadInput
 from vprbench.images import Images
 from vprbench.measures import Make, Rates, measured_rates
-from vprbench.replacing import replace_text
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.storage.atomic import replace_text
 from vprbench.tables import markdown
 from vprbench.workload import Route
 

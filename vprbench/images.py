@@ -19,8 +19,8 @@ from vprbench import png
 from vprbench.ahead import Window
 from vprbench.api.arrays import Image
 from vprbench.errors import BadInput
-from vprbench.file_hashes import FileHash, file_hashes
 from vprbench.image_formats import opened
+from vprbench.storage.hashes import FileHash, file_hashes
 
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images

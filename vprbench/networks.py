@@ -20,7 +20,7 @@ from safetensors.numpy import save_file
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
-from vprbench.replacing import remove_leftovers, unfinished
+from vprbench.storage.atomic import remove_leftovers, unfinished
 
 if TYPE_CHECKING:
     import torch

@@ -18,7 +18,7 @@ from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
 from vprbench.plan import Quantity, Row
 from vprbench.records import Run
-from vprbench.replacing import remove_leftovers, replace_text
+from vprbench.storage.atomic import remove_leftovers, replace_text
 from vprbench.store import Store
 from vprbench.table_formats import shown_as_it_is
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vprbench import table_formats, tables
 from vprbench.paper import Asked, Compose, Material, gather
-from vprbench.replacing import replace_text
+from vprbench.storage.atomic import replace_text
 from vprbench.store import Store
 from vprbench.sweep import Ending
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from vprbench.replacing import PARTIAL, remove_leftovers, replace_bytes
+from vprbench.storage.atomic import PARTIAL, remove_leftovers, replace_bytes
 from vprbench.storage.folders import cache_folder
 
 logger = logging.getLogger(__name__)

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment
-from vprbench.array_cache import ArrayCache
 from vprbench.images import Images
 from vprbench.preprocess import PatchNormalisation
 from vprbench.records import content_key
 from vprbench.sources import source_hash
+from vprbench.storage.arrays import ArrayCache
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 

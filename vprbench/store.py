@@ -27,7 +27,7 @@ from vprbench.records import (
     write,
     write_failure,
 )
-from vprbench.replacing import PARTIAL, REPLACED, move_folder, remove_leftovers, unfinished
+from vprbench.storage.atomic import PARTIAL, REPLACED, move_folder, remove_leftovers, unfinished
 
 logger = logging.getLogger(__name__)
 

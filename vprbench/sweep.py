@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import vprbench
 from vprbench import ending
-from vprbench.replacing import PARTIAL, remove_leftovers
+from vprbench.storage.atomic import PARTIAL, remove_leftovers
 from vprbench.text import printable
 
 if TYPE_CHECKING:

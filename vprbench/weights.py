@@ -16,9 +16,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from vprbench import pickled_numpy
-from vprbench.download import fetch
 from vprbench.errors import BadInput, NotThere
+from vprbench.storage import pickled_numpy
+from vprbench.storage.download import fetch
 from vprbench.storage.folders import cache_folder
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.errors import BadInput
-from vprbench.mat_files import read_mat
+from vprbench.storage.mat_files import read_mat
 
 from .dense_sift import DIMENSIONS
 

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vprbench.errors import BadInput
-from vprbench.replacing import replace_bytes
+from vprbench.storage.atomic import replace_bytes
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it tells every glyph that it embeds
 

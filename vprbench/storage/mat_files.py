@@ -14,7 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from vprbench import mat_child
+from vprbench.storage import mat_child
 
 _LEAST_BYTES = 1 << 29  # of memory that any file may take
 _GROWTH = 8  # times its size that a larger one may take: numbers shrink little, and are copied on the way

@@ -12,9 +12,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from vprbench.archives import Member, members
 from vprbench.errors import BadInput
 from vprbench.progress import report
+from vprbench.storage.archives import Member, members
 
 UNFINISHED = ".unpacking-"  # how the names of folders begin that hold what is not whole yet
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.replacing import remove_leftovers, unfinished
+from vprbench.storage.atomic import remove_leftovers, unfinished
 
 logger = logging.getLogger(__name__)
 
