@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 

@@ -9,8 +9,8 @@ from typing import Literal, NoReturn
 
 from natsort import natsorted
 
+from vprbench.api.image_formats import SUFFIXES, is_beside, is_folder_beside, is_image_name
 from vprbench.errors import BadInput, NotThere
-from vprbench.image_formats import SUFFIXES, is_beside, is_folder_beside, is_image_name
 
 
 def images_in(

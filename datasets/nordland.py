@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 from .frame_folders import check_folders, root_folder
 from .traverses import Evaluation, check_recorded, dataset_of, recorded_split

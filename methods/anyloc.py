@@ -15,12 +15,12 @@ from torch.nn import functional
 
 from vprbench import progress
 from vprbench.api.arrays import Places
+from vprbench.api.images import Images
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.resize import Interpolation, Resize
+from vprbench.api.search import faiss_module
+from vprbench.api.weights import Weights, find, load_strictly, state_dict, tensor
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.neural import NeuralDescriptor
-from vprbench.resize import Interpolation, Resize
-from vprbench.search import faiss_module
-from vprbench.weights import Weights, find, load_strictly, state_dict, tensor
 
 from .backbones.vit import SIZES, VisionTransformer, first_blocks
 from .dinov2 import Backbone, transformer

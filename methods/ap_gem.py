@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.weights import load_strictly, read, state_dict, without_prefix
 from vprbench.errors import BadInput
-from vprbench.neural import NeuralDescriptor
-from vprbench.weights import load_strictly, read, state_dict, without_prefix
 
 from .backbones.resnet import n_channels, resnet
 from .pooling import GeM

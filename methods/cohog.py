@@ -19,11 +19,11 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from vprbench.api.arrays import Image, Places, Scores
+from vprbench.api.compiled import compiled
 from vprbench.api.descriptor import best_image_of_place
+from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.compiled import compiled
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 Regions = npt.NDArray[np.float32]  # (n_regions, d)

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.weights import load_strictly, state_dict
 from vprbench.errors import BadInput
-from vprbench.neural import NeuralDescriptor
-from vprbench.weights import load_strictly, state_dict
 
 from .backbones.resnet import n_channels, resnet
 

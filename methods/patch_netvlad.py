@@ -17,10 +17,10 @@ import torch
 from torch import nn
 
 from vprbench.api.arrays import Places, Scores
+from vprbench.api.images import Images
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.weights import load_strictly
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.neural import NeuralDescriptor
-from vprbench.weights import load_strictly
 
 from .netvlad import STRIDE, published_sizes, read_checkpoint, sizes
 from .patch_geometry import Geometry, mutual, score

@@ -13,10 +13,10 @@ from sklearn import decomposition
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place
+from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.api.preprocess import PatchNormalisation, Variant
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation, Variant
 
 
 @dataclass(frozen=True)

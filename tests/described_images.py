@@ -11,8 +11,8 @@ import numpy.typing as npt
 from omegaconf import OmegaConf
 
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.images import Images
 
 
 def image(height: int, width: int, seed: int = 0) -> Image:

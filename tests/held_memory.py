@@ -18,7 +18,7 @@ from little_runs import run_of, table
 
 from vprbench import environment
 from vprbench.api.arrays import Places
-from vprbench.images import Images
+from vprbench.api.images import Images
 
 Answer = TypeVar("Answer")
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 from vprbench import frames, networks
 from vprbench.api.arrays import Image, Places, Scores
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.ranking import Outcome
 from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing

@@ -12,9 +12,9 @@ import pytest
 from vprsnn_constants import constants
 
 from vprbench.api.arrays import Image, Places
+from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
 from vprbench.conformance import Journey
-from vprbench.images import Images
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.module import Train
 from vprbench.methods.vprsnn.physics import physics_of, traces_of

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import partial
+from vprbench.api import checkpoints
 
 if TYPE_CHECKING:
     import pytest
@@ -41,10 +41,10 @@ def interrupted(by: type[BaseException] = Interrupted) -> Iterator[None]:
     raise AssertionError("nothing interrupted the block")
 
 
-def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: partial.Arrays) -> Path:
+def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: checkpoints.Arrays) -> Path:
     """Leave a training with some parts; returns its folder."""
     before = set(root.iterdir()) if root.exists() else set()
-    with interrupted(), partial.training(what, root) as kept:
+    with interrupted(), checkpoints.training(what, root) as kept:
         for name, arrays in parts.items():
             kept.put(name, arrays)
         raise Interrupted
@@ -54,7 +54,7 @@ def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: partial.Arrays) 
 
 def spend(root: Path, clock: Clock, *steps: tuple[str, float], then: float = 0.0) -> float:
     """Spend seconds on parts, be interrupted after some more; returns what had been spent when this began."""
-    with interrupted(), partial.training(WHAT, root, clock.seconds) as kept:
+    with interrupted(), checkpoints.training(WHAT, root, clock.seconds) as kept:
         before = kept.found_seconds
         for name, seconds in steps:
             kept.get(name)
@@ -85,7 +85,7 @@ def whole(number: int, found: Mapping[str, npt.NDArray[Any]]) -> bool:
 def train(root: Path) -> tuple[list[int], bool]:
     """Train all modules that are not kept; returns which, and whether all are right in the end."""
     trained, right = [], True
-    with partial.training(WHAT, root) as kept:
+    with checkpoints.training(WHAT, root) as kept:
         for number in range(MODULES):
             found = kept.get(f"module-{number}")
             if found is None:
@@ -119,10 +119,10 @@ def train_where_no_file_may_exceed(root: Path, limit_bytes: int) -> tuple[list[i
     listener = logging.Handler(logging.WARNING)
     listener.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    partial.logger.addHandler(listener)
+    checkpoints.logger.addHandler(listener)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
     try:
         return *train(root), said
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        partial.logger.removeHandler(listener)
+        checkpoints.logger.removeHandler(listener)

@@ -14,11 +14,11 @@ from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tok
 from described_images import composed, distance, encoded, image
 
 from vprbench import conformance, registry
+from vprbench.api.images import Images
+from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.anyloc import AnyLoc
 from vprbench.methods.anyloc import vlad as gathered
-from vprbench.weights import Weights
 
 TOLERANCE = 1e-5
 DIM, DEPTH, LAYER, WORDS = 128, 3, 1, 5

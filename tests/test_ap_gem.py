@@ -17,9 +17,9 @@ from described_images import composed, distance, drawn_images, encoded
 from sklearn.decomposition import PCA
 
 from vprbench import conformance, registry
+from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.ap_gem import APGeM
-from vprbench.weights import Weights
 
 TOLERANCE = 1e-4
 DIMENSIONS = 12

@@ -19,11 +19,11 @@ from torch.nn import functional
 
 from vprbench import conformance, registry
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images
+from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.methods.boq import BoQ, BoQResNet50
-from vprbench.weights import Weights
 
 DIM, QUERIES, ROWS = 128, 7, 5  # two heads; published are 384 or 512, 64 and 32
 CLASSES = {"dinov2": BoQ, "resnet50": BoQResNet50}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods import cohog
 from vprbench.methods.cohog import (
     CoHOG,

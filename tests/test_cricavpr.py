@@ -17,9 +17,9 @@ from PIL import Image as PillowImage
 from torch.nn import functional
 
 from vprbench import conformance, registry
+from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.cricavpr import CricaVPR
-from vprbench.weights import Weights
 
 TOLERANCE = 2e-5
 DIM = 128

@@ -20,9 +20,9 @@ from PIL import Image as PillowImage
 
 from vprbench import tables
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.data_record import DataRecord, data_record
-from vprbench.images import Images
 from vprbench.records import Run
 from vprbench.storage import hashes
 from vprbench.store import Store

@@ -11,8 +11,8 @@ import pytest
 import scipy.io
 import torch
 
+from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.densevlad import dense_sift, method, vlad
 from vprbench.methods.densevlad.method import DenseVLAD
 

@@ -15,12 +15,12 @@ from PIL import Image as PillowImage
 from vprbench import described, runner
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.weights import Weights
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.records import Run
 from vprbench.stopwatch import Protocol, Stopwatch
-from vprbench.weights import Weights
 
 N_QUERIES, N_PLACES = 70, 80
 PROTOCOL = Protocol(minimum_seconds=0, minimum_queries=2, sample=2, warmup_queries=1, batch_sizes=[1])

@@ -13,11 +13,11 @@ from torch import nn
 from vprbench import registry
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.method import Method
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.descriptor_bench import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
 from vprbench.errors import BadInput
-from vprbench.neural import NeuralDescriptor
-from vprbench.weights import Weights
 
 NO_FILE = Weights(file="none.pth", licence="", trained_on="")
 

@@ -15,9 +15,9 @@ from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
 from vprbench import conformance, registry
+from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.dinov2 import DINOv2
-from vprbench.weights import Weights
 
 TOLERANCE = 1e-5
 

@@ -10,8 +10,8 @@ import pytest
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.doctor import Finding, examine, offsets
-from vprbench.images import Images
 
 from .doctored import PLACES, notes, season, wrong
 

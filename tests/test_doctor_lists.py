@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.doctor import Finding, quick
-from vprbench.images import Images
 
 from .doctored import NAMES, PLACES, notes, wrong
 from .little import picture

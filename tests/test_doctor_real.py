@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from vprbench.api.dataset import Dataset, FrameFolder
+from vprbench.api.images import Images
 from vprbench.doctor import Finding, examine
-from vprbench.images import Images
 
 from .doctored import notes, wrong
 

@@ -20,8 +20,8 @@ from small_plan import RUN, Apart
 from test_dbstruct import cells
 
 from vprbench import cli, fill, paper, registry
+from vprbench.api.neural import NeuralDescriptor
 from vprbench.datasets.nordland import chosen_names
-from vprbench.neural import NeuralDescriptor
 from vprbench.plan import Plan, read_plan
 from vprbench.sweep import IN_SWEEP, Ending
 

@@ -17,12 +17,13 @@ import pytest
 from little import keep_frames_often
 from PIL import Image as PillowImage
 
-from vprbench import ahead, frames, images, progress
+from vprbench import frames, progress
+from vprbench.api import images, read_ahead
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 FINGERPRINT = "0123456789abcdef" * 4
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
@@ -75,7 +76,7 @@ def path(root: Path) -> Path:
 
 
 def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "_BYTES", 4 << 20)
+    monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
     monkeypatch.setattr(images, "_READERS", 2)
     names = [str(i) for i in range(40)]
     large = Images(lambda i: plain(i, (700, 500)), names)  # 1 MB each

@@ -16,12 +16,13 @@ from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictu
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import images, networks, partial, progress, runner
+from vprbench import networks, progress, runner
+from vprbench.api import checkpoints, images
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.records import Run
 
 
@@ -320,7 +321,7 @@ class Resuming(Lookup):
     interrupted_in: str = ""
 
     def fit(self, references: Images, places: Places) -> Self:
-        with partial.training({"training": 1}, self.folder, self.clock.seconds) as kept:
+        with checkpoints.training({"training": 1}, self.folder, self.clock.seconds) as kept:
             if kept.get("first") is None:
                 self.clock.spend(512)
                 kept.put("first", {"weights": np.arange(3)})

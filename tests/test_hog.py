@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from vprbench.api import descriptor
+from vprbench.api.images import Images
 from vprbench.datasets.folders import folders
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.methods.hog import HOG
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"

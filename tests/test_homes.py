@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from vprbench.api.checkpoints import partial_folder
+from vprbench.api.weights import weights_folder
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.partial import partial_folder
 from vprbench.storage.hashes import hashes_folder
-from vprbench.weights import weights_folder
 
 
 @pytest.fixture(autouse=True)

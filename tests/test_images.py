@@ -11,9 +11,9 @@ from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import ahead, images
+from vprbench.api import images, read_ahead
+from vprbench.api.images import Images, read_image
 from vprbench.errors import BadInput
-from vprbench.images import Images, read_image
 
 PATIENCE = 120  # seconds for what takes none unless something is broken
 
@@ -130,7 +130,7 @@ def test_an_index_outside_raises_index_error_with_the_length(index):
 
 def test_images_come_in_order_however_long_each_takes_to_read(monkeypatch):
     monkeypatch.setattr(images, "_READERS", 2)
-    size, n = ahead.CHUNK, 152
+    size, n = read_ahead.CHUNK, 152
     last_read = [threading.Event() for _ in range(n // size)]
     ended = []
 
@@ -248,7 +248,7 @@ def test_reading_while_the_caller_works_is_no_reading_time(clock, chunks):
     caller_works = threading.Event()
 
     def reading(i):
-        if i >= ahead.CHUNK:
+        if i >= read_ahead.CHUNK:
             assert caller_works.wait(PATIENCE)
             clock.spend(1)
 

@@ -11,9 +11,9 @@ import pytest
 from vprbench import registry
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
+from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 
 
 class Colour(DescriptorMethod):
@@ -224,7 +224,7 @@ def by_hand(index, codes, references):
 
 @pytest.mark.parametrize("index", ["hnsw", "ivfpq", "sq8"])
 def test_an_audit_counts_what_an_index_finds_of_the_best(index, monkeypatch):
-    monkeypatch.setattr("vprbench.search._CELLS", 600 * 7)  # seven queries at a time
+    monkeypatch.setattr("vprbench.api.search._CELLS", 600 * 7)  # seven queries at a time
     method = Drawn(32, index=index, neighbours=20).fit(drawn(600), np.arange(600))
     codes = method.encode(Images.from_arrays([np.full((2, 2, 3), (i, 3, 3), np.uint8) for i in range(60)]))
     audit = method.audit(codes)

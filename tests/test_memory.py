@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 
 from vprbench.api.dataset import Dataset
-from vprbench.images import Images
+from vprbench.api.images import Images
 from vprbench.runner import _Answers
 
 N_PLACES = 27_592  # Nordland, every frame

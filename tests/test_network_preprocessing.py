@@ -17,9 +17,9 @@ from torch.nn import functional
 
 from vprbench import registry
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images
+from vprbench.api.neural import NeuralDescriptor
 from vprbench.errors import BadInput
-from vprbench.images import Images
-from vprbench.neural import NeuralDescriptor
 
 Levels = npt.NDArray[Any]
 

@@ -16,7 +16,7 @@ import platformdirs
 import pytest
 from partial_worker import FOUR, WHAT, Interrupted, interrupt, interrupted, said
 
-from vprbench import partial
+from vprbench.api import checkpoints
 
 DAY = 86400.0
 
@@ -39,7 +39,7 @@ DAY = 86400.0
 )
 def test_an_interrupted_training_finds_its_arrays_as_they_were(tmp_path: Path, array: npt.NDArray[Any]) -> None:
     interrupt(tmp_path, part={"a": array, "b": array})
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         found = kept.get("part")
     assert found is not None
     assert found.keys() == {"a", "b"}
@@ -50,12 +50,12 @@ def test_an_interrupted_training_finds_its_arrays_as_they_were(tmp_path: Path, a
 
 def test_a_part_that_was_not_kept_is_none(tmp_path: Path) -> None:
     interrupt(tmp_path, first=FOUR)
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("second") is None
 
 
 def test_a_part_that_was_put_again_is_the_later_one(tmp_path: Path) -> None:
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("part", FOUR)
         kept.put("part", {"w": np.ones(2)})
         found = kept.get("part")
@@ -64,7 +64,7 @@ def test_a_part_that_was_put_again_is_the_later_one(tmp_path: Path) -> None:
 
 
 def test_what_was_given_back_can_be_changed_without_changing_what_is_kept(tmp_path: Path) -> None:
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("part", FOUR)
         first = kept.get("part")
         assert first is not None
@@ -75,7 +75,7 @@ def test_what_was_given_back_can_be_changed_without_changing_what_is_kept(tmp_pa
 
 
 def test_a_training_that_ends_leaves_nothing(tmp_path: Path) -> None:
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("part", FOUR)
         assert list(tmp_path.rglob("*.safetensors"))
     assert list(tmp_path.iterdir()) == []
@@ -83,23 +83,23 @@ def test_a_training_that_ends_leaves_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("end", [ValueError, KeyboardInterrupt, SystemExit])
 def test_whatever_ends_a_training_early_leaves_its_parts(tmp_path: Path, end: type[BaseException]) -> None:
-    with interrupted(end), partial.training(WHAT, tmp_path) as kept:
+    with interrupted(end), checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("part", FOUR)
         raise end
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
 
 
 def test_the_order_of_what_is_trained_says_nothing(tmp_path: Path) -> None:
     interrupt(tmp_path, {"seed": 1, "rates": (0.1, 0.2)}, part=FOUR)
-    with partial.training({"rates": [0.1, 0.2], "seed": 1}, tmp_path) as kept:
+    with checkpoints.training({"rates": [0.1, 0.2], "seed": 1}, tmp_path) as kept:
         assert kept.get("part") is not None
 
 
 @pytest.mark.parametrize("other", [{"seed": 2, "rates": [0.1]}, {"seed": 1, "rates": [0.2]}, {"seed": 1}])
 def test_another_training_finds_nothing_and_leaves_what_is_there(tmp_path: Path, other: dict[str, Any]) -> None:
     home = interrupt(tmp_path, {"seed": 1, "rates": [0.1]}, part=FOUR)
-    with partial.training(other, tmp_path) as kept:
+    with checkpoints.training(other, tmp_path) as kept:
         assert kept.get("part") is None
         kept.put("part", FOUR)
     assert list(tmp_path.iterdir()) == [home]
@@ -107,7 +107,7 @@ def test_another_training_finds_nothing_and_leaves_what_is_there(tmp_path: Path,
 
 @pytest.mark.parametrize("name", ["", "../part", "a/b", ".part", "a b", "part\n"])
 def test_a_name_that_is_no_files_is_refused(tmp_path: Path, name: str) -> None:
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         with pytest.raises(ValueError, match="names no part"):
             kept.put(name, FOUR)
         with pytest.raises(ValueError, match="names no part"):
@@ -117,7 +117,7 @@ def test_a_name_that_is_no_files_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("thing", [np.array([None]), np.array(["a"]), np.array([1j]), [1.0]])
 def test_anything_but_an_array_of_numbers_is_refused(tmp_path: Path, thing: Any) -> None:
     with (
-        partial.training(WHAT, tmp_path) as kept,
+        checkpoints.training(WHAT, tmp_path) as kept,
         pytest.raises(TypeError, match=r"weights is .*; wanted a numpy array"),
     ):
         kept.put("part", {"weights": thing})
@@ -154,7 +154,7 @@ def test_a_damaged_part_is_trained_anew_and_the_others_are_not(
 ) -> None:
     home = interrupt(tmp_path, first=FOUR, second=FOUR)
     damage(home / "first.safetensors")
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("first") is None
         assert kept.get("second") is not None
         assert not (home / "first.safetensors").exists()
@@ -169,7 +169,7 @@ def test_no_byte_of_a_file_can_change_unnoticed(tmp_path: Path, caplog: pytest.L
     path = interrupt(tmp_path, part=FOUR) / "part.safetensors"
     content = path.read_bytes()
     unnoticed = []
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         for position in range(len(content)):
             path.write_bytes(content[:position] + bytes([content[position] ^ 1]) + content[position + 1 :])
             if kept.get("part") is not None:
@@ -184,11 +184,11 @@ def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path: Path, monkeypat
         raise OSError(errno.EMFILE, "Too many open files")
 
     interrupt(tmp_path, part=FOUR)
-    with monkeypatch.context() as patch, interrupted(), partial.training(WHAT, tmp_path) as kept:
-        patch.setattr(partial, "safe_open", refuse)
+    with monkeypatch.context() as patch, interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
+        patch.setattr(checkpoints, "safe_open", refuse)
         assert kept.get("part") is None
         raise Interrupted
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
 
 
@@ -197,7 +197,7 @@ def test_what_a_killed_process_left_unfinished_is_removed_after_a_day(tmp_path: 
     for name in (".partial-old", ".partial-new"):
         (home / name).touch()
     aged(home / ".partial-old", 1.1)
-    with partial.training(WHAT, tmp_path):
+    with checkpoints.training(WHAT, tmp_path):
         assert sorted(path.name for path in home.iterdir()) == [".partial-new", "part.safetensors"]
 
 
@@ -213,23 +213,23 @@ def aged(folder: Path, days: float) -> Path:
 @pytest.mark.parametrize(("days", "there"), [(29, True), (31, False)])
 def test_trainings_are_kept_for_thirty_days(tmp_path: Path, days: int, there: bool) -> None:
     home = aged(interrupt(tmp_path, part=FOUR), days)
-    with partial.training({"another": 1}, tmp_path):
+    with checkpoints.training({"another": 1}, tmp_path):
         assert home.exists() is there
 
 
 def test_an_old_training_is_still_resumed(tmp_path: Path) -> None:
     aged(interrupt(tmp_path, part=FOUR), 365)
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
 
 
 def test_a_training_that_goes_on_is_not_old(tmp_path: Path) -> None:
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("first", FOUR)
         (home,) = tmp_path.iterdir()
         aged(home, 365)
         kept.put("second", FOUR)
-        with partial.training({"another": 1}, tmp_path):
+        with checkpoints.training({"another": 1}, tmp_path):
             pass
         assert kept.get("first") is not None
 
@@ -241,7 +241,7 @@ def test_files_of_others_are_never_removed(tmp_path: Path) -> None:
     (tmp_path / "photos" / "net.safetensors").touch()
     aged(home, 365)
     aged(tmp_path / "photos", 365)
-    with partial.training({"another": 1}, tmp_path):
+    with checkpoints.training({"another": 1}, tmp_path):
         pass
     left = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(left) == sorted([f"{home.name}/thesis.txt", "photos/net.safetensors"])
@@ -250,7 +250,7 @@ def test_files_of_others_are_never_removed(tmp_path: Path) -> None:
 def test_the_folder_is_the_one_that_was_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("VPRBENCH_PARTIAL", "~/trainings")
-    with partial.training(WHAT) as kept:
+    with checkpoints.training(WHAT) as kept:
         kept.put("part", FOUR)
         assert [path.name for path in tmp_path.glob("trainings/*/*")] == ["part.safetensors"]
 
@@ -263,4 +263,4 @@ def test_the_folder_is_in_the_users_cache_where_none_was_chosen(
     if chosen is not None:
         monkeypatch.setenv("VPRBENCH_PARTIAL", chosen)
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
-    assert partial.partial_folder() == tmp_path / "vprbench" / "partial"
+    assert checkpoints.partial_folder() == tmp_path / "vprbench" / "partial"

@@ -31,7 +31,7 @@ from partial_worker import (
     whole,
 )
 
-from vprbench import partial
+from vprbench.api import checkpoints
 
 
 def full_disk(*_: Any) -> NoReturn:
@@ -55,13 +55,13 @@ def test_a_full_disk_costs_one_line_and_never_the_training(tmp_path: Path) -> No
 
 def test_what_was_kept_before_the_disk_was_full_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     home = interrupt(tmp_path, first=FOUR)
-    monkeypatch.setattr(partial, "replace_bytes", full_disk)
-    with interrupted(), partial.training(WHAT, tmp_path) as kept:
+    monkeypatch.setattr(checkpoints, "replace_bytes", full_disk)
+    with interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("first", {"w": np.ones(4)})
         kept.put("second", FOUR)
         raise Interrupted
     assert [path.name for path in home.iterdir()] == ["first.safetensors"]
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         found = kept.get("first")
     assert found is not None
     assert found["w"].tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -83,7 +83,7 @@ def test_a_place_that_cannot_be_written_costs_one_line(
 def processes() -> multiprocessing.context.ForkServerContext:
     """Processes that start in no time, because one that has imported what they need makes them."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.partial"])
+    context.set_forkserver_preload(["vprbench.api.checkpoints"])
     return context
 
 
@@ -113,7 +113,7 @@ def test_several_processes_at_once_train_the_same_without_harm(tmp_path: Path, p
 
 
 def test_a_folder_that_another_process_removes_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, removed = partial.replace_bytes, []
+    write, removed = checkpoints.replace_bytes, []
 
     def remove_first(path: Path, content: bytes) -> None:
         if not removed:
@@ -121,10 +121,10 @@ def test_a_folder_that_another_process_removes_is_made_again(tmp_path: Path, mon
             shutil.rmtree(path.parent)
         write(path, content)
 
-    monkeypatch.setattr(partial, "replace_bytes", remove_first)
+    monkeypatch.setattr(checkpoints, "replace_bytes", remove_first)
     interrupt(tmp_path, part=FOUR)
     assert len(removed) == 1
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
 
 
@@ -135,7 +135,7 @@ def test_a_folder_that_is_removed_again_and_again_is_given_up(
         shutil.rmtree(path.parent)
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
 
-    monkeypatch.setattr(partial, "replace_bytes", remove)
+    monkeypatch.setattr(checkpoints, "replace_bytes", remove)
     assert train(tmp_path) == ([*range(MODULES)], True)
     assert len(said(caplog)) == 1
 
@@ -147,7 +147,7 @@ def test_threads_that_keep_parts_at_once_lose_none(tmp_path: Path) -> None:
         together.wait()
         kept.put(f"module-{number}", module(number))
 
-    with partial.training(WHAT, tmp_path) as kept, ThreadPoolExecutor(8) as pool:
+    with checkpoints.training(WHAT, tmp_path) as kept, ThreadPoolExecutor(8) as pool:
         list(pool.map(one, range(8)))
         found = [kept.get(f"module-{number}") for number in range(8)]
     assert all(arrays is not None and whole(number, arrays) for number, arrays in enumerate(found))

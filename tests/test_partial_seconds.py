@@ -9,7 +9,7 @@ import pytest
 from partial_worker import FOUR, WHAT, Interrupted, interrupt, interrupted, spend
 from stopped_clock import Clock
 
-from vprbench import partial
+from vprbench.api import checkpoints
 
 
 @pytest.fixture
@@ -41,14 +41,14 @@ def test_the_time_of_a_part_that_was_damaged_does_not_count(tmp_path: Path, cloc
     spend(tmp_path, clock, ("first", 5), ("second", 7))
     (damaged,) = tmp_path.glob("*/first.safetensors")
     damaged.write_bytes(damaged.read_bytes()[:-8] + bytes(8))  # seen only when it is read
-    with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("first") is None
         assert kept.get("second") is not None
         assert kept.seconds == 7
 
 
 def test_a_part_of_this_run_is_no_time_of_another(tmp_path: Path, clock: Clock) -> None:
-    with partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         clock.spend(5)
         kept.put("part", FOUR)
         assert kept.get("part") is not None
@@ -56,7 +56,7 @@ def test_a_part_of_this_run_is_no_time_of_another(tmp_path: Path, clock: Clock) 
 
 
 def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path: Path, clock: Clock) -> None:
-    with partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         spend(tmp_path, clock, ("first", 5), ("second", 7))
         assert kept.seconds == 0
         assert kept.get("first") is not None
@@ -64,7 +64,7 @@ def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp
 
 
 def test_the_time_of_several_threads_is_the_time_on_the_wall(tmp_path: Path, clock: Clock) -> None:
-    with interrupted(), partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with interrupted(), checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         clock.spend(8)
         with ThreadPoolExecutor(4) as pool:
             list(pool.map(lambda number: kept.put(f"part-{number}", FOUR), range(4)))
@@ -77,21 +77,21 @@ def test_the_time_of_several_threads_is_the_time_on_the_wall(tmp_path: Path, clo
 
 def test_a_ledger_tells_what_was_taken_over(tmp_path: Path, clock: Clock) -> None:
     spend(tmp_path, clock, ("first", 5), ("second", 7))
-    with partial.ledger() as resumed:
-        with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.ledger() as resumed:
+        with checkpoints.training(WHAT, tmp_path) as kept:
             assert resumed.seconds == 0  # nothing was asked for yet
             assert kept.get("second") is not None
             assert resumed.seconds == 7
             assert kept.get("first") is not None
-        with partial.training({"another": 1}, tmp_path) as kept:
+        with checkpoints.training({"another": 1}, tmp_path) as kept:
             assert kept.get("first") is None
         assert resumed.seconds == 12
     assert resumed.seconds == 12
 
 
 def test_a_ledger_inside_another_is_the_same(tmp_path: Path) -> None:
-    with partial.ledger() as outer:
-        with partial.ledger() as inner, partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.ledger() as outer:
+        with checkpoints.ledger() as inner, checkpoints.training(WHAT, tmp_path) as kept:
             kept.put("part", FOUR)
         assert inner is outer
         assert len([*tmp_path.glob("*/part.safetensors")]) == 1
@@ -99,50 +99,50 @@ def test_a_ledger_inside_another_is_the_same(tmp_path: Path) -> None:
 
 
 def test_a_ledger_of_trainings_that_were_not_interrupted_tells_nothing(tmp_path: Path, clock: Clock) -> None:
-    with partial.ledger() as resumed, partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with checkpoints.ledger() as resumed, checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         clock.spend(5)
         kept.put("part", FOUR)
     assert resumed.seconds == 0
 
 
 def test_a_training_that_ended_is_kept_until_its_ledger_ends(tmp_path: Path) -> None:
-    with partial.ledger():
-        with partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.ledger():
+        with checkpoints.training(WHAT, tmp_path) as kept:
             kept.put("part", FOUR)
-        with partial.training({"another": 1}, tmp_path) as kept:
+        with checkpoints.training({"another": 1}, tmp_path) as kept:
             kept.put("part", FOUR)
         assert len([*tmp_path.glob("*/part.safetensors")]) == 2
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_that_is_interrupted_in_its_second_training_keeps_the_first(tmp_path: Path, clock: Clock) -> None:
-    with interrupted(), partial.ledger():
-        with partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with interrupted(), checkpoints.ledger():
+        with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
             clock.spend(5)
             kept.put("part", FOUR)
-        with partial.training({"another": 1}, tmp_path):
+        with checkpoints.training({"another": 1}, tmp_path):
             raise Interrupted
-    with partial.ledger() as resumed, partial.training(WHAT, tmp_path) as kept:
+    with checkpoints.ledger() as resumed, checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
     assert resumed.seconds == 5
-    with partial.training(WHAT, tmp_path) as kept:  # the ledger of the interrupted run is closed
+    with checkpoints.training(WHAT, tmp_path) as kept:  # the ledger of the interrupted run is closed
         kept.put("part", FOUR)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_training_whose_error_was_caught_stays_where_its_ledger_ends(tmp_path: Path) -> None:
-    with partial.ledger():
+    with checkpoints.ledger():
         home = interrupt(tmp_path, part=FOUR)
     assert list(tmp_path.iterdir()) == [home]
 
 
 def test_a_training_that_is_opened_twice_in_a_ledger_goes_on_with_its_own(tmp_path: Path, clock: Clock) -> None:
-    with interrupted(), partial.ledger() as resumed:
-        with partial.training(WHAT, tmp_path, clock.seconds) as kept:
+    with interrupted(), checkpoints.ledger() as resumed:
+        with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
             clock.spend(5)
             kept.put("first", FOUR)
         clock.spend(100)  # outside of any training
-        with partial.training(WHAT, tmp_path, clock.seconds) as kept:
+        with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
             assert kept.get("first") is not None
             clock.spend(7)
             kept.put("second", FOUR)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from vprbench.api.images import Images
 from vprbench.datasets.folders import folders
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 

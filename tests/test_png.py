@@ -13,9 +13,9 @@ import pytest
 from PIL import Image as PillowImage
 from PIL import PngImagePlugin
 
-from vprbench import images, png
+from vprbench.api import images, png
+from vprbench.api.images import read_image
 from vprbench.errors import BadInput
-from vprbench.images import read_image
 
 Pixels = npt.NDArray[np.uint8]
 HEIGHT, WIDTH = 37, 50

@@ -5,9 +5,9 @@ import preprocess_oracle as oracle
 import pytest
 from preprocess_frames import smooth_frame
 
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation, gamma_correct, patch_normalise
 from vprbench.errors import BadInput
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation, gamma_correct, patch_normalise
 
 VARIANTS = ("A", "B", "C")
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 from preprocess_frames import saturated_frame, smooth_frame
 
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
 
 SIZES = [(32, 64), (90, 160), (360, 640), (20, 17), (28, 28), (53, 37), (1, 9)]
 FLAT = 1e-3  # deviation over mean of a window, below which rounding noise takes part in the level

@@ -20,13 +20,14 @@ from little_runs import CONFIG, QUICK, quiet_surroundings
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import images, preprocess, preprocessed, runner
+from vprbench import preprocessed, runner
+from vprbench.api import images, preprocess
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.cli import main
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation
 from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run
 
@@ -240,8 +241,8 @@ def test_few_frames_and_frames_that_are_no_files_are_not_kept(frames: list[Path]
 WORKER = """
 import sys
 from pathlib import Path
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.preprocessed import Preprocessed
 paths = sorted(Path(sys.argv[2]).iterdir())
 print("ready", flush=True)

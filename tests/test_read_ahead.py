@@ -13,8 +13,8 @@ import pytest
 from PIL import Image as PillowImage
 from stopped_clock import ReadersThatWait
 
-from vprbench import ahead, images
-from vprbench.images import Images
+from vprbench.api import images, read_ahead
+from vprbench.api.images import Images
 
 PATIENCE = 120  # seconds for what takes none unless something is broken
 FRAME = 300 * 400 * 3  # bytes
@@ -66,7 +66,7 @@ def test_small_frames_are_bounded_by_their_number(waiting: type[Waiting], tmp_pa
 def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
-    monkeypatch.setattr(ahead, "_BYTES", room * FRAME + 1)
+    monkeypatch.setattr(read_ahead, "_BYTES", room * FRAME + 1)
     paths = frames(tmp_path, [(300, 400)])
     assert len(list(Images.from_files(paths * 50))) == 50
     assert waiting.most == room
@@ -75,7 +75,7 @@ def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
 def test_of_frames_larger_than_all_there_is_room_for_four_are_read_at_a_time(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ahead, "_BYTES", FRAME // 2)
+    monkeypatch.setattr(read_ahead, "_BYTES", FRAME // 2)
     assert len(list(Images.from_files(frames(tmp_path, [(300, 400)]) * 9))) == 9
     assert waiting.most == 4
 
@@ -83,8 +83,8 @@ def test_of_frames_larger_than_all_there_is_room_for_four_are_read_at_a_time(
 def test_frames_are_held_by_the_size_of_each_whatever_the_first_was(
     waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ahead, "_BYTES", 5 * FRAME)
-    monkeypatch.setattr(ahead, "_MOST_BYTES", 8 * FRAME)
+    monkeypatch.setattr(read_ahead, "_BYTES", 5 * FRAME)
+    monkeypatch.setattr(read_ahead, "_MOST_BYTES", 8 * FRAME)
     kinds = frames(tmp_path, [(3, 4), (300, 400), (900, 800), (1500, 1600)])
     n_bytes = [36, FRAME, 6 * FRAME, 20 * FRAME]
     order = [0, *np.random.default_rng(3).choice(4, 150, p=[0.5, 0.3, 0.15, 0.05]).tolist(), 1, 1, 1, 1, 1, 1, 1]

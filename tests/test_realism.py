@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from seqslam_judge import PLACES, differences, evenly, recall, small_and_grey
 
+from vprbench.api.images import Images
 from vprbench.datasets.synthetic import synthetic
-from vprbench.images import Images
 from vprbench.methods.cohog import CoHOG
 from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG

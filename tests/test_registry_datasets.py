@@ -52,7 +52,7 @@ def test_a_list_in_place_of_images_is_refused(made: SimpleNamespace, part: str) 
     whole = journey(4, 3)
     made.dataset = replace(whole, **{part: list(getattr(whole, part))})
     told = refusal({"_target_": "mine.noise"})
-    assert told.startswith(f"mine.noise gave {part} of type list; wanted is vprbench.images.Images")
+    assert told.startswith(f"mine.noise gave {part} of type list; wanted is vprbench.api.images.Images")
 
 
 def test_a_name_too_long_for_a_folder_is_refused(made: SimpleNamespace) -> None:

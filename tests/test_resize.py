@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from vprbench.api.arrays import Image
-from vprbench.resize import Interpolation, Resize, resize_batch, resize_image
+from vprbench.api.resize import Interpolation, Resize, resize_batch, resize_image
 
 KINDS = get_args(Interpolation)
 SIZES = [((32, 48), (10, 13)), ((33, 47), (11, 30)), ((9, 14), (20, 31)), ((40, 20), (7, 41)), ((64, 64), (1, 1))]

@@ -20,8 +20,8 @@ from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
 
 from vprbench import environment, harness, runner
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.images import Images
 from vprbench.sources import meaning
 from vprbench.stopwatch import Protocol
 

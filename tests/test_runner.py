@@ -17,10 +17,10 @@ from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 from vprbench import runner
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.ranking import Outcome, outcome
 
 

@@ -13,11 +13,12 @@ from little import Lookup, journey, number_in
 from little_runs import QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock
 
-from vprbench import images, runner
+from vprbench import runner
+from vprbench.api import images
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.images import Images
 from vprbench.stopwatch import Protocol
 
 

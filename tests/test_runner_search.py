@@ -19,10 +19,10 @@ from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 from vprbench import runner, tables
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.search import Audit, Kind
 from vprbench.descriptor_cache import DescriptorCache
-from vprbench.images import Images
 from vprbench.records import Run
-from vprbench.search import Audit, Kind
 from vprbench.store import Store
 
 

@@ -14,10 +14,11 @@ from little import Lookup, journey, slow_pictures
 from little_runs import quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import images, progress, runner, tables
+from vprbench import progress, runner, tables
+from vprbench.api import images
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset
-from vprbench.images import Images
+from vprbench.api.images import Images
 from vprbench.records import Run
 
 

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from vprbench.api.images import Images
 from vprbench.datasets.nordland import nordland
 from vprbench.errors import NotFittedError
-from vprbench.images import Images
 from vprbench.intervals import block_bootstrap, share_interval
 from vprbench.methods.sad import SAD
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from vprbench.api.arrays import Scores
-from vprbench.images import Images
+from vprbench.api.images import Images
 from vprbench.methods import sad
 from vprbench.methods.sad import SAD, Levels
 

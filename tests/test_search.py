@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench import search
-from vprbench.search import Kind, Search, agreement
+from vprbench.api import search
+from vprbench.api.search import Kind, Search, agreement
 
 Vectors = npt.NDArray[np.float32]
 
@@ -74,7 +74,7 @@ def test_exact_scores_are_those_of_float64(layout: str, n_queries: int, monkeypa
 
 def test_exact_search_imports_no_faiss() -> None:
     code = (
-        "import sys, numpy as np; from vprbench.search import Search; "
+        "import sys, numpy as np; from vprbench.api.search import Search; "
         "Search(np.eye(3, dtype=np.float32), np.arange(3)).scores(np.eye(3, dtype=np.float32)); "
         "sys.exit('faiss' in sys.modules or 'torch' in sys.modules)"
     )
@@ -300,7 +300,7 @@ def test_faiss_is_imported_in_one_place(path: Path) -> None:
 def test_an_index_made_after_threads_were_pinned_keeps_to_them() -> None:
     code = (
         "from vprbench import environment; environment.pin_threads(1); "
-        "import numpy as np; from vprbench.search import Search; "
+        "import numpy as np; from vprbench.api.search import Search; "
         "Search(np.eye(300, dtype=np.float32), np.arange(300), 'hnsw'); "
         "import faiss; print(faiss.omp_get_max_threads())"
     )

@@ -19,7 +19,7 @@ def package(tmp_path, monkeypatch):
     (folder / "inner").mkdir(parents=True)
     (folder / "__init__.py").write_text("")
     (folder / "method.py").write_text(
-        "import numpy\nfrom vprbench.resize import Resize\n"
+        "import numpy\nfrom vprbench.api.resize import Resize\n"
         "from .near import thing\nfrom . import beside\nimport meadow.dotted\n"
         "class Method:\n    def fit(self):\n        from meadow.inner.late import x\n"
     )
@@ -43,7 +43,7 @@ def test_all_files_of_the_package_that_are_imported_count_and_no_other(package):
     (package / "near.py").write_text("from .behind_near import thing\nfrom .method import Method\n")
     found = {name.removeprefix("meadow") for name in sources.behind(method)}
     assert found == {
-        "vprbench.resize",
+        "vprbench.api.resize",
         "",
         ".method",
         ".near",
@@ -56,13 +56,15 @@ def test_all_files_of_the_package_that_are_imported_count_and_no_other(package):
 
 def test_a_method_in_one_file_counts_its_own_file_and_what_computes_for_it():
     found = sources.behind(HOG)
-    assert {"vprbench.methods.hog", "vprbench.api.descriptor", "vprbench.search"} <= set(found)
+    assert {"vprbench.methods.hog", "vprbench.api.descriptor", "vprbench.api.search"} <= set(found)
     assert not any(word in name for name in found for word in ("vprtempo", "runner", "images", "progress"))
 
 
 def test_what_a_method_inherits_from_counts():
     found = sources.behind(VPRTempoEnsemble)
-    assert {"vprbench.methods.vprtempo.method", "vprbench.methods.vprtempo.layer", "vprbench.preprocess"} <= set(found)
+    assert {"vprbench.methods.vprtempo.method", "vprbench.methods.vprtempo.layer", "vprbench.api.preprocess"} <= set(
+        found
+    )
 
 
 BEFORE = '''"""Counts."""

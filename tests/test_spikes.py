@@ -16,12 +16,13 @@ from little import Lookup, journey, pictures
 from little_runs import quiet_surroundings
 from stopped_clock import Clock
 
-from vprbench import images, runner
+from vprbench import runner
+from vprbench.api import images
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.conformance import Journey
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo

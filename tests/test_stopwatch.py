@@ -17,9 +17,9 @@ from PIL import Image as PillowImage
 
 from vprbench import stopwatch
 from vprbench.api.arrays import Places, Scores
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.stopwatch import (
     Protocol,
     Stopwatch,

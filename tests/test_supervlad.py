@@ -15,9 +15,9 @@ from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import composed, distance, encoded, image
 
 from vprbench import conformance, registry
+from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.supervlad import SuperVLAD, SuperVLADCrossImage
-from vprbench.weights import Weights
 
 TOLERANCE = 1e-5
 DIM, CLUSTERS = 128, 4

@@ -13,8 +13,8 @@ from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, refer
 
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import HeldOut
+from vprbench.api.images import Images
 from vprbench.errors import NotFittedError
-from vprbench.images import Images
 from vprbench.methods.vprsnn import asking, method, training
 from vprbench.methods.vprsnn.asking import Asked, reactions
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble

@@ -13,7 +13,7 @@ import pytest
 import torch
 from little_vprsnn import SMALL, WORLD, fitted, images, references, same
 
-from vprbench import partial
+from vprbench.api import checkpoints
 from vprbench.api.dataset import HeldOut
 from vprbench.methods.vprsnn import batched, method, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -219,7 +219,7 @@ def test_a_calibration_does_not_go_on_with_reactions_of_another_network(
 
     def calibrated_but_interrupted(fitted: VPRSNN) -> None:
         with monkeypatch.context() as patch:
-            patch.setattr(partial.Partial, "remove", interrupted)
+            patch.setattr(checkpoints.Partial, "remove", interrupted)
             with pytest.raises(Interrupted):
                 fitted.calibrate(held_out())
 

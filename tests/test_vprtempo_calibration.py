@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 import torch
 
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo

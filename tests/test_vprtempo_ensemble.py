@@ -11,10 +11,10 @@ import numpy.typing as npt
 import pytest
 import torch
 
+from vprbench.api.images import Images
 from vprbench.conformance import RULES as CONFORMANCE
 from vprbench.conformance import Journey, check
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import Engine, VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.errors import TrainingDivergedError
-from vprbench.images import Images
 from vprbench.methods.vprtempo import fused, training
 from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RULES, RuleSet
 from vprbench.methods.vprtempo.training import Schedule, draw_schedule, module_sizes
-from vprbench.preprocess import PatchNormalisation
 
 RULE_SETS: tuple[RuleSet, ...] = ("paper", "reference", "v1")
 N_PLACES, N_PIXELS, N_FEATURES = 200, 144, 288

@@ -19,10 +19,10 @@ import torch
 
 from vprbench import metrics, networks
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.conformance import RULES as CONFORMANCE
 from vprbench.conformance import Journey, check
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network

@@ -14,9 +14,10 @@ import torch
 import vprtempo_oracle as oracle
 import yaml
 
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.conformance import Journey
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
-from vprbench.images import Images
 from vprbench.methods.vprtempo.layer import Layer, draw_layer
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
@@ -31,7 +32,6 @@ from vprbench.methods.vprtempo.rules import (
     RuleSet,
     ThresholdRule,
 )
-from vprbench.preprocess import PatchNormalisation
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,11 +13,11 @@ import pytest
 import torch
 
 from vprbench import networks
+from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.conformance import Journey
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.store import Store

@@ -21,10 +21,8 @@ from described_images import composed
 from safetensors.torch import save_file
 from torch import nn
 
-from vprbench import weights as module_under_test
-from vprbench.errors import BadInput
-from vprbench.registry import checked
-from vprbench.weights import (
+from vprbench.api import weights as module_under_test
+from vprbench.api.weights import (
     Stated,
     Weights,
     content_hash,
@@ -36,6 +34,8 @@ from vprbench.weights import (
     weights_folder,
     without_prefix,
 )
+from vprbench.errors import BadInput
+from vprbench.registry import checked
 
 CONTENT = b"published"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()

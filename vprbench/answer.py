@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from vprbench import ending, environment, frames, networks, registry, runner
+from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
+from vprbench.api.weights import content_hash
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.options import Settings, n_threads
-from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
 from vprbench.progress import progress_shown
 from vprbench.records import Run
 from vprbench.report.answers import by_interest
 from vprbench.store import Store, insist_on_writing
 from vprbench.text import printable
-from vprbench.weights import content_hash
 
 
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:

@@ -18,6 +18,8 @@ import psutil
 
 from vprbench import environment, progress
 from vprbench.api.method import Method
+from vprbench.api.preprocess import Engine, PatchNormalisation
+from vprbench.api.search import Search, faiss_module
 from vprbench.bench_reading import frame_files, in_own_process, kept_cell, reading_cell
 from vprbench.bench_report import (
     ENGINES,
@@ -44,10 +46,8 @@ from vprbench.bench_report import (
 from vprbench.bench_vprsnn import asking_cell, module_cell
 from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
-from vprbench.preprocess import Engine, PatchNormalisation
 from vprbench.progress import listening
 from vprbench.ranking import best_places
-from vprbench.search import Search, faiss_module
 from vprbench.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 

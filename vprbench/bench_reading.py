@@ -17,10 +17,10 @@ from PIL import Image as PillowImage
 
 from vprbench import environment, progress
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images, read_image
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.bench_report import PATCH, KeptCell, ReadingCell, Settings
-from vprbench.images import Images, read_image
 from vprbench.measures import rounded
-from vprbench.preprocess import PatchNormalisation
 from vprbench.preprocessed import Preprocessed
 from vprbench.stopwatch import Protocol, Stopwatch
 

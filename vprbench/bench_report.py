@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from vprbench.api.preprocess import Engine
 from vprbench.errors import BadInput
 from vprbench.measures import Fit, Rates
-from vprbench.preprocess import Engine
 from vprbench.stopwatch import Protocol
 
 Counted = Literal["network", "matrix", "references"]

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from vprbench import networks
 from vprbench.api.arrays import Image, Places
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import NotFittedError
-from vprbench.images import Images
 from vprbench.registry import arguments, checked, make_method
 
 N_PLACES = 20

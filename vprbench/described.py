@@ -7,12 +7,12 @@ from typing import Any
 
 from vprbench import environment
 from vprbench.api.descriptor import DescriptorMethod, encoded_blocks
+from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.api.weights import Weights
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
-from vprbench.images import Images
 from vprbench.records import content_key
 from vprbench.sources import source_hash
-from vprbench.weights import Weights
 
 
 class Described:

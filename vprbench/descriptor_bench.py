@@ -157,7 +157,7 @@ def _cells(settings: Settings, make: Make) -> Iterator[Cell | Failed]:
 
 def _ways(settings: Settings, make: Make, name: str) -> list[Way]:
     """Return how a method can compute here: any on a CPU, what takes a device on a GPU, networks in all precisions."""
-    from vprbench.neural import NeuralDescriptor  # PyTorch is slow to import
+    from vprbench.api.neural import NeuralDescriptor  # PyTorch is slow to import
 
     ways = []
     for device in settings.devices:
@@ -190,7 +190,7 @@ def _fitted(
     settings: Settings, make: Make, name: str, frame: tuple[int, int], way: Way, route: Route
 ) -> tuple[Method, int, tuple[int, int] | None]:
     """Return a method with a map, the number of its places, and the size at which a network sees the frames."""
-    from vprbench.neural import NeuralDescriptor  # PyTorch is slow to import
+    from vprbench.api.neural import NeuralDescriptor  # PyTorch is slow to import
 
     method = make(name, way.device)
     if not isinstance(method, NeuralDescriptor):

@@ -18,7 +18,7 @@ from PIL import Image as PillowImage
 from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.images import Images
+from vprbench.api.images import Images
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
 
 logger = logging.getLogger(__name__)

@@ -18,11 +18,11 @@ import numpy.typing as npt
 
 from vprbench import environment, progress
 from vprbench.api.arrays import Scores
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.bench_report import FRAME, PATCH, RULES, TRAVERSES
 from vprbench.bench_text import machine_lines, rates_text
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.measures import Make, Rates, measured_rates
 from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.storage.atomic import replace_text

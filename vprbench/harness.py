@@ -7,7 +7,8 @@ VERSION = 1
 
 #: The modules whose changes are decided about.
 MODULES = (
-    *("vprbench.images", "vprbench.ahead", "vprbench.png", "vprbench.png_pixels", "vprbench.image_formats"),
+    *("vprbench.api.images", "vprbench.api.read_ahead", "vprbench.api.image_formats"),
+    *("vprbench.api.png", "vprbench.api.png_pixels"),
     *("vprbench.ranking", "vprbench.stopwatch", "vprbench.learning", "vprbench.runner", "vprbench.networks"),
     *("vprbench.described", "vprbench.descriptor_cache", "vprbench.preprocessed", "vprbench.environment"),
 )

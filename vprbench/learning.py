@@ -9,13 +9,13 @@ from typing import Any
 
 from vprbench import networks, progress
 from vprbench.api.arrays import Places
+from vprbench.api.checkpoints import Resumed
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
 from vprbench.described import Described
 from vprbench.errors import BadInput
-from vprbench.images import Images
-from vprbench.partial import Resumed
 from vprbench.preprocessed import Preprocessed
 from vprbench.stopwatch import Stopwatch
 

@@ -13,8 +13,8 @@ import psutil
 
 from vprbench import environment, stopwatch
 from vprbench.api.arrays import Places
+from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.images import Images
 from vprbench.progress import Listener, listening, report
 from vprbench.stopwatch import Stopwatch, best_batch, offline_rate, streaming_rate, synchroniser
 from vprbench.summary import StageRates

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench import environment
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.records import content_key
 from vprbench.sources import source_hash
 from vprbench.storage.arrays import ArrayCache

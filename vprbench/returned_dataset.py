@@ -33,12 +33,12 @@ def insist_on_dataset(made: Any, target: str) -> Dataset:
             f"dataset.name={_shortened(made.name)} has more than {_MOST_NAME_BYTES} bytes: give a shorter one, for its "
             "runs are stored in a folder of that name"
         )
-    from vprbench.images import Images  # a list of names needs none
+    from vprbench.api.images import Images  # a list of names needs none
 
     for part, images in (("references", made.references), ("queries", made.queries)):
         if not isinstance(images, Images):
             raise BadInput(
-                f"{target} gave {part} of type {type(images).__name__}; wanted is vprbench.images.Images, "
+                f"{target} gave {part} of type {type(images).__name__}; wanted is vprbench.api.images.Images, "
                 "by Images.from_files(paths) or Images.from_arrays(arrays)"
             )
     return made

@@ -14,20 +14,20 @@ import numpy.typing as npt
 
 from vprbench import environment, harness, networks, progress, spikes
 from vprbench.api.arrays import Scores
+from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration, held_together
+from vprbench.api.search import Audit, Search
 from vprbench.data_record import data_record
 from vprbench.described import Described
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.errors import BadInput
-from vprbench.images import Images
 from vprbench.learning import learn
-from vprbench.partial import ledger
 from vprbench.preprocessed import Preprocessed
 from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
-from vprbench.search import Audit, Search
 from vprbench.sources import source_hash
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 

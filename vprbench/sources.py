@@ -13,10 +13,10 @@ from typing import Any, TypeGuard
 
 #: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
 COMPUTING = frozenset(
-    f"vprbench.{name}"
+    f"vprbench.api.{name}"
     for name in (
-        *("api.descriptor", "api.method"),
-        *("compiled", "neural", "preprocess", "preprocess_compiled", "resize", "search", "weights"),
+        *("compiled", "descriptor", "method", "neural", "preprocess", "preprocess_compiled"),
+        *("resize", "search", "weights"),
     )
 )
 

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Scores
+from vprbench.api.images import Images
 from vprbench.api.method import Method, held_together
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Places
-from vprbench.images import Images
+from vprbench.api.images import Images
 
 _PIXELS_PER_CELL = 4  # of the coarse noise that a frame is blown up from
 _NOISE = 10  # grey levels to either side that a copy of a frame differs by

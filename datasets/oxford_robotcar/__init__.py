@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from vprbench.api.dataset import Dataset
-from vprbench.images import Images
+from vprbench.api.images import Images
 from vprbench.storage.folders import data_folder
 
 from ..frame_folders import root_folder

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
+from vprbench.api.image_formats import opened
 from vprbench.errors import BadInput, NotThere
-from vprbench.image_formats import opened
 
 from .undistortion import undistort
 

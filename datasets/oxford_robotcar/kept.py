@@ -17,8 +17,8 @@ from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
 from vprbench.api.arrays import Image
-from vprbench.image_formats import opened
-from vprbench.images import Images
+from vprbench.api.image_formats import opened
+from vprbench.api.images import Images
 
 from .calibration import VERSION, Calibration, processed, read_raw
 

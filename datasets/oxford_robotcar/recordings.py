@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vprbench.api.dataset import FrameFolder
+from vprbench.api.image_formats import opened
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.image_formats import opened
-from vprbench.images import Images
 
 from ..frame_folders import check_folders, files_in
 from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable

@@ -11,8 +11,8 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 from ..traverses import Evaluation, dataset_of, split
 from .film import HEIGHT, WIDTH

@@ -15,9 +15,9 @@ from torch import Tensor
 from vprbench import progress
 from vprbench.api.arrays import Image, Places
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.search import faiss_module
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.search import faiss_module
 
 from .dense_sift import (
     DIMENSIONS,

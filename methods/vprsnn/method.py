@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench import partial
+from vprbench.api import checkpoints
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import HeldOut
+from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
+from vprbench.api.preprocess import PatchNormalisation
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation
 
 from . import published, scoring
 from .arguments import Arguments
@@ -88,7 +88,7 @@ class VPRSNN(Arguments, Method):
         first_traverse = levels[np.unique(places, return_index=True)[1]]
         identity = self._identity(levels, places)
         networks = []
-        with partial.training(identity) as kept:
+        with checkpoints.training(identity) as kept:
             for recipe, threshold, part in self._members():
                 lessons = self._lessons(recipe, levels, places, 0)
                 network = train_all(recipe, lessons, kept, "training", self._engine(), self._published(), part)
@@ -112,7 +112,7 @@ class VPRSNN(Arguments, Method):
             shown = np.concatenate([shown, levels[np.unique(held_out.places, return_index=True)[1]]])
         aside_from = {"map": identity, "shown": _digest(shown)}
         networks = [member.network for member in self._asked]
-        with partial.training({**self._identity(levels, held_out.places), **aside_from}) as kept:
+        with checkpoints.training({**self._identity(levels, held_out.places), **aside_from}) as kept:
             for number, (recipe, threshold, part) in enumerate(self._members()):
                 if threshold is not None:
                     continue
@@ -260,7 +260,7 @@ class VPRSNN(Arguments, Method):
         network: Network,
         recipe: Recipe,
         shown: Levels,
-        kept: partial.Partial,
+        kept: checkpoints.Partial,
         stage: str,
         part: tuple[float, float],
         first: int = 0,

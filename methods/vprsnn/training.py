@@ -11,8 +11,8 @@ import numpy.typing as npt
 import torch
 
 from vprbench import progress
+from vprbench.api.checkpoints import Partial
 from vprbench.errors import BadInput
-from vprbench.partial import Partial
 
 from . import batched
 from .lessons import Lesson, Responses

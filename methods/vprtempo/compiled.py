@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vprbench import compiled as loops
+from vprbench.api import compiled as loops
 
 #: Sums may be reordered; infinities still count.
 compiled = loops.compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})

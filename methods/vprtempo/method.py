@@ -16,10 +16,10 @@ from torch import Tensor
 
 from vprbench import progress
 from vprbench.api.arrays import Places, Scores
+from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
+from vprbench.api.preprocess import PatchNormalisation, Variant
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.images import Images
-from vprbench.preprocess import PatchNormalisation, Variant
 
 from . import fused, training
 from .encoding import spikes_of

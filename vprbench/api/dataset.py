@@ -16,7 +16,7 @@ from vprbench.api.arrays import Places
 from vprbench.errors import BadInput
 
 if TYPE_CHECKING:
-    from vprbench.images import Images
+    from vprbench.api.images import Images
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.method import Method
+from vprbench.api.search import Audit, Kind, Search, agreement, check_index
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.search import Audit, Kind, Search, agreement, check_index
 
 if TYPE_CHECKING:
-    from vprbench.images import Images
+    from vprbench.api.images import Images
 
 _BLOCK = 64  # references encoded together
 _BLOCK_BYTES = 1 << 26  # of decoded images in such a block

@@ -15,7 +15,7 @@ from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.errors import BadInput
 
 if TYPE_CHECKING:
-    from vprbench.images import Images
+    from vprbench.api.images import Images
 
 _CODES_BYTES = 1 << 30  # of large codes held together
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 from . import files, ground_truth, names, pictures, repeats
 from .alignment import alignment

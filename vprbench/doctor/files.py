@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vprbench.api.dataset import FrameFolder
-from vprbench.image_formats import is_beside, is_image_name
+from vprbench.api.image_formats import is_beside, is_image_name
 
 from .finding import Finding, be, plural, some
 

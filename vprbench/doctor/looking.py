@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 from .offsets import HEIGHT, WIDTH, Small
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
-from vprbench.images import Images
+from vprbench.api.images import Images
 
 Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 where there is none
 

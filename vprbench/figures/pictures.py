@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from vprbench.api.arrays import Image, Scores
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence
 from vprbench.figures.style import DOUBLE_MM, Drawn, new, styled
 from vprbench.frames import Thumbnails
-from vprbench.images import Images
 from vprbench.ranking import PlacesPerQuery
 from vprbench.records import Run
 
@@ -113,7 +113,7 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
 
 
 def _normalised(images: Sequence[Image]) -> list[Image]:
-    from vprbench.preprocess import PatchNormalisation  # brings PyTorch
+    from vprbench.api.preprocess import PatchNormalisation  # brings PyTorch
 
     levels = PatchNormalisation("C", _SIDE, _SIDE, _PATCH)(Images.from_arrays(images))
     return list(levels.reshape(-1, _SIDE, _SIDE))

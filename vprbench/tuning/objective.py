@@ -14,9 +14,9 @@ import numpy.typing as npt
 from vprbench import environment, progress, registry
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import TrainingDivergedError
-from vprbench.images import Images
 from vprbench.metrics import hits_at
 from vprbench.ranking import outcome
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.images import Images
+from vprbench.api.images import Images
 
 
 @dataclass

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
-from vprbench import png
-from vprbench.ahead import Window
+from vprbench.api import png
 from vprbench.api.arrays import Image
+from vprbench.api.image_formats import opened
+from vprbench.api.read_ahead import Window
 from vprbench.errors import BadInput
-from vprbench.image_formats import opened
 from vprbench.storage.hashes import FileHash, file_hashes
 
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import torch
 from torch.nn import functional
 
-from vprbench import preprocess_compiled
+from vprbench.api import preprocess_compiled
 from vprbench.api.arrays import Image
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.images import Images
 
 Variant = Literal["A", "B", "C"]
 Engine = Literal["fused", "readable"]

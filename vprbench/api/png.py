@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
-from vprbench.png_pixels import insist_on_pixels
+from vprbench.api.png_pixels import insist_on_pixels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

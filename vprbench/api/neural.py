@@ -19,9 +19,8 @@ from torch.nn import functional
 
 from vprbench.api.arrays import Image
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.errors import BadInput
-from vprbench.images import Images
-from vprbench.resize import (
+from vprbench.api.images import Images
+from vprbench.api.resize import (
     VPR_METHODS_EVALUATION,
     Interpolation,
     Preprocessing,
@@ -31,7 +30,8 @@ from vprbench.resize import (
     resize_batch,
     resize_image,
 )
-from vprbench.weights import Weights, find
+from vprbench.api.weights import Weights, find
+from vprbench.errors import BadInput
 
 Precision = Literal["float32", "float16", "bfloat16"]
 
