@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
-from vprbench.ranking import best_places, outcome
+from vprbench.metrics.ranking import best_places, outcome
 from vprbench.records import Run
 from vprbench.series import Series
 from vprbench.stopwatch import Laps, Timing

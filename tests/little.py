@@ -21,7 +21,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.ranking import Outcome
+from vprbench.metrics.ranking import Outcome
 from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing
 from vprbench.store import Store

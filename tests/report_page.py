@@ -11,7 +11,7 @@ from little import a_run
 from PIL import Image
 
 from vprbench.frames import Thumbnails
-from vprbench.ranking import best_places, outcome
+from vprbench.metrics.ranking import best_places, outcome
 from vprbench.records import Run
 from vprbench.report.page import Picture, Section, page
 from vprbench.series import Series

@@ -10,8 +10,8 @@ import little
 import numpy as np
 
 from vprbench.belonging import ColumnAsked
+from vprbench.metrics.ranking import Outcome
 from vprbench.plan import Growth, Plan, PlannedColumn, Row
-from vprbench.ranking import Outcome
 from vprbench.records import Failure, Run
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}

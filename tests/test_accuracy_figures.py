@@ -15,8 +15,8 @@ from vprbench.errors import BadInput
 from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.figures.style import Drawn, pdf
 from vprbench.figures.tradeoff import against_rate
-from vprbench.intervals import share_interval
-from vprbench.ranking import outcome
+from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.ranking import outcome
 from vprbench.records import Run
 
 ALL = (precision_recall, recall_at_n, recall_at_tolerance)

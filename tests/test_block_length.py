@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import lfilter
 
-from vprbench.block_length import block_length
+from vprbench.metrics.block_length import block_length
 
 Values = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from vprbench.block_length import block_length
-from vprbench.intervals import (
+from vprbench.metrics.block_length import block_length
+from vprbench.metrics.intervals import (
     Interval,
     McNemar,
     Values,

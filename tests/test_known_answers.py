@@ -9,9 +9,9 @@ from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.metrics import hits_at
-from vprbench.ranking import outcome
-from vprbench.tolerance import hits_within
+from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.ranking import outcome
+from vprbench.metrics.tolerance import hits_within
 
 PLACES = 40
 JOURNEYS = [

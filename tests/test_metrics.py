@@ -15,9 +15,8 @@ import pytest
 from sklearn.metrics import auc as sklearn_auc
 from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
 
-from vprbench import ranking
 from vprbench.errors import BadInput
-from vprbench.metrics import (
+from vprbench.metrics.accuracy import (
     FullPrecision,
     PRCurve,
     Recall,
@@ -29,11 +28,12 @@ from vprbench.metrics import (
     hits_at,
     pr_curve,
     pr_curve_multi,
+    ranking,
     recall_at,
     recall_at_full_precision,
     tie_share,
 )
-from vprbench.ranking import Outcome, concatenate, outcome
+from vprbench.metrics.ranking import Outcome, concatenate, outcome
 
 Matrix = npt.NDArray[np.float32]
 Rows = list[npt.NDArray[np.int64]]
@@ -478,6 +478,6 @@ def test_unknown_names_of_curves_denominators_and_ties_are_refused() -> None:
 
 
 def test_importing_the_metrics_loads_neither_scipy_nor_scikit_learn_nor_torch() -> None:
-    code = "import sys, vprbench.metrics, vprbench.intervals; print(*sys.modules)"
+    code = "import sys, vprbench.metrics.accuracy, vprbench.metrics.intervals; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"scipy", "sklearn", "torch"} & set(done.stdout.split())

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.intervals import block_bootstrap, mcnemar_exact, wilson
-from vprbench.metrics import (
+from vprbench.metrics.accuracy import (
     PRCurve,
     auc,
     auc_roc,
@@ -26,7 +25,8 @@ from vprbench.metrics import (
     recall_at_full_precision,
     tie_share,
 )
-from vprbench.ranking import Outcome, outcome
+from vprbench.metrics.intervals import block_bootstrap, mcnemar_exact, wilson
+from vprbench.metrics.ranking import Outcome, outcome
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 ORACLE = SHARED / "oracles" / "vprbench_corridor.json"

@@ -13,7 +13,7 @@ import pytest
 from small_plan import PLAN, RUN, Apart, install
 
 from vprbench.cli import main
-from vprbench.metrics import recall_at
+from vprbench.metrics.accuracy import recall_at
 from vprbench.records import Run
 from vprbench.store import Store
 

@@ -13,7 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.figures.pictures import frames, similarity
 from vprbench.figures.style import Drawn, pdf
 from vprbench.frames import Example, Thumbnails
-from vprbench.ranking import outcome
+from vprbench.metrics.ranking import outcome
 from vprbench.records import Run
 
 

@@ -9,7 +9,7 @@ import pytest
 from little import unanswerable_run
 from stored_runs import run
 
-from vprbench.intervals import share_interval
+from vprbench.metrics.intervals import share_interval
 from vprbench.recall_intervals import along_the_journey, recall_interval
 from vprbench.records import Run
 

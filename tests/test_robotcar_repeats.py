@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from vprbench.datasets.oxford_robotcar.lists import every, published_timestamps
 from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
-from vprbench.metrics import recall_at
-from vprbench.ranking import outcome
+from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.ranking import outcome
 
 PUBLISHED = {traverse: every(published_timestamps(traverse), 7, 450) for traverse in ("sun", "rain", "dusk")}
 DIAGONAL = tuple(np.array([place]) for place in range(450))

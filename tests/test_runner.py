@@ -21,7 +21,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
-from vprbench.ranking import Outcome, outcome
+from vprbench.metrics.ranking import Outcome, outcome
 
 
 @pytest.fixture(scope="module", autouse=True)

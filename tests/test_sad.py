@@ -10,8 +10,8 @@ import pytest
 from vprbench.api.images import Images
 from vprbench.datasets.nordland import nordland
 from vprbench.errors import NotFittedError
-from vprbench.intervals import block_bootstrap, share_interval
 from vprbench.methods.sad import SAD
+from vprbench.metrics.intervals import block_bootstrap, share_interval
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 needs_shared = pytest.mark.skipif(

@@ -9,8 +9,8 @@ import pytest
 from little import a_run
 
 from vprbench import tables
-from vprbench.block_length import block_length
-from vprbench.ranking import Outcome
+from vprbench.metrics.block_length import block_length
+from vprbench.metrics.ranking import Outcome
 from vprbench.records import Run
 from vprbench.summary import summarise
 

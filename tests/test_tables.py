@@ -17,7 +17,7 @@ import pytest
 from little import a_run, laps, unanswerable_run
 
 from vprbench import tables
-from vprbench.ranking import outcome
+from vprbench.metrics.ranking import outcome
 from vprbench.records import Failure, Run
 from vprbench.summary import StageRates, summarise
 from vprbench.tables import readable_row

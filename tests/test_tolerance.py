@@ -14,12 +14,12 @@ from little import a_run, unanswerable_run
 from vprbench import tables
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
-from vprbench.metrics import hits_at, recall_at
-from vprbench.ranking import best_places, outcome
+from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.ranking import best_places, outcome
+from vprbench.metrics.tolerance import hits_within
 from vprbench.records import Run
 from vprbench.store import Store
 from vprbench.summary import summarise
-from vprbench.tolerance import hits_within
 
 
 def top(*places: int) -> np.ndarray:

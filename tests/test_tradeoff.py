@@ -17,7 +17,7 @@ from stored_runs import answers
 from vprbench.errors import BadInput
 from vprbench.figures.style import Drawn, png
 from vprbench.figures.tradeoff import against_memory, against_rate, front
-from vprbench.intervals import share_interval
+from vprbench.metrics.intervals import share_interval
 from vprbench.series import Series
 
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vprbench import composing, registry
-from vprbench.intervals import McNemar, WiderInterval
+from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.plan import read_plan
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated

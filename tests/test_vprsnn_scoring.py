@@ -12,8 +12,8 @@ from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.assignment import Learnt, labels
 from vprbench.methods.vprsnn.order import modules
-from vprbench.metrics import average_precision, pr_curve, recall_at
-from vprbench.ranking import outcome
+from vprbench.metrics.accuracy import average_precision, pr_curve, recall_at
+from vprbench.metrics.ranking import outcome
 
 Array = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from vprbench import metrics, networks
+from vprbench import networks
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.conformance import RULES as CONFORMANCE
@@ -29,7 +29,8 @@ from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
 from vprbench.methods.vprtempo.query import Query
 from vprbench.methods.vprtempo.rules import PAPER, V1, Rules, RuleSet
-from vprbench.ranking import outcome
+from vprbench.metrics.accuracy import accuracy
+from vprbench.metrics.ranking import outcome
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)
@@ -391,7 +392,7 @@ def test_alike_places_tie_and_recall_counts_them_by_chance() -> None:
         output_thresholds=(torch.tensor([0.1, 0.1, 0.1, 0.1]),),
     )
     scores = Int8SpikingQuery(asked, replace(PAPER, clip=50.0)).scores(shown(9))
-    recall = metrics.recall_at(outcome(scores, [np.array([2])] * 8 + [np.array([3])]), 1)
+    recall = accuracy.recall_at(outcome(scores, [np.array([2])] * 8 + [np.array([3])]), 1)
     assert recall is not None
     assert (recall.expected, recall.pessimistic, recall.optimistic) == (4 / 9, 0.0, 8 / 9)
 
@@ -400,7 +401,7 @@ def test_places_that_only_rounding_makes_alike_count_by_chance() -> None:
     # 64.1 and 64.4 of 127 steps are both the 64th: the float network would always find place 1.
     query = linear(np.array([[127, 64.1, 0], [127, 64.4, 0], [0, 0, 127]]) / 127)
     scores = query.scores(np.array([[0.2, 0.9, 0.1]] * 4, np.float32))
-    recall = metrics.recall_at(outcome(scores, [np.array([1])] * 3 + [np.array([2])]), 1)
+    recall = accuracy.recall_at(outcome(scores, [np.array([1])] * 3 + [np.array([2])]), 1)
     assert recall is not None
     assert (recall.expected, recall.pessimistic, recall.optimistic) == (0.375, 0.0, 0.75)
 

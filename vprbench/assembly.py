@@ -14,7 +14,7 @@ from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.comparison import other_timing, reasons
 from vprbench.contests import Contestant
 from vprbench.entries import RATES, TRAINING, Entry
-from vprbench.metrics import hits_at, recall_at
+from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
 from vprbench.recall_intervals import recall_interval
 from vprbench.records import Run

@@ -46,8 +46,8 @@ from vprbench.bench_report import (
 from vprbench.bench_vprsnn import asking_cell, module_cell
 from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
+from vprbench.metrics.ranking import best_places
 from vprbench.progress import listening
-from vprbench.ranking import best_places
 from vprbench.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 

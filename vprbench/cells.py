@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from vprbench.intervals import IntervalKind
+from vprbench.metrics.intervals import IntervalKind
 from vprbench.plan import Quantity
 
 Mark = Literal[

@@ -9,8 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from vprbench.intervals import mcnemar_exact
-from vprbench.metrics import hits_at, recall_at
+from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.plan import Boundary
 from vprbench.recall_intervals import interval_between
 from vprbench.records import Run

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.intervals import Values, WiderInterval, difference_interval, share_interval
-from vprbench.metrics import Ties, hits_at
+from vprbench.metrics.accuracy import Ties, hits_at
+from vprbench.metrics.intervals import Values, WiderInterval, difference_interval, share_interval
 from vprbench.records import Run
 
 METHOD = (

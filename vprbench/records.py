@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.ranking import Outcome
+from vprbench.metrics.ranking import Outcome
 from vprbench.record_rules import check_arrays, check_failure, check_summary
 from vprbench.stopwatch import Laps, Timing, plain
 

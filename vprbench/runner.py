@@ -25,8 +25,8 @@ from vprbench.described import Described
 from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.errors import BadInput
 from vprbench.learning import learn
+from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.preprocessed import Preprocessed
-from vprbench.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.records import Run, content_key
 from vprbench.sources import source_hash
 from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vprbench.intervals import WiderInterval
-from vprbench.metrics import auc, average_precision, pr_curve, recall_at
+from vprbench.metrics.accuracy import auc, average_precision, pr_curve, recall_at
+from vprbench.metrics.intervals import WiderInterval
+from vprbench.metrics.tolerance import hits_within
 from vprbench.recall_intervals import recall_interval
 from vprbench.records import Run
 from vprbench.stopwatch import best_batch, offline_rate, streaming_rate
-from vprbench.tolerance import hits_within
 
 RECALLS = (1, 5, 10, 25)
 

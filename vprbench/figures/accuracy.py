@@ -10,18 +10,18 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.block_length import block_length
 from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import SINGLE_MM, Drawn, looks, new, styled
-from vprbench.intervals import share_interval
-from vprbench.metrics import PRCurve, Values, average_precision, hits_at, pr_curve
-from vprbench.ranking import Outcome
+from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, pr_curve
+from vprbench.metrics.block_length import block_length
+from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.ranking import Outcome
+from vprbench.metrics.tolerance import hits_within
 from vprbench.recall_intervals import METHOD, along_the_journey
 from vprbench.records import Run
 from vprbench.series import Series
-from vprbench.tolerance import hits_within
 
 LARGEST_N = 25
 LARGEST_TOLERANCE = 10  # places to either side

@@ -12,8 +12,8 @@ from vprbench.errors import BadInput
 from vprbench.figures.log_axis import plain_log
 from vprbench.figures.measured_on import caption, listed, machine_sentence
 from vprbench.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, looks, new, styled
-from vprbench.growth_models import LAWS, Comparison, Law, compare
 from vprbench.growth_series import GrowthSamples, Sample
+from vprbench.metrics.growth import LAWS, Comparison, Law, compare
 
 _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from vprbench.figures.style import GREY
-from vprbench.intervals import Interval
+from vprbench.metrics.intervals import Interval
 
 _SIZE = 7  # of the type, in points
 _MARKER = 3.0  # half of a marker's width, in points

@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence
 from vprbench.figures.style import DOUBLE_MM, Drawn, new, styled
 from vprbench.frames import Thumbnails
-from vprbench.ranking import PlacesPerQuery
+from vprbench.metrics.ranking import PlacesPerQuery
 from vprbench.records import Run
 
 _SIDE = 28  # pixels of a patch-normalised frame

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.metrics import hits_at
-from vprbench.ranking import Counts
+from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.ranking import Counts
 from vprbench.records import Run
 
 SHOWN = 3  # best places of a query

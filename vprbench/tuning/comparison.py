@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from vprbench import progress
-from vprbench.intervals import McNemar, WiderInterval, difference_interval, mcnemar_exact
+from vprbench.metrics.intervals import McNemar, WiderInterval, difference_interval, mcnemar_exact
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import PAPER, Values
 from vprbench.tuning.workers import Workers

@@ -17,8 +17,8 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import TrainingDivergedError
-from vprbench.metrics import hits_at
-from vprbench.ranking import outcome
+from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.ranking import outcome
 
 StretchName = Literal["searched", "checked"]
 

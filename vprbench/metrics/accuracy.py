@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, right_and_soft_cells
+from vprbench.metrics.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, right_and_soft_cells
 
 Values = npt.NDArray[np.float64]
 Ties = Literal["expected", "pessimistic", "optimistic"]

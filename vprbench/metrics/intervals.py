@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.block_length import FEWEST, block_length, finite_row
+from vprbench.metrics.block_length import FEWEST, block_length, finite_row
 
 Values = npt.NDArray[np.float64]
 IntervalKind = Literal["independent", "blocks"]  # Wilson's, of differences Agresti and Min's; a block bootstrap

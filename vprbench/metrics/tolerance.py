@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.metrics import Values
-from vprbench.ranking import PlacesPerQuery
+from vprbench.metrics.accuracy import Values
+from vprbench.metrics.ranking import PlacesPerQuery
 
 _FAR = np.iinfo(np.int64).max  # of a query without a right place
 

@@ -1,0 +1,1 @@
+"""Pure functions of scores and outcomes: accuracy, its intervals, and how times grow."""
