@@ -15,13 +15,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import frames, networks
+from vprbench import frames
 from vprbench.api.arrays import Image, Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.metrics.ranking import Outcome
+from vprbench.plugins import networks
 from vprbench.records import Failure, Run
 from vprbench.stopwatch import Laps, Protocol, Timing
 from vprbench.store import Store

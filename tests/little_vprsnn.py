@@ -14,11 +14,11 @@ from vprsnn_constants import constants
 from vprbench.api.arrays import Image, Places
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
-from vprbench.conformance import Journey
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.module import Train
 from vprbench.methods.vprsnn.physics import physics_of, traces_of
 from vprbench.methods.vprsnn.recipe import Recipe
+from vprbench.plugins.conformance import Journey
 
 Floats = npt.NDArray[np.float64]
 Levels = npt.NDArray[np.uint8]  # (n_images, n_inputs)

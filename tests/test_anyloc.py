@@ -13,12 +13,12 @@ import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tokens
 from described_images import composed, distance, encoded, image
 
-from vprbench import conformance, registry
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.anyloc import AnyLoc
 from vprbench.methods.anyloc import vlad as gathered
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 DIM, DEPTH, LAYER, WORDS = 128, 3, 1, 5

@@ -16,10 +16,10 @@ import torch
 from described_images import composed, distance, drawn_images, encoded
 from sklearn.decomposition import PCA
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.ap_gem import APGeM
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-4
 DIMENSIONS = 12

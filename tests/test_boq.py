@@ -17,13 +17,13 @@ from backbones_oracle import layer_norm, resnet, resnet_checkpoint, vit_checkpoi
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.boq import BoQ, BoQResNet50
+from vprbench.plugins import conformance, registry
 
 DIM, QUERIES, ROWS = 128, 7, 5  # two heads; published are 384 or 512, 64 and 32
 CLASSES = {"dinov2": BoQ, "resnet50": BoQResNet50}

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench import cli, registry
+from vprbench import cli
 from vprbench.cli import main
+from vprbench.plugins import registry
 from vprbench.sweep import Ending
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench import registry
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
 from vprbench.api.neural import NeuralDescriptor
-from vprbench.conformance import RULES, Journey, check
 from vprbench.errors import NotFittedError
+from vprbench.plugins import registry
+from vprbench.plugins.conformance import RULES, Journey, check
 
 ENTRIES = registry.entries("method")
 # Published networks need files that no test can have: tests/test_<name>.py writes one of random values for each.

@@ -14,10 +14,10 @@ import torch
 from described_images import composed, distance, drawn_images, encoded
 from PIL import Image as PillowImage
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.conv_ap import ConvAP
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-4
 CHANNELS = 6

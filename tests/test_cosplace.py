@@ -16,11 +16,11 @@ from described_images import composed, drawn_images
 from PIL import Image as PillowImage
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.cosplace import CosPlace, EigenPlaces
+from vprbench.plugins import conformance, registry
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CHANNELS = {"VGG16": 512, "ResNet18": 512, "ResNet50": 2048, "ResNet101": 2048, "ResNet152": 2048}

@@ -16,10 +16,10 @@ from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.cricavpr import CricaVPR
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 2e-5
 DIM = 128

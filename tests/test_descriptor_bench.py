@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import nn
 
-from vprbench import registry
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.method import Method
 from vprbench.api.neural import NeuralDescriptor
@@ -18,6 +17,7 @@ from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.descriptor_bench import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 
 NO_FILE = Weights(file="none.pth", licence="", trained_on="")
 

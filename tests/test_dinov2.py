@@ -14,10 +14,10 @@ from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.dinov2 import DINOv2
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 

@@ -19,10 +19,11 @@ from scipy.io import savemat
 from small_plan import RUN, Apart
 from test_dbstruct import cells
 
-from vprbench import cli, fill, paper, registry
+from vprbench import cli, fill, paper
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.datasets.nordland import chosen_names
 from vprbench.plan import Plan, read_plan
+from vprbench.plugins import registry
 from vprbench.sweep import IN_SWEEP, Ending
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from archive_files import zipped
 
-from vprbench import registry
 from vprbench.errors import BadInput
 from vprbench.fetch_entries import Download, downloads, read
 from vprbench.fetched import content_sha256, count_files
+from vprbench.plugins import registry
 from vprbench.storage.unpack import unpack
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -17,11 +17,11 @@ from described_images import composed, drawn_images
 from PIL import Image as PillowImage
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
+from vprbench.plugins import conformance, registry
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 KINDS = {"resnet50": "resnet50", "resnet152": "resnet152", "resnext": "resnext101_32x8d"}

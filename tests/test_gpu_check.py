@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from vprbench import gpu_check, registry
+from vprbench import gpu_check
 from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.gpu_check import Comparison, Settings, compared
 from vprbench.measures import Make
 from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.workload import Route
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from vprbench import registry
 from vprbench.cli import main
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]

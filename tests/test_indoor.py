@@ -12,10 +12,10 @@ import torch
 from described_images import composed, distance, drawn_images, encoded, image
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.indoor import EigenPlacesIndoor, SALADIndoor
+from vprbench.plugins import conformance, registry
 
 RELEASE = "https://github.com/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0/"
 KINDS: dict[str, Any] = {"eigenplaces_indoor": EigenPlacesIndoor, "salad_indoor": SALADIndoor}

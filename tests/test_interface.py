@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from vprbench import registry
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.plugins import registry
 
 
 class Colour(DescriptorMethod):

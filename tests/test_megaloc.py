@@ -15,10 +15,10 @@ from described_images import composed, distance, encoded, image
 from safetensors.torch import save_file
 from torch.nn import functional
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.megaloc import MegaLoc
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 N_CLUSTERS, CLUSTER_DIM, TOKEN_DIM, N_DIMENSIONS = 7, 12, 10, 40

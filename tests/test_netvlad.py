@@ -17,11 +17,11 @@ from PIL import Image as PillowImage
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench import conformance
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.netvlad import NetVLAD
+from vprbench.plugins import conformance
 
 IMAGENET = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])
 AVERAGE = np.array([117.5, 120.25, 90.75])  # of the .mat; unlike the usual mean, so that only the file's will do

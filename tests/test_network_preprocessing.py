@@ -15,11 +15,11 @@ from PIL import Image as PillowImage
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench import registry
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 
 Levels = npt.NDArray[Any]
 

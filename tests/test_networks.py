@@ -32,11 +32,12 @@ from little import (
 )
 from safetensors.numpy import save_file
 
-from vprbench import networks, tables
+from vprbench import tables
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.plugins import networks
 from vprbench.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -449,7 +450,7 @@ def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.Monk
 @pytest.fixture(scope="module")
 def processes() -> multiprocessing.context.ForkServerContext:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.networks"])
+    context.set_forkserver_preload(["vprbench.plugins.networks"])
     return context
 
 

@@ -19,13 +19,13 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench import conformance
 from vprbench.api import neural
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.api.weights import Weights, load_strictly, state_dict
 from vprbench.errors import BadInput
+from vprbench.plugins import conformance
 
 GPU = "cpu:0"
 

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from stored_runs import ROWS, run
 
-from vprbench import composing, registry
+from vprbench import composing
 from vprbench.api.dataset import Dataset
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.datasets.nordland import published_frames
 from vprbench.paper import Asked, choose
 from vprbench.plan import read_plan
+from vprbench.plugins import registry
 
 NAMES = ("nordland", "nordland_vprsnn", "nordland_patchnetvlad", "nordland_27k", "nordland_vprbench")
 WHOLE_MAPS = NAMES[2:]

@@ -111,7 +111,7 @@ def test_from_the_store_alone_the_table_is_the_same_to_the_byte(made: tuple[Path
 
 def test_a_row_outlives_the_yaml_and_the_code_of_its_method(copied: Apart, monkeypatch: pytest.MonkeyPatch) -> None:
     before = Path("results/table.md").read_text()
-    monkeypatch.setattr("vprbench.registry.entries", lambda group: {})
+    monkeypatch.setattr("vprbench.plugins.registry.entries", lambda group: {})
     assert main(["table", "stored=true"]) == 0
     assert Path("results/table.md").read_text() == before
 

@@ -21,7 +21,6 @@ from PIL import Image as PillowImage
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench import conformance
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.api.weights import Weights
@@ -30,6 +29,7 @@ from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.patch_geometry import centres, inliers, mutual, score
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
 from vprbench.methods.patch_network import PatchNetwork
+from vprbench.plugins import conformance
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}

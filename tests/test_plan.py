@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 import yaml
 
-from vprbench import composing, registry
+from vprbench import composing
 from vprbench.errors import BadInput
 from vprbench.paper import Asked, Chosen, choose, wanted
 from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
+from vprbench.plugins import registry
 
 PLAN = Path(__file__).resolve().parents[1] / "conf" / "table.yaml"
 

@@ -16,13 +16,13 @@ from assembled import table
 from little import a_failure, a_run
 from stored_runs import ABACUS, NORDLAND, PLANNED, ROWS, SAD, answers, run
 
-from vprbench import registry
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.cli import main
 from vprbench.comparison import reasons
 from vprbench.errors import BadInput
 from vprbench.growth_series import samples
 from vprbench.plan import PlannedColumn, Row
+from vprbench.plugins import registry
 from vprbench.records import Failure, Run
 from vprbench.report import words
 from vprbench.store import Store

@@ -11,9 +11,9 @@ from pathlib import Path
 import hydra
 import pytest
 
-from vprbench import registry
 from vprbench.layout import HEADS, TRAINING_TIME
 from vprbench.plan import QUANTITIES, read_plan
+from vprbench.plugins import registry
 from vprbench.report.words import TERMS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from little import journey
 
-from vprbench import registry
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 
 
 @pytest.fixture

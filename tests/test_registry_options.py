@@ -9,14 +9,14 @@ import hydra
 import pytest
 from omegaconf import OmegaConf
 
-from vprbench import registry
 from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins import registry
+from vprbench.plugins.registry import Entry
 from vprbench.records import Run
-from vprbench.registry import Entry
 from vprbench.store import Store
 
 

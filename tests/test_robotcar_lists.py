@@ -10,11 +10,11 @@ import pytest
 import yaml
 from PIL import Image as PillowImage
 
-from vprbench import registry
 from vprbench.api.dataset import Dataset
 from vprbench.datasets.oxford_robotcar import oxford_robotcar
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, vprsnn_timestamps
 from vprbench.errors import BadInput, NotThere
+from vprbench.plugins import registry
 
 START = {"sun": 1439388276045321, "rain": 1446121117630140, "dusk": 1416586027583964}
 ROWS = 3876

@@ -14,10 +14,10 @@ from backbones_oracle import Tensors, imagenet, salad, salad_checkpoint, vit_che
 from described_images import composed, distance, encoded, image
 from PIL import Image as PillowImage
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.salad import SALAD
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 N_CLUSTERS, CLUSTER_DIM, TOKEN_DIM = 7, 12, 10

@@ -14,10 +14,10 @@ import torch
 from described_images import composed, distance, drawn_images, encoded
 from PIL import Image as PillowImage
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.sfrs import SFRS
+from vprbench.plugins import conformance, registry
 
 MEAN = (0.48501960784313836, 0.4579568627450961, 0.4076039215686255)  # of RGB, 0 to 1, as its authors have it
 TOLERANCE = 1e-4

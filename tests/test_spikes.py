@@ -21,11 +21,11 @@ from vprbench.api import images
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.conformance import Journey
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins.conformance import Journey
 from vprbench.records import Run
 from vprbench.spikes import LayerSpikes, summary
 from vprbench.stopwatch import Protocol

@@ -14,10 +14,10 @@ from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import composed, distance, encoded, image
 
-from vprbench import conformance, registry
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.supervlad import SuperVLAD, SuperVLADCrossImage
+from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 DIM, CLUSTERS = 128, 4

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from small_plan import RUN, install
 
-from vprbench import registry
 from vprbench.cli import main
 from vprbench.paper import Asked, stored
+from vprbench.plugins import registry
 from vprbench.records import Run
 from vprbench.report import words
 from vprbench.series import Series

@@ -11,10 +11,10 @@ import pytest
 import yaml
 from little import a_run, pictures
 
-from vprbench import registry
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plan import PlannedColumn, read_plan
+from vprbench.plugins import registry
 from vprbench.records import Run
 from vprbench.tuning.places import Searchable, cut, querying, searchable
 

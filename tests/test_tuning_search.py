@@ -18,8 +18,9 @@ from little import a_run
 from search_stub import HALTS, Stub, recall
 
 import vprbench
-from vprbench import environment, registry
+from vprbench import environment
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
 from vprbench.store import Store
 from vprbench.tuning import objective, places, space

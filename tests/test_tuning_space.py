@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from vprbench import registry
+from vprbench.plugins import registry
 from vprbench.tuning.space import PAPER, PARAMETERS, Parameter, Values, around, drawn
 
 CENTRE: Values = {**PAPER, "rate_min": 0.4, "rate_max": 0.7, "p_excitatory": 0.2}

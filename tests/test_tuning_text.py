@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
-from vprbench import composing, registry
+from vprbench import composing
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.plan import read_plan
+from vprbench.plugins import registry
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
 from vprbench.tuning.search import Found, Settings

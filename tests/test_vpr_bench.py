@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from image_folders import REAL, answer, fill, lists, needs_real_frames, numbered, reds, rights, used
 
-from vprbench import registry
 from vprbench.datasets.vpr_bench import in_range, vpr_bench
 from vprbench.errors import BadInput, NotThere
+from vprbench.plugins import registry
 
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
 

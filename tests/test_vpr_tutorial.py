@@ -7,9 +7,9 @@ import pytest
 import yaml
 from image_folders import REAL, answer, fill, needs_real_frames, numbered, reds, rights, used
 
-from vprbench import registry
 from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
 from vprbench.errors import NotThere
+from vprbench.plugins import registry
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ import pytest
 import yaml
 from little_vprsnn import SMALL, WORLD, fitted, images, references, same, second_sight
 
-from vprbench.conformance import check
 from vprbench.errors import NotFittedError
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.plugins.conformance import check
 
 CONFIGURATIONS = Path(__file__).resolve().parent.parent / "conf" / "method"
 QUERIES = images(WORLD.queries)

@@ -12,12 +12,12 @@ import pytest
 import torch
 
 from vprbench.api.images import Images
-from vprbench.conformance import RULES as CONFORMANCE
-from vprbench.conformance import Journey, check
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import Engine, VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
+from vprbench.plugins.conformance import RULES as CONFORMANCE
+from vprbench.plugins.conformance import Journey, check
 
 Arrays = Mapping[str, npt.NDArray[np.float32]]
 

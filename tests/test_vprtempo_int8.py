@@ -17,11 +17,8 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from vprbench import networks
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.conformance import RULES as CONFORMANCE
-from vprbench.conformance import Journey, check
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -31,6 +28,9 @@ from vprbench.methods.vprtempo.query import Query
 from vprbench.methods.vprtempo.rules import PAPER, V1, Rules, RuleSet
 from vprbench.metrics.accuracy import accuracy
 from vprbench.metrics.ranking import outcome
+from vprbench.plugins import networks
+from vprbench.plugins.conformance import RULES as CONFORMANCE
+from vprbench.plugins.conformance import Journey, check
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)

@@ -16,7 +16,6 @@ import yaml
 
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
-from vprbench.conformance import Journey
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
 from vprbench.methods.vprtempo.layer import Layer, draw_layer
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -32,6 +31,7 @@ from vprbench.methods.vprtempo.rules import (
     RuleSet,
     ThresholdRule,
 )
+from vprbench.plugins.conformance import Journey
 
 Floats = npt.NDArray[np.float64]
 

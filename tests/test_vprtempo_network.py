@@ -12,14 +12,14 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from vprbench import networks
 from vprbench.api.images import Images
 from vprbench.cli import main
-from vprbench.conformance import Journey
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
+from vprbench.plugins import networks
+from vprbench.plugins.conformance import Journey
 from vprbench.store import Store
 
 Arrays = dict[str, npt.NDArray[np.float32]]

@@ -35,7 +35,7 @@ from vprbench.api.weights import (
     without_prefix,
 )
 from vprbench.errors import BadInput
-from vprbench.registry import checked
+from vprbench.plugins.registry import checked
 
 CONTENT = b"published"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()

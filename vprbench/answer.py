@@ -11,7 +11,7 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
-from vprbench import ending, environment, frames, networks, registry, runner
+from vprbench import ending, environment, frames, runner
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.api.weights import content_hash
@@ -19,6 +19,7 @@ from vprbench.descriptor_cache import DescriptorCache
 from vprbench.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.options import Settings, n_threads
+from vprbench.plugins import networks, registry
 from vprbench.preprocessed import Preprocessed
 from vprbench.progress import progress_shown
 from vprbench.records import Run

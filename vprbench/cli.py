@@ -23,11 +23,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench import ending, registry
+from vprbench import ending
 from vprbench.commands import COMMANDS
 from vprbench.composing import check_names, explained, in_order, readable
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError
 from vprbench.options import checked_settings, n_threads
+from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
 from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch
 from vprbench.text import printable

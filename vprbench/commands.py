@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from vprbench import registry
 from vprbench.api.method import Method
 from vprbench.composing import check_names, composed, readable
 from vprbench.errors import BadInput
 from vprbench.options import checked_settings, n_threads
+from vprbench.plugins import registry
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -170,7 +170,8 @@ def list_plugins(options: list[str]) -> int:
 
 def check_method(options: list[str]) -> int:
     """Test a method against the rules of the contract and count them; raises BadInput where none is named."""
-    from vprbench import conformance, environment
+    from vprbench import environment
+    from vprbench.plugins import conformance
     from vprbench.progress import progress_shown
 
     if not any(option.startswith("method=") for option in options):

@@ -12,9 +12,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from vprbench import registry
 from vprbench.errors import BadInput
 from vprbench.options import KNOWN
+from vprbench.plugins import registry
 from vprbench.stopwatch import Protocol
 
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import yaml
 
-from vprbench import registry
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.storage.unpack import Wanted
 
 _FORBID: Any = {"extra": "forbid"}

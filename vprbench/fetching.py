@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from vprbench import registry
 from vprbench.errors import BadInput, NotThere
 from vprbench.fetch_entries import Download, Part, downloads
 from vprbench.fetched import RECORD, approve, count_files, insist_on_stated, record, remember
+from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.storage import download
 from vprbench.storage.archives import DamagedArchive

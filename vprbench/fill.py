@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vprbench import environment, registry
+from vprbench import environment
 from vprbench.plan import Row
+from vprbench.plugins import registry
 from vprbench.records import Failure
 from vprbench.store import Store
 from vprbench.sweep import Ending, run_apart

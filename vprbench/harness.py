@@ -9,6 +9,12 @@ VERSION = 1
 MODULES = (
     *("vprbench.api.images", "vprbench.api.read_ahead", "vprbench.api.image_formats"),
     *("vprbench.api.png", "vprbench.api.png_pixels"),
-    *("vprbench.metrics.ranking", "vprbench.stopwatch", "vprbench.learning", "vprbench.runner", "vprbench.networks"),
+    *(
+        "vprbench.metrics.ranking",
+        "vprbench.stopwatch",
+        "vprbench.learning",
+        "vprbench.runner",
+        "vprbench.plugins.networks",
+    ),
     *("vprbench.described", "vprbench.descriptor_cache", "vprbench.preprocessed", "vprbench.environment"),
 )

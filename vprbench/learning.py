@@ -7,7 +7,7 @@ from contextlib import chdir
 from dataclasses import dataclass
 from typing import Any
 
-from vprbench import networks, progress
+from vprbench import progress
 from vprbench.api.arrays import Places
 from vprbench.api.checkpoints import Resumed
 from vprbench.api.dataset import Dataset, HeldOut
@@ -16,6 +16,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
 from vprbench.described import Described
 from vprbench.errors import BadInput
+from vprbench.plugins import networks
 from vprbench.preprocessed import Preprocessed
 from vprbench.stopwatch import Stopwatch
 

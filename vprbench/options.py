@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
-from vprbench import environment, registry
+from vprbench import environment
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.stopwatch import Protocol
 from vprbench.storage.folders import insist_on_homes
 

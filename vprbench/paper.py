@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vprbench import registry
 from vprbench.assembly import assemble
 from vprbench.belonging import ColumnAsked, Group, groups
 from vprbench.cells import Table
 from vprbench.errors import BadInput
 from vprbench.fill import Wanted, fill, results_folder
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
+from vprbench.plugins import registry
 from vprbench.records import Failure, Run
 from vprbench.store import Store
 from vprbench.sweep import Ending

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, harness, networks, progress, spikes
+from vprbench import environment, harness, progress, spikes
 from vprbench.api.arrays import Scores
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
@@ -26,6 +26,7 @@ from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.errors import BadInput
 from vprbench.learning import learn
 from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
+from vprbench.plugins import networks
 from vprbench.preprocessed import Preprocessed
 from vprbench.records import Run, content_key
 from vprbench.sources import source_hash

@@ -7,8 +7,8 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, get_type_hints
 
-from vprbench import registry
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.storage.folders import insist_on_homes
 
 Given = TypeVar("Given")

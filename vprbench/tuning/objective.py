@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress, registry
+from vprbench import environment, progress
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -19,6 +19,7 @@ from vprbench.api.method import Method
 from vprbench.errors import TrainingDivergedError
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
+from vprbench.plugins import registry
 
 StretchName = Literal["searched", "checked"]
 

@@ -13,9 +13,10 @@ from typing import Any
 
 import optuna
 
-from vprbench import environment, progress, registry
+from vprbench import environment, progress
 from vprbench.errors import BadInput
 from vprbench.plan import read_plan
+from vprbench.plugins import registry
 from vprbench.records import content_key
 from vprbench.runner import code_hash, fingerprint
 from vprbench.sources import meaning

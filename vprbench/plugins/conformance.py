@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import networks
 from vprbench.api.arrays import Image, Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import NotFittedError
-from vprbench.registry import arguments, checked, make_method
+from vprbench.plugins import networks
+from vprbench.plugins.registry import arguments, checked, make_method
 
 N_PLACES = 20
 _RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding

@@ -25,7 +25,7 @@ from vprbench import ending
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.returned_dataset import disk_errors_told, insist_on_dataset
+from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
 from vprbench.tuned import TunedOn
 
 Group = Literal["method", "dataset"]
