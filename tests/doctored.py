@@ -13,7 +13,7 @@ from PIL import Image as PillowImage
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.api.images import Images
-from vprbench.doctor import Finding, examine
+from vprbench.data.doctor import Finding, examine
 
 PLACES = 60
 NAMES = [f"{place:03d}.png" for place in range(PLACES)]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from archive_files import tarred, zipped
 
-from vprbench.fetch_entries import Download, Held, Part
-from vprbench.fetching import Settings, fetch
+from vprbench.data.fetch.command import Settings, fetch
+from vprbench.data.fetch.entries import Download, Held, Part
 from vprbench.storage.unpack import Wanted
 
 CHUNK = 512 * 1024  # bytes that a download writes at once

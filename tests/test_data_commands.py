@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench import fetching
 from vprbench.cli import main
+from vprbench.data.fetch import command
 
 N_FRAMES = 24
 
@@ -77,7 +77,7 @@ def test_fetch_without_a_name_lists_what_there_is_with_licences(capsys: pytest.C
     assert main(["fetch"]) == 0
     told = capsys.readouterr().out
     assert "nordland: Nordland" in told
-    assert told.count("licence: ") == len(list(fetching.downloads()))
+    assert told.count("licence: ") == len(list(command.downloads()))
 
 
 @pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
@@ -92,11 +92,11 @@ def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
     if empty:
         (tmp_path / "ref" / "1.jpg").write_bytes(b"")
 
-    def fetched(arguments: list[str], check: fetching.Check) -> int:
+    def fetched(arguments: list[str], check: command.Check) -> int:
         print("\n".join(check("corridor", tmp_path)))
         return 0
 
-    monkeypatch.setattr(fetching, "fetch_command", fetched)
+    monkeypatch.setattr(command, "fetch_command", fetched)
     assert main(["fetch", "corridor"]) == code
     assert ("1 file" in capsys.readouterr().out) == empty
 

@@ -11,7 +11,7 @@ import pytest
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.doctor import Finding, examine, offsets
+from vprbench.data.doctor import Finding, examine, offsets
 
 from .doctored import PLACES, notes, season, wrong
 

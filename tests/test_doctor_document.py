@@ -13,7 +13,7 @@ import pytest
 from doctored import NAMES, PLACES, dataset_of, healthy, save, season
 from PIL import Image as PillowImage
 
-from vprbench.doctor import command
+from vprbench.data.doctor import command
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "doctor.md").read_text(encoding="utf-8")
 SHOWN = dict(re.findall(r"^## ([^\n]*)\n\n```\n(.*?)```", DOCUMENT, re.MULTILINE | re.DOTALL))

@@ -11,7 +11,7 @@ import pytest
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.doctor import insist, quick
+from vprbench.data.doctor import insist, quick
 from vprbench.errors import BadInput
 
 from .doctored import NAMES, PLACES, dataset_of, examined, healthy, notes, save, season, wrong

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from vprbench.doctor import examine
+from vprbench.data.doctor import examine
 from vprbench.progress import listening
 
 from .doctored import NAMES, PLACES, dataset_of, examined, healthy, notes, save, season, wrong

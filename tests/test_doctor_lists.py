@@ -11,7 +11,7 @@ import pytest
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.doctor import Finding, quick
+from vprbench.data.doctor import Finding, quick
 
 from .doctored import NAMES, PLACES, notes, wrong
 from .little import picture

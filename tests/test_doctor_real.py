@@ -10,7 +10,7 @@ import pytest
 
 from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.api.images import Images
-from vprbench.doctor import Finding, examine
+from vprbench.data.doctor import Finding, examine
 
 from .doctored import notes, wrong
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vprbench.api.dataset import Dataset
-from vprbench.doctor import Finding, as_text, command
+from vprbench.data.doctor import Finding, as_text, command
 from vprbench.errors import NotThere
 
 from .doctored import dataset_of, healthy

@@ -9,9 +9,9 @@ import pytest
 from little_download import COMPLETE, SPRING, get, little, spring, visible
 from served_files import Server
 
+from vprbench.data.fetch.command import fetch_command
+from vprbench.data.fetch.entries import downloads
 from vprbench.errors import BadInput, NotThere
-from vprbench.fetch_entries import downloads
-from vprbench.fetching import fetch_command
 
 pytestmark = pytest.mark.usefixtures("on_the_net")
 

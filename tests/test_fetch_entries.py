@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from archive_files import zipped
 
+from vprbench.data.fetch.entries import Download, downloads, read
+from vprbench.data.fetch.received import content_sha256, count_files
 from vprbench.errors import BadInput
-from vprbench.fetch_entries import Download, downloads, read
-from vprbench.fetched import content_sha256, count_files
 from vprbench.plugins import registry
 from vprbench.storage.unpack import unpack
 

@@ -30,10 +30,10 @@ from little_download import (
 )
 from served_files import Server
 
-from vprbench import fetching
+from vprbench.data.fetch import command
+from vprbench.data.fetch.command import Settings, fetch
+from vprbench.data.fetch.entries import Download, Held, Part
 from vprbench.errors import BadInput, NotThere
-from vprbench.fetch_entries import Download, Held, Part
-from vprbench.fetching import Settings, fetch
 from vprbench.progress import listening
 from vprbench.storage.unpack import Wanted
 
@@ -185,7 +185,7 @@ class TestInterruptions:
     ) -> None:
         entry = little(parts={"spring": spring(server.serve("/spring", SPRING, honours_ranges=honours_ranges))})
         with monkeypatch.context() as patch:
-            patch.setattr(fetching, "progress_shown", interrupting)
+            patch.setattr(command, "progress_shown", interrupting)
             with pytest.raises(KeyboardInterrupt):
                 get(entry, root)
         assert not (root / "spring").exists()
@@ -324,7 +324,7 @@ def test_what_an_interrupted_download_has_left_is_not_counted_twice(
     url = server.serve("/spring", SPRING)
     entry = little(parts={"spring": spring(url, size_bytes=len(SPRING))})
     with monkeypatch.context() as patch:
-        patch.setattr(fetching, "progress_shown", interrupting)
+        patch.setattr(command, "progress_shown", interrupting)
         with pytest.raises(KeyboardInterrupt):
             get(entry, root)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: Usage(10**12, 0, 4 * CHUNK + len(SPRING) - CHUNK))

@@ -15,8 +15,8 @@ from vprbench import ending, environment, frames, runner
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.api.weights import content_hash
+from vprbench.data.doctor import insist
 from vprbench.descriptor_cache import DescriptorCache
-from vprbench.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.options import Settings, n_threads
 from vprbench.plugins import networks, registry

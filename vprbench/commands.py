@@ -195,7 +195,7 @@ def doctor(options: list[str]) -> int:
 
     Raises BadInput where none is named, and for options that are neither its own nor output=json.
     """
-    from vprbench.doctor import command
+    from vprbench.data.doctor import command
     from vprbench.progress import answers_alone, progress_shown
 
     if not any(option.startswith("dataset=") for option in options):
@@ -222,8 +222,8 @@ def fetch(options: list[str]) -> int:
 
     Returns 1 where the frames that came are not right.
     """
-    from vprbench.doctor import Finding, quick
-    from vprbench.fetching import fetch_command
+    from vprbench.data.doctor import Finding, quick
+    from vprbench.data.fetch.command import fetch_command
 
     def check(name: str, root: Path) -> list[str]:
         config = composed(readable([f"dataset={name}", f"dataset.root={root}"]))

@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from vprbench.data.fetch.entries import Part
 from vprbench.errors import BadInput
-from vprbench.fetch_entries import Part
 from vprbench.progress import report
 from vprbench.storage.atomic import replace_text
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from vprbench.data.fetch.entries import Download, Part, downloads
+from vprbench.data.fetch.received import RECORD, approve, count_files, insist_on_stated, record, remember
 from vprbench.errors import BadInput, NotThere
-from vprbench.fetch_entries import Download, Part, downloads
-from vprbench.fetched import RECORD, approve, count_files, insist_on_stated, record, remember
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.storage import download

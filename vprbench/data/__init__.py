@@ -1,0 +1,1 @@
+"""Frames: fetched and checked."""
