@@ -11,7 +11,7 @@ from vprbench.assembly import assemble
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.cells import Cell, Measured, Table
 from vprbench.plan import QUANTITIES, Quantity, Row
-from vprbench.records import Failure, Run
+from vprbench.run.record import Failure, Run
 
 
 def table(

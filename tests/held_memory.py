@@ -16,9 +16,9 @@ import psutil
 from little import Lookup, journey
 from little_runs import run_of, table
 
-from vprbench import environment
 from vprbench.api.arrays import Places
 from vprbench.api.images import Images
+from vprbench.run import machine
 
 Answer = TypeVar("Answer")
 
@@ -31,18 +31,18 @@ def in_a_new_process(measure: Callable[[], Answer]) -> Answer:
 
 def rise_in_a_window() -> int:
     """Return by how many bytes the peak rises while 200 MB are held for a moment."""
-    environment.reset_peak_memory()
-    before = environment.peak_memory_bytes()
+    machine.reset_peak_memory()
+    before = machine.peak_memory_bytes()
     np.ones(200_000_000, np.uint8)
-    return environment.peak_memory_bytes() - before
+    return machine.peak_memory_bytes() - before
 
 
 def fall_in_a_new_window() -> int:
     """Return by how many bytes the peak falls when a new window begins after 200 MB were held."""
     np.ones(200_000_000, np.uint8)
-    high = environment.peak_memory_bytes()
-    environment.reset_peak_memory()
-    return high - environment.peak_memory_bytes()
+    high = machine.peak_memory_bytes()
+    machine.reset_peak_memory()
+    return high - machine.peak_memory_bytes()
 
 
 @dataclass

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import frames
 from vprbench.api.arrays import Image, Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -23,9 +22,10 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.metrics.ranking import Outcome
 from vprbench.plugins import networks
-from vprbench.records import Failure, Run
-from vprbench.stopwatch import Laps, Protocol, Timing
-from vprbench.store import Store
+from vprbench.run import thumbnails
+from vprbench.run.record import Failure, Run
+from vprbench.run.stopwatch import Laps, Protocol, Timing
+from vprbench.run.store import Store
 
 
 def picture(number: int) -> Image:
@@ -336,12 +336,12 @@ def save_where_no_file_may_exceed(root: Path, limit_bytes: int) -> str:
 def keep_frames_often(root: Path, fingerprint: str) -> int:
     """Keep the frames again and again, each time as if they were not there; returns how often they were whole."""
     whole = 0
-    find = frames.find
+    find = thumbnails.find
     for _ in range(15):
-        frames.find = lambda *_: None
+        thumbnails.find = lambda *_: None
         try:
-            frames.keep(root, fingerprint, journey(3, 3))
+            thumbnails.keep(root, fingerprint, journey(3, 3))
         finally:
-            frames.find = find
+            thumbnails.find = find
         whole += find(root, fingerprint) is not None
     return whole

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vprbench import environment, runner
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.records import Run
-from vprbench.stopwatch import Protocol
+from vprbench.run import machine, runner
+from vprbench.run.record import Run
+from vprbench.run.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
     "method": {"_target_": "little.Lookup", "window": 5, "device": "cpu"},
@@ -47,7 +47,7 @@ def quiet_surroundings() -> Iterator[SimpleNamespace]:
         "cpu_pressure": lambda: 0.0,
     }
     with pytest.MonkeyPatch.context() as patch:
-        stand_in = SimpleNamespace(**{**vars(environment), **quick})
+        stand_in = SimpleNamespace(**{**vars(machine), **quick})
         patch.setattr(runner, "environment", stand_in)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
         try:

@@ -10,10 +10,10 @@ import numpy as np
 from little import a_run
 from PIL import Image
 
-from vprbench.frames import Thumbnails
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.records import Run
 from vprbench.report.page import Picture, Section, page
+from vprbench.run.record import Run
+from vprbench.run.thumbnails import Thumbnails
 from vprbench.series import Series
 
 N_PLACES, N_QUERIES = 60, 50

@@ -12,7 +12,7 @@ import pytest
 
 from vprbench import cli, ending, fill, paper
 from vprbench.plan import read_plan
-from vprbench.sweep import IN_SWEEP, Ending
+from vprbench.run.processes import IN_SWEEP, Ending
 
 PLAN = """
 seeds: [0, 1]

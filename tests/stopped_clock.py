@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import pytest
 
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.run.stopwatch import Protocol, Stopwatch
 
 
 class Clock:

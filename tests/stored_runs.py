@@ -12,7 +12,7 @@ import numpy as np
 from vprbench.belonging import ColumnAsked
 from vprbench.metrics.ranking import Outcome
 from vprbench.plan import Growth, Plan, PlannedColumn, Row
-from vprbench.records import Failure, Run
+from vprbench.run.record import Failure, Run
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
 STREET = {"name": "street", "root": "/here/street", "source": "a shelf"}

@@ -17,7 +17,7 @@ from vprbench.figures.style import Drawn, pdf
 from vprbench.figures.tradeoff import against_rate
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 ALL = (precision_recall, recall_at_n, recall_at_tolerance)
 

@@ -28,7 +28,7 @@ from stored_runs import (
 
 from vprbench.belonging import ColumnAsked
 from vprbench.plan import QUANTITIES, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 approx = pytest.approx
 HOG = Row("hog", "hog", training="map")  # outside the plan

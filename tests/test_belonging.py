@@ -23,7 +23,7 @@ from vprbench.belonging import (
     series,
 )
 from vprbench.plan import Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 

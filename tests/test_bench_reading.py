@@ -13,13 +13,14 @@ import numpy.typing as npt
 import pytest
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import bench, bench_reading, bench_reading_text, preprocessed
+from vprbench import bench, bench_reading, bench_reading_text
 from vprbench.api import images
 from vprbench.api.images import read_image
 from vprbench.bench_reading import drawn, frame_files, in_own_process, kept_cell, reading_cell
 from vprbench.bench_report import QUICK, Failed, KeptCell, ReadingCell, Settings
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
+from vprbench.run import preprocessed
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 

@@ -21,7 +21,7 @@ from PIL import Image as PillowImage
 from vprbench import cli
 from vprbench.cli import main
 from vprbench.plugins import registry
-from vprbench.sweep import Ending
+from vprbench.run.processes import Ending
 
 ROOT = Path(__file__).resolve().parents[1]
 QUICK = [
@@ -426,7 +426,7 @@ def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.Capture
 def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from vprbench import runner
+    from vprbench.run import runner
 
     ran: list[object] = []
     monkeypatch.setattr(runner, "run", lambda *_: ran.append(True))

@@ -10,7 +10,7 @@ from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPR
 
 from vprbench.comparison import other_timing, reasons
 from vprbench.plan import QUANTITIES, PlannedColumn, Quantity, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 PAPERS_MACHINE = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K CPU @ 3.60GHz"}
 OXFORD = PlannedColumn("oxford", "Oxford", (), "Oxford RobotCar")

@@ -11,7 +11,7 @@ from stored_runs import ABACUS, run
 
 from vprbench.contests import Contestant, best_rate, best_recall, best_training, disturbed, machine
 from vprbench.plan import Boundary
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 NOISY = ("noisy: two carts passed",)
 

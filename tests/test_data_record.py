@@ -18,14 +18,14 @@ from little import Lookup, a_failure, a_run, journey, picture
 from little_runs import QUICK, quiet_surroundings, run_of
 from PIL import Image as PillowImage
 
-from vprbench import tables
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
-from vprbench.data_record import DataRecord, data_record
-from vprbench.records import Run
+from vprbench.run import rows
+from vprbench.run.data_record import DataRecord, data_record
+from vprbench.run.record import Run
+from vprbench.run.store import Store
 from vprbench.storage import hashes
-from vprbench.store import Store
 
 RECORD: dict[str, Any] = {
     "names_sha256": "5f74d2dc7bb3" + "0" * 52,
@@ -211,12 +211,12 @@ def test_the_record_comes_back_from_the_store(tmp_path: Path) -> None:
 
 
 def test_the_protocol_line_ends_with_the_first_digits_of_the_names() -> None:
-    assert tables.protocol_line(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
+    assert rows.protocol_line(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
 
 
 def test_csv_tells_protocol_and_data_of_each_run_that_knows_them() -> None:
     protocol = {"protocol": "vprtempo", **a_run().protocol}
-    text = tables.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
+    text = rows.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
     names = ("protocol", "names_sha256", "content_sha256")
     assert [[line[name] for name in names] for line in csv.DictReader(io.StringIO(text))] == [
         ["", "", ""],

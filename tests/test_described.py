@@ -12,15 +12,15 @@ import pytest
 from little import journey, number_in
 from PIL import Image as PillowImage
 
-from vprbench import described, runner
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
-from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
-from vprbench.records import Run
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.run import descriptors, runner
+from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.record import Run
+from vprbench.run.stopwatch import Protocol, Stopwatch
 
 N_QUERIES, N_PLACES = 70, 80
 PROTOCOL = Protocol(minimum_seconds=0, minimum_queries=2, sample=2, warmup_queries=1, batch_sizes=[1])
@@ -170,14 +170,14 @@ def test_the_same_images_under_other_names_are_not_encoded_again(dataset: Datase
 
 def test_other_code_is_encoded_anew(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(Counting(), dataset, tmp_path)
-    monkeypatch.setattr(described, "source_hash", lambda method: "changed")
+    monkeypatch.setattr(descriptors, "source_hash", lambda method: "changed")
     method = Counting()
     assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
 
 
 def test_another_device_encodes_anew(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(Counting(), dataset, tmp_path)
-    monkeypatch.setattr(described.environment, "device_class", lambda device: "another")
+    monkeypatch.setattr(descriptors.environment, "device_class", lambda device: "another")
     method = Counting()
     assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
 

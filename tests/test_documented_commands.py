@@ -24,7 +24,7 @@ from vprbench.api.neural import NeuralDescriptor
 from vprbench.datasets.nordland import chosen_names
 from vprbench.plan import Plan, read_plan
 from vprbench.plugins import registry
-from vprbench.sweep import IN_SWEEP, Ending
+from vprbench.run.processes import IN_SWEEP, Ending
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (

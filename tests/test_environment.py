@@ -12,7 +12,7 @@ import pytest
 from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, rise_in_a_window
 from little_runs import quiet_surroundings
 
-from vprbench import environment
+from vprbench.run import machine
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,23 +33,23 @@ in_a_window = pytest.mark.skipif(not _windows_of_memory_exist(), reason="this sy
 
 
 def test_the_machine_is_described_in_values_that_json_can_hold() -> None:
-    described = environment.capture("cpu", 1)
+    described = machine.capture("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
 
 
 @pytest.mark.parametrize("name", ["processor", "python", "threads", "cores", "memory_bytes", "load_average"])
 def test_the_machine_is_described_by(name: str) -> None:
-    assert environment.capture("cpu", 1)[name]
+    assert machine.capture("cpu", 1)[name]
 
 
 def test_a_fixed_computation_takes_some_time() -> None:
-    assert environment.canary_seconds() > 0
+    assert machine.canary_seconds() > 0
 
 
 def test_the_canary_takes_no_notice_of_an_interrupted_lap() -> None:
     laps = (1.0 if lap % 5 == 0 else 0.008 for lap in itertools.count())  # seconds
     moments = itertools.accumulate(round(lap * 1e9) for lap in laps)
-    assert environment.canary_seconds(lambda: next(moments)) == 0.008
+    assert machine.canary_seconds(lambda: next(moments)) == 0.008
 
 
 @in_a_window
@@ -70,4 +70,4 @@ def test_a_run_knows_the_memory_that_its_method_took() -> None:
 
 
 def test_a_cpu_has_no_device_memory() -> None:
-    assert environment.peak_device_memory_bytes("cpu") is None
+    assert machine.peak_device_memory_bytes("cpu") is None

@@ -13,8 +13,8 @@ from little import a_failure, a_run
 
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotThere
-from vprbench.records import Failure
-from vprbench.store import Store
+from vprbench.run.record import Failure
+from vprbench.run.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
 

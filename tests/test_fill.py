@@ -10,8 +10,8 @@ import pytest
 from vprbench import fill
 from vprbench.fill import Wanted
 from vprbench.plan import Row
-from vprbench.store import Store
-from vprbench.sweep import Ending
+from vprbench.run.processes import Ending
+from vprbench.run.store import Store
 
 SAD = Row("SAD", "sad", training="none")
 

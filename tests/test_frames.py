@@ -17,13 +17,14 @@ import pytest
 from little import keep_frames_often
 from PIL import Image as PillowImage
 
-from vprbench import frames, progress
+from vprbench import progress
 from vprbench.api import images, read_ahead
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.errors import BadInput
+from vprbench.run import thumbnails
 
 FINGERPRINT = "0123456789abcdef" * 4
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
@@ -53,10 +54,10 @@ def two_traverses() -> Dataset:
     return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
 
 
-def kept(root: Path, dataset: Dataset) -> frames.Thumbnails:
+def kept(root: Path, dataset: Dataset) -> thumbnails.Thumbnails:
     root.mkdir(exist_ok=True)
-    frames.keep(root, FINGERPRINT, dataset)
-    found = frames.find(root, FINGERPRINT)
+    thumbnails.keep(root, FINGERPRINT, dataset)
+    found = thumbnails.find(root, FINGERPRINT)
     assert found is not None
     return found
 
@@ -83,7 +84,7 @@ def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkey
     dataset = Dataset("large", large, np.arange(40), large, tuple(np.array([i]) for i in range(40)), {})
     kept(tmp_path, two_traverses())  # imports what it needs
     tracemalloc.start()
-    frames.keep(tmp_path, "f" * 64, dataset)
+    thumbnails.keep(tmp_path, "f" * 64, dataset)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20 << 20
@@ -131,12 +132,12 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
 def large(monkeypatch: pytest.MonkeyPatch) -> Dataset:
     """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
     for name, number in (("_ALL", 40), ("_OF_RUN", 8), ("_MOST", 12)):
-        monkeypatch.setattr(frames, name, number)
+        monkeypatch.setattr(thumbnails, name, number)
     return world([plain(level) for level in range(30)], range(30), [plain(9)] * 20, [[i] for i in range(20)])
 
 
 def there(root: Path) -> tuple[list[int], list[int]]:
-    found = frames.find(root, FINGERPRINT)
+    found = thumbnails.find(root, FINGERPRINT)
     assert found is not None
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
     queries, places = ([i for i, frame in enumerate(kind) if frame] for kind in (found.queries, found.references))
@@ -144,19 +145,19 @@ def there(root: Path) -> tuple[list[int], list[int]]:
 
 
 def test_of_a_large_dataset_what_a_run_shows_first_is_kept_and_no_more(tmp_path: Path, large: Dataset) -> None:
-    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
+    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
     assert there(tmp_path) == ([3, 4, 7], [1, 2, 5])
-    found = frames.find(tmp_path, FINGERPRINT)
+    found = thumbnails.find(tmp_path, FINGERPRINT)
     assert found is not None
     assert level(found.reference(5)) == pytest.approx(5, abs=2)
     assert found.query(0) == b""
 
 
 def test_another_run_adds_its_frames_until_a_page_holds_no_more(tmp_path: Path, large: Dataset) -> None:
-    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
-    frames.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
+    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
+    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
     assert there(tmp_path) == ([3, 7, 8], [1, 2, 5, 20, 21])
-    frames.keep(tmp_path, FINGERPRINT, large, [(10, {11}), (11, {12}), (12, {13})])
+    thumbnails.keep(tmp_path, FINGERPRINT, large, [(10, {11}), (11, {12}), (12, {13})])
     assert there(tmp_path) == ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])
 
 
@@ -169,14 +170,14 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown(tmp_path: Path, l
 
     many = Images(reading, [f"{i}.png" for i in range(5000)])
     whole = Dataset("world", many, np.arange(5000), large.queries, large.positives, {})
-    frames.keep(tmp_path, FINGERPRINT, whole, [(7, {4000, 4001})])
+    thumbnails.keep(tmp_path, FINGERPRINT, whole, [(7, {4000, 4001})])
     assert {4000, 4001} <= set(read)
     assert len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
 
 
 def test_a_small_dataset_is_kept_whole_whatever_a_run_shows(tmp_path: Path) -> None:
-    frames.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
-    found = frames.find(tmp_path, FINGERPRINT)
+    thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
+    found = thumbnails.find(tmp_path, FINGERPRINT)
     assert found is not None
     assert all([*found.queries, *found.references])
 
@@ -251,7 +252,7 @@ def test_what_is_kept_already_is_not_read_again(tmp_path: Path) -> None:
         raise AssertionError("an image was read")
 
     unread = Images(fail, ["a", "b"])
-    frames.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+    thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
 
 
 def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
@@ -268,7 +269,7 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
     with pytest.raises(OSError, match="No space left"):
-        frames.keep(tmp_path, FINGERPRINT, two_traverses())
+        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
@@ -276,14 +277,14 @@ def test_a_frame_that_cannot_be_read_leaves_nothing_behind(tmp_path: Path) -> No
     missing = Images.from_files([tmp_path / "gone.png"])
     dataset = Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {})
     with pytest.raises(BadInput, match=r"gone\.png"):
-        frames.keep(tmp_path, FINGERPRINT, dataset)
+        thumbnails.keep(tmp_path, FINGERPRINT, dataset)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
     told: list[tuple[str, float]] = []
     with progress.listening(lambda stage, done: told.append((stage, done))):
-        frames.keep(tmp_path, FINGERPRINT, two_traverses())
+        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
     assert told == [("keeping small frames", i / 5) for i in range(5)]
 
 
@@ -291,7 +292,7 @@ def test_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
 
 
 def test_what_was_never_kept_is_none_without_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert frames.find(tmp_path, FINGERPRINT) is None
+    assert thumbnails.find(tmp_path, FINGERPRINT) is None
     assert caplog.records == []
 
 
@@ -306,7 +307,7 @@ DAMAGES = {
 def test_a_damaged_file_is_none_and_named(tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture) -> None:
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
-    assert frames.find(tmp_path, FINGERPRINT) is None
+    assert thumbnails.find(tmp_path, FINGERPRINT) is None
     assert [(record.levelno, str(path(tmp_path)) in record.getMessage()) for record in caplog.records] == [
         (logging.WARNING, True)
     ]
@@ -318,7 +319,7 @@ def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> N
     lost = 0
     for position in range(0, len(whole), 11):
         path(tmp_path).write_bytes(whole[:position] + bytes([whole[position] ^ 4]) + whole[position + 1 :])
-        found = frames.find(tmp_path, FINGERPRINT)
+        found = thumbnails.find(tmp_path, FINGERPRINT)
         lost += found is None
         if found is not None:  # a time or a flag that nobody reads
             assert (found.queries, found.references) == (right.queries, right.references)
@@ -334,7 +335,7 @@ def test_a_damaged_file_is_made_anew(tmp_path: Path) -> None:
 
 def test_frames_of_a_dataset_whose_hash_begins_alike_are_not_taken_for_its_own(tmp_path: Path) -> None:
     kept(tmp_path, two_traverses())
-    assert frames.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
+    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
 
 
 def test_nothing_of_it_is_a_pickle(tmp_path: Path) -> None:
@@ -376,7 +377,7 @@ def test_a_disk_that_refuses_frames_costs_no_run(
     def refuse(*_: Any) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(frames, "keep", refuse)
+    monkeypatch.setattr(thumbnails, "keep", refuse)
     with caplog.at_level(logging.WARNING):
         assert main(["method=sad", *QUICK]) == 0
     assert "no small pictures of synthetic were kept (No space left on device)" in caplog.text

@@ -14,7 +14,7 @@ from vprbench.figures.growth import growth
 from vprbench.figures.style import png
 from vprbench.growth_series import GrowthSamples, samples
 from vprbench.plan import Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
 TEMPO = Row("VPRTempo", "vprtempo", boundary="match")

@@ -16,7 +16,7 @@ from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictu
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import progress, runner
+from vprbench import progress
 from vprbench.api import checkpoints, images
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
@@ -24,7 +24,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.records import Run
+from vprbench.run import runner
+from vprbench.run.record import Run
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,7 +13,7 @@ import pytest
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.store import Store
+from vprbench.run.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")

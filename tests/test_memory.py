@@ -8,7 +8,7 @@ import numpy as np
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.runner import _Answers
+from vprbench.run.runner import _Answers
 
 N_PLACES = 27_592  # Nordland, every frame
 BLOCK = 128

@@ -32,13 +32,13 @@ from little import (
 )
 from safetensors.numpy import save_file
 
-from vprbench import tables
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.plugins import networks
-from vprbench.store import Store
+from vprbench.run import rows
+from vprbench.run.store import Store
 
 ROOT = Path(__file__).resolve().parents[1]
 WORLD = journey(8, 4)
@@ -720,7 +720,7 @@ def test_a_row_and_csv_of_a_loaded_run_say_so(
     head, row = lines[at : at + 2]
     assert row[head.index("fit s") :].startswith("loaded ")
     runs = list(Store(Path("results")).runs())
-    (loaded,) = [line for line in csv.DictReader(io.StringIO(tables.csv(runs))) if line["network"]]
+    (loaded,) = [line for line in csv.DictReader(io.StringIO(rows.csv(runs))) if line["network"]]
     assert (loaded["fit_seconds"], loaded["fit_compute_seconds"]) == ("", "")
 
 

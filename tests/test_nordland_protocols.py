@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from stored_runs import ROWS, run
 
-from vprbench import composing
 from vprbench.api.dataset import Dataset
 from vprbench.belonging import ColumnAsked, groups
 from vprbench.datasets.nordland import published_frames
 from vprbench.paper import Asked, choose
 from vprbench.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.run import compose
 
 NAMES = ("nordland", "nordland_vprsnn", "nordland_patchnetvlad", "nordland_27k", "nordland_vprbench")
 WHOLE_MAPS = NAMES[2:]
@@ -26,7 +26,7 @@ FRAMES = [f"images-{frame:05d}.png" for frame in published_frames()]
 
 
 def config(*options: str) -> dict[str, Any]:
-    return dict(composing.composed(list(options))["dataset"])
+    return dict(compose.composed(list(options))["dataset"])
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_vprsnns_by_its_name_is_the_papers_with_another_protocol() -> None:
 
 @pytest.fixture(scope="module")
 def columns() -> list[ColumnAsked]:
-    return [*choose(Asked(columns=[*NAMES]), lambda options: composing.composed(list(options))).columns]
+    return [*choose(Asked(columns=[*NAMES]), lambda options: compose.composed(list(options))).columns]
 
 
 def test_two_protocols_of_nordland_never_share_a_column(

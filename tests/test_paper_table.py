@@ -14,8 +14,8 @@ from small_plan import PLAN, RUN, Apart, install
 
 from vprbench.cli import main
 from vprbench.metrics.accuracy import recall_at
-from vprbench.records import Run
-from vprbench.store import Store
+from vprbench.run.record import Run
+from vprbench.run.store import Store
 
 Cells = dict[tuple[str, str, str], dict[str, str]]
 

@@ -12,9 +12,9 @@ from vprbench.api.arrays import Image
 from vprbench.errors import BadInput
 from vprbench.figures.pictures import frames, similarity
 from vprbench.figures.style import Drawn, pdf
-from vprbench.frames import Example, Thumbnails
 from vprbench.metrics.ranking import outcome
-from vprbench.records import Run
+from vprbench.run.record import Run
+from vprbench.run.thumbnails import Example, Thumbnails
 
 
 def picture(seed: int, height: int = 45, width: int = 80) -> Image:

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 import yaml
 
-from vprbench import composing
 from vprbench.errors import BadInput
 from vprbench.paper import Asked, Chosen, choose, wanted
 from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
 from vprbench.plugins import registry
+from vprbench.run import compose
 
 PLAN = Path(__file__).resolve().parents[1] / "conf" / "table.yaml"
 
@@ -34,7 +34,7 @@ def written(content: Any, folder: Path) -> Path:
 
 
 def chosen(**asked: Any) -> Chosen:
-    return choose(Asked(**asked), lambda options: composing.composed(list(options)))
+    return choose(Asked(**asked), lambda options: compose.composed(list(options)))
 
 
 def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:
@@ -117,7 +117,7 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
     for row in (*plan.rows.values(), *plan.more_rows.values()):
         if "calibrated_scores" in registry.entries("method")[row.method].options:
             asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
-            config = composing.composed([f"method={row.method}", *asked])["method"]
+            config = compose.composed([f"method={row.method}", *asked])["method"]
             assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
             calibrated += [row.method] * (config["calibrated_scores"] is True)
     assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]

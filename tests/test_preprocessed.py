@@ -20,7 +20,6 @@ from little_runs import CONFIG, QUICK, quiet_surroundings
 from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import preprocessed, runner
 from vprbench.api import images, preprocess
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
@@ -28,8 +27,9 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.preprocess import PatchNormalisation
 from vprbench.cli import main
-from vprbench.preprocessed import Preprocessed
-from vprbench.records import Run
+from vprbench.run import preprocessed, runner
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.record import Run
 
 N_IMAGES = 260
 SMALL = {"height": 6, "width": 8, "patch": 3}
@@ -243,7 +243,7 @@ import sys
 from pathlib import Path
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
-from vprbench.preprocessed import Preprocessed
+from vprbench.run.preprocessed import Preprocessed
 paths = sorted(Path(sys.argv[2]).iterdir())
 print("ready", flush=True)
 sys.stdin.readline()

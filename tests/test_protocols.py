@@ -23,9 +23,9 @@ from vprbench.errors import BadInput
 from vprbench.growth_series import samples
 from vprbench.plan import PlannedColumn, Row
 from vprbench.plugins import registry
-from vprbench.records import Failure, Run
 from vprbench.report import words
-from vprbench.store import Store
+from vprbench.run.record import Failure, Run
+from vprbench.run.store import Store
 from vprbench.tuning.places import cut, querying, searchable
 
 

@@ -10,8 +10,8 @@ from little import unanswerable_run
 from stored_runs import run
 
 from vprbench.metrics.intervals import share_interval
-from vprbench.recall_intervals import along_the_journey, recall_interval
-from vprbench.records import Run
+from vprbench.run.recall_intervals import along_the_journey, recall_interval
+from vprbench.run.record import Run
 
 HITS = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from little import a_failure, a_run, save_keys
 
-from vprbench import records
-from vprbench import store as store_module
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.run import record as records
+from vprbench.run import store as store_module
+from vprbench.run.record import DamagedRunError, NewerLayoutError, Run, load
+from vprbench.run.store import Store
 from vprbench.storage import atomic
-from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 LAYOUTS = ["1, the first", "1", "2", "3", "4", "5"]
@@ -312,7 +312,7 @@ def test_reading_all_runs_never_misses_one_that_others_replace(
     keys = ["a", "b", "c"]
     save_keys(store.root, keys)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.store"])
+    context.set_forkserver_preload(["vprbench.run.store"])
     with ProcessPoolExecutor(2, mp_context=context) as pool:
         writers = [pool.submit(save_keys, store.root, keys * 10) for _ in range(2)]
         while not all(writer.done() for writer in writers):

@@ -14,8 +14,8 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.errors import BadInput
-from vprbench.records import content_key
-from vprbench.store import Store
+from vprbench.run.record import content_key
+from vprbench.run.store import Store
 
 
 @pytest.fixture

@@ -34,11 +34,11 @@ from little import (
     unanswerable_run,
 )
 
-from vprbench import records
 from vprbench.errors import BadInput
-from vprbench.records import DamagedRunError, NewerLayoutError, Run, content_key, load
+from vprbench.run import record as records
+from vprbench.run.record import DamagedRunError, NewerLayoutError, Run, content_key, load
+from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
-from vprbench.store import Store
 
 KEY = "0123456789abcdef"
 ARRAYS = ("arrays.npz", "scores.npy")
@@ -55,7 +55,7 @@ def store(tmp_path: Path) -> Store:
 def processes() -> multiprocessing.context.ForkServerContext:
     """Processes that start in no time, because one that has imported the store makes them."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["vprbench.store"])
+    context.set_forkserver_preload(["vprbench.run.store"])
     return context
 
 
@@ -722,7 +722,7 @@ def test_a_key_changes_with_the_layout_of_the_store(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_key_is_the_same_in_every_process() -> None:
-    code = f"from vprbench.records import content_key; print(content_key({CONTENT!r}))"
+    code = f"from vprbench.run.record import content_key; print(content_key({CONTENT!r}))"
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}
     answer = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == content_key(CONTENT)

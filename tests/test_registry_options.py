@@ -16,8 +16,8 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.registry import Entry
-from vprbench.records import Run
-from vprbench.store import Store
+from vprbench.run.record import Run
+from vprbench.run.store import Store
 
 
 @pytest.fixture

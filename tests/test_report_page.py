@@ -30,11 +30,11 @@ from report_page import (
     place_colour,
 )
 
-from vprbench.records import Run
 from vprbench.report import page as report
 from vprbench.report import words
 from vprbench.report.page import Picture, Section
 from vprbench.report.small_png import small_png
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 

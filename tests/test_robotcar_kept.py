@@ -28,11 +28,11 @@ from robotcar_download import (
 )
 
 import vprbench.datasets.oxford_robotcar as robotcar
-from vprbench import runner
 from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.datasets.oxford_robotcar import kept
 from vprbench.errors import BadInput, NotThere
+from vprbench.run import runner
 
 
 @pytest.fixture(autouse=True)

@@ -18,12 +18,12 @@ import pytest
 from little import Lookup, journey, picture, pictures
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
 
-from vprbench import environment, harness, runner
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.sources import meaning
-from vprbench.stopwatch import Protocol
+from vprbench.run import harness, machine, runner
+from vprbench.run.sources import meaning
+from vprbench.run.stopwatch import Protocol
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -127,7 +127,7 @@ def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
 
 def test_another_device_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
     before = key()
-    monkeypatch.setattr(environment, "processor", lambda: "Abacus 10")
+    monkeypatch.setattr(machine, "processor", lambda: "Abacus 10")
     assert key() != before
 
 
@@ -191,7 +191,7 @@ def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None
 def test_the_version_of_this_package_is_in_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
     before, version = key(), importlib.metadata.version
     monkeypatch.setattr(importlib.metadata, "version", lambda name: "9.9" if name == "vprbench" else version(name))
-    assert (key(), environment.capture("cpu", 1)["vprbench"]) == (before, "9.9")
+    assert (key(), machine.capture("cpu", 1)["vprbench"]) == (before, "9.9")
 
 
 def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:

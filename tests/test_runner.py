@@ -14,14 +14,14 @@ import pytest
 from little import Lookup, journey, number_in, picture
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 
-from vprbench import runner
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
-from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, outcome
+from vprbench.run import runner
+from vprbench.run.descriptor_cache import DescriptorCache
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,13 +13,13 @@ from little import Lookup, journey, number_in
 from little_runs import QUICK, quiet_surroundings, run_of, table
 from stopped_clock import Clock
 
-from vprbench import runner
 from vprbench.api import images
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.stopwatch import Protocol
+from vprbench.run import runner
+from vprbench.run.stopwatch import Protocol
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -16,14 +16,14 @@ import pytest
 from little import Lookup, journey, number_in
 from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
 
-from vprbench import runner, tables
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.search import Audit, Kind
-from vprbench.descriptor_cache import DescriptorCache
-from vprbench.records import Run
-from vprbench.store import Store
+from vprbench.run import rows, runner
+from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.record import Run
+from vprbench.run.store import Store
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,8 +55,8 @@ def test_places_that_are_no_candidates_pass_the_audit_and_give_plain_numbers(can
     scores = with_few_candidates() if candidates == "few" else np.full((12, 40), -np.inf, np.float32)
     run = run_of(Lookup(scores), journey(12, 40))
     assert not any("audit" in note for note in run.notes)
-    json.dumps(tables.numbers(run), allow_nan=False)
-    assert tables.readable_row(run)["R@1 % [95 %]"]
+    json.dumps(rows.numbers(run), allow_nan=False)
+    assert rows.readable_row(run)["R@1 % [95 %]"]
     stored = Store(tmp_path)
     stored.save(run)
     found = stored.find("journey", "little", "key")

@@ -14,12 +14,13 @@ from little import Lookup, journey, slow_pictures
 from little_runs import quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import progress, runner, tables
+from vprbench import progress
 from vprbench.api import images
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.records import Run
+from vprbench.run import rows, runner
+from vprbench.run.record import Run
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -104,13 +105,13 @@ def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
     clock: Clock, kind: type[Learning], excess: float
 ) -> None:
     run = run_of(kind(table(8, 8), clock=clock), slow_journey(clock))
-    shown = tables.numbers(run)
+    shown = rows.numbers(run)
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((0.22, 0.06))
     assert (shown["training_seconds"], shown["training_compute_seconds"]) == pytest.approx(
         (0.22 + excess, 0.06 + excess)
     )
-    assert tables.readable_row(run)["fit s"] == f"{0.22 + excess:.1f}"
+    assert rows.readable_row(run)["fit s"] == f"{0.22 + excess:.1f}"
     assert any("first query" in note for note in run.notes) is bool(excess)
     assert run.harness_seconds == pytest.approx(0)
 

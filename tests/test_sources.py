@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from vprbench import sources
 from vprbench.methods.hog import HOG
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.run import sources
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from vprbench.errors import BadInput
 from vprbench.figures.spikes import spike_statistics
-from vprbench.records import Run
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 

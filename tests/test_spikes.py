@@ -16,7 +16,6 @@ from little import Lookup, journey, pictures
 from little_runs import quiet_surroundings
 from stopped_clock import Clock
 
-from vprbench import runner
 from vprbench.api import images
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -26,10 +25,11 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.conformance import Journey
-from vprbench.records import Run
-from vprbench.spikes import LayerSpikes, summary
-from vprbench.stopwatch import Protocol
-from vprbench.store import Store
+from vprbench.run import runner
+from vprbench.run.record import Run
+from vprbench.run.spikes import LayerSpikes, summary
+from vprbench.run.stopwatch import Protocol
+from vprbench.run.store import Store
 
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}

@@ -15,12 +15,12 @@ import pytest
 from little import number_in, numbers_in, pictures
 from PIL import Image as PillowImage
 
-from vprbench import stopwatch
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.stopwatch import (
+from vprbench.run import stopwatch
+from vprbench.run.stopwatch import (
     Protocol,
     Stopwatch,
     Timing,

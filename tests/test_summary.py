@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from little import a_run
 
-from vprbench import tables
 from vprbench.metrics.block_length import block_length
 from vprbench.metrics.ranking import Outcome
-from vprbench.records import Run
-from vprbench.summary import summarise
+from vprbench.run import rows
+from vprbench.run.record import Run
+from vprbench.run.summary import summarise
 
 
 def run_with(hits: Sequence[int]) -> Run:
@@ -38,13 +38,13 @@ def test_memory_is_that_of_the_run() -> None:
 
 def test_numbers_hold_the_interval_what_it_is_of_and_the_memory() -> None:
     run = run_with([1] * 30)
-    numbers = tables.numbers(run)
+    numbers = rows.numbers(run)
     # Wilson's of 30 of 30: 30 / (30 + 1.96^2) to 1
     assert (numbers["recall_at_1_low"], numbers["recall_at_1_high"]) == (pytest.approx(0.88649, abs=1e-5), 1.0)
     assert (numbers["recall_at_1_interval"], numbers["recall_at_1_block"]) == ("independent", 1)
-    assert tables.interval_line(run) is None
+    assert rows.interval_line(run) is None
     assert numbers["peak_memory_bytes"] == run.peak_memory_bytes
     hits = ([1] * 20 + [0] * 20) * 10
-    alike = tables.numbers(run_with(hits))
+    alike = rows.numbers(run_with(hits))
     assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(hits))
-    assert f" {block_length(hits)} " in str(tables.interval_line(run_with(hits)))
+    assert f" {block_length(hits)} " in str(rows.interval_line(run_with(hits)))

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from vprbench import cli, sweep
-from vprbench.store import Store
-from vprbench.sweep import Ending
+from vprbench import cli
+from vprbench.run import processes
+from vprbench.run.processes import Ending
+from vprbench.run.store import Store
 
 RUN = {"method": "little", "dataset": "journey", "config": {"seed": 4}}
 GOOD = '{"code": 0}'
@@ -28,7 +29,7 @@ def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o700)
         monkeypatch.setattr(sys, "executable", str(program))
-        return sweep.run_apart(arguments)
+        return processes.run_apart(arguments)
 
     return run
 
@@ -103,7 +104,7 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(
         raise KeyboardInterrupt(signal.SIGTERM)
 
     monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
-    monkeypatch.setenv(sweep.IN_SWEEP, "1" if in_sweep else "")
+    monkeypatch.setenv(processes.IN_SWEEP, "1" if in_sweep else "")
     assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
     assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
 

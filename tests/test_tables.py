@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from little import a_run, laps, unanswerable_run
 
-from vprbench import tables
 from vprbench.metrics.ranking import outcome
-from vprbench.records import Failure, Run
-from vprbench.summary import StageRates, summarise
-from vprbench.tables import readable_row
+from vprbench.run import rows
+from vprbench.run.record import Failure, Run
+from vprbench.run.rows import readable_row
+from vprbench.run.summary import StageRates, summarise
 
 FAILURE = Failure("vprtempo", "journey", {"overrides": ["method=vprtempo", "method.epochs=9"]}, "MemoryError: 99 GB")
 
@@ -37,7 +37,7 @@ def loaded_run() -> Run:
 
 
 def csv_rows(*results: Run | Failure) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(tables.csv(results))))
+    return list(csv.DictReader(io.StringIO(rows.csv(results))))
 
 
 def markdown_cells(text: str) -> list[list[str]]:
@@ -187,18 +187,18 @@ def test_a_rate_shows_as_many_digits_as_a_reader_needs(seconds: float, text: str
     ],
 )
 def test_a_label_holds_the_arguments_of_the_method_that_were_asked_for(overrides: list[str], text: str) -> None:
-    assert tables.label(a_run(config={**a_run().config, "overrides": overrides})) == text
+    assert rows.label(a_run(config={**a_run().config, "overrides": overrides})) == text
 
 
 def test_a_plain_row_stands_under_its_head() -> None:
-    assert tables.plain_row({"a": "long", "head": "b"}) == "a     head\nlong  b   "
+    assert rows.plain_row({"a": "long", "head": "b"}) == "a     head\nlong  b   "
 
 
 # Markdown
 
 
 def test_markdown_shows_each_run_in_a_line() -> None:
-    cells = markdown_cells(tables.markdown([readable_row(a_run()), readable_row(unanswerable_run())]))
+    cells = markdown_cells(rows.markdown([readable_row(a_run()), readable_row(unanswerable_run())]))
     assert [line[:2] for line in cells] == [
         ["method", "R@1 % [95 %]"],
         ["little window=5", "50.0 [15.0, 85.0]"],
@@ -207,11 +207,11 @@ def test_markdown_shows_each_run_in_a_line() -> None:
 
 
 def test_markdown_keeps_the_digits_it_is_given() -> None:
-    assert markdown_cells(tables.markdown([{"x": "1.50"}, {"x": "10,000"}]))[1:] == [["1.50"], ["10,000"]]
+    assert markdown_cells(rows.markdown([{"x": "1.50"}, {"x": "10,000"}]))[1:] == [["1.50"], ["10,000"]]
 
 
 def test_a_bar_stays_in_its_cell() -> None:
-    assert tables.markdown([{"error": "int | None"}]).splitlines()[-1] == r"| int \| None |"
+    assert rows.markdown([{"error": "int | None"}]).splitlines()[-1] == r"| int \| None |"
 
 
 # Protocol and machine
@@ -219,16 +219,16 @@ def test_a_bar_stays_in_its_cell() -> None:
 
 def test_a_protocol_is_one_line_of_words() -> None:
     line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"
-    assert tables.protocol_line(a_run()) == line
+    assert rows.protocol_line(a_run()) == line
 
 
 def test_a_machine_is_one_line_of_words() -> None:
-    assert tables.machine_line(a_run()) == "Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-01-31"
+    assert rows.machine_line(a_run()) == "Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-01-31"
 
 
 def test_an_accelerator_is_part_of_the_machine() -> None:
     run = a_run(environment={**a_run().environment, "accelerator": "Sieve X"})
-    assert "1 of 2 cores, Sieve X, torch" in tables.machine_line(run)
+    assert "1 of 2 cores, Sieve X, torch" in rows.machine_line(run)
 
 
 # CSV and JSON
@@ -272,7 +272,7 @@ def test_csv_holds_the_error_of_a_failed_run() -> None:
 
 def test_csv_holds_no_number_of_a_failed_run() -> None:
     line = csv_rows(a_run(), FAILURE)[1]
-    assert {line[name] for name in tables.numbers(a_run())} == {""}
+    assert {line[name] for name in rows.numbers(a_run())} == {""}
 
 
 def test_csv_holds_no_time_of_the_fit_that_a_loaded_network_did_not_need() -> None:
@@ -285,7 +285,7 @@ def test_csv_names_the_network_that_was_loaded() -> None:
 
 
 def test_the_numbers_of_a_loaded_network_are_null_where_nothing_was_measured() -> None:
-    assert [tables.numbers(loaded_run())[name] for name in ("fit_seconds", "fit_compute_seconds")] == [None, None]
+    assert [rows.numbers(loaded_run())[name] for name in ("fit_seconds", "fit_compute_seconds")] == [None, None]
 
 
 def test_csv_holds_nothing_where_a_measure_is_undefined() -> None:
@@ -300,7 +300,7 @@ def test_counts_stay_whole_beside_a_failed_run(column: str, text: str) -> None:
 
 
 def test_an_undefined_measure_is_null_in_json() -> None:
-    assert json.loads(json.dumps(tables.numbers(unanswerable_run()), allow_nan=False))["recall_at_1"] is None
+    assert json.loads(json.dumps(rows.numbers(unanswerable_run()), allow_nan=False))["recall_at_1"] is None
 
 
 def test_stage_rates_are_plain_numbers() -> None:
@@ -311,7 +311,7 @@ def test_stage_rates_are_plain_numbers() -> None:
 
 def test_the_interval_holds_the_recall_where_every_query_ties() -> None:
     scores, right = np.ones((40, 2), np.float32), (np.array([0]),) * 40
-    shown = tables.numbers(a_run(outcome=outcome(scores, right), positives=right))
+    shown = rows.numbers(a_run(outcome=outcome(scores, right), positives=right))
     low, recall, high = (shown[f"recall_at_1{end}"] for end in ("_low", "", "_high"))
     assert low is not None
     assert high is not None

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from little import a_run, unanswerable_run
 
-from vprbench import tables
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.metrics.tolerance import hits_within
-from vprbench.records import Run
-from vprbench.store import Store
-from vprbench.summary import summarise
+from vprbench.run import rows
+from vprbench.run.record import Run
+from vprbench.run.store import Store
+from vprbench.run.summary import summarise
 
 
 def top(*places: int) -> np.ndarray:
@@ -162,24 +162,24 @@ def test_tolerances_within_the_datasets_own_are_left_out() -> None:
 
 def test_a_dataset_that_asks_for_none_and_a_record_from_before_there_were_any_have_none() -> None:
     assert summarise(a_run()).recall_at_1_within == {}
-    assert tables.tolerance_line(a_run()) is None
-    assert not [name for name in tables.numbers(a_run()) if "within" in name]
+    assert rows.tolerance_line(a_run()) is None
+    assert not [name for name in rows.numbers(a_run()) if "within" in name]
 
 
 def test_numbers_name_each_tolerance_and_stay_plain_json() -> None:
-    numbers = tables.numbers(sweep(1, 4))
+    numbers = rows.numbers(sweep(1, 4))
     assert (numbers["recall_at_1_within_1_places"], numbers["recall_at_1_within_4_places"]) == (0.5, 0.75)
     json.dumps(numbers, allow_nan=False)
 
 
 def test_they_are_one_line_for_people() -> None:
-    assert tables.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
+    assert rows.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
 
 
 def test_without_a_right_place_they_are_undefined_and_not_zero() -> None:
     run = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)
     assert summarise(run).recall_at_1_within == {1: None, 2: None}
-    assert tables.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
+    assert rows.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
 
 
 def test_a_stored_run_gives_the_same_ones_when_it_is_read(tmp_path: Path) -> None:

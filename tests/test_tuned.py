@@ -14,10 +14,10 @@ from small_plan import RUN, install
 from vprbench.cli import main
 from vprbench.paper import Asked, stored
 from vprbench.plugins import registry
-from vprbench.records import Run
 from vprbench.report import words
+from vprbench.run.record import Run
+from vprbench.run.store import Store
 from vprbench.series import Series
-from vprbench.store import Store
 
 NOT_TUNED = "# Mine\n_target_: vprbench.methods.sad.SAD\npatch: 5\n"
 MINE = f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: every second place}}\n"

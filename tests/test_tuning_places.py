@@ -15,7 +15,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plan import PlannedColumn, read_plan
 from vprbench.plugins import registry
-from vprbench.records import Run
+from vprbench.run.record import Run
 from vprbench.tuning.places import Searchable, cut, querying, searchable
 
 

@@ -18,11 +18,11 @@ from little import a_run
 from search_stub import HALTS, Stub, recall
 
 import vprbench
-from vprbench import environment
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
-from vprbench.store import Store
+from vprbench.run import machine
+from vprbench.run.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training, Tried
 from vprbench.tuning.search import QUICK, Found, Settings, explore, search
@@ -258,7 +258,7 @@ DATASET = yaml.safe_load(registry.entries("dataset")["synthetic"].path.read_text
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the threads of the process that tests run in as they are."""
-    monkeypatch.setattr(environment, "pin_threads", lambda threads: None)
+    monkeypatch.setattr(machine, "pin_threads", lambda threads: None)
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -302,7 +302,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found(results: Path) -> Iterator[Found]:
     settings = Settings(places=12, trials=3, jobs=2, results=str(results))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(environment, "cores", lambda: [0, 1])
+        patch.setattr(machine, "cores", lambda: [0, 1])
         yield search(settings, METHOD, DATASET)
 
 
@@ -326,7 +326,7 @@ def test_more_jobs_than_cores_are_not_started_and_stored_runs_on_these_places_ar
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
-    monkeypatch.setattr(environment, "cores", lambda: [0])
+    monkeypatch.setattr(machine, "cores", lambda: [0])
     there = a_run(
         config={**a_run().config, "dataset": {**DATASET, "seed": 1, "places": 10}}, dataset="synthetic", method="sad"
     )

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from vprbench import composing
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.plan import read_plan
 from vprbench.plugins import registry
+from vprbench.run import compose
 from vprbench.tuning import text
 from vprbench.tuning.comparison import Comparison, Repeated
 from vprbench.tuning.search import Found, Settings
@@ -213,11 +213,11 @@ def test_the_command_names_rules_other_than_the_papers() -> None:
 def composed(found: Found) -> dict[str, Any]:
     python, _, _, *options = shlex.split(text.command(found))
     assert python == "python"
-    return composing.composed(composing.readable(options))
+    return compose.composed(compose.readable(options))
 
 
 def test_the_command_composes_a_run_whose_method_holds_the_places_of_its_dataset() -> None:
-    street = composing.composed(["method=vprtempo", "dataset=street"])
+    street = compose.composed(["method=vprtempo", "dataset=street"])
     found = a_search(settings=Settings(dataset="street"), method=street["method"], dataset=street["dataset"])
     run = composed(found)
     method, dataset = registry.make_method(run["method"]), registry.make_dataset(run["dataset"])
@@ -230,7 +230,7 @@ def test_the_command_composes_a_run_whose_method_holds_the_places_of_its_dataset
 def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name: str) -> None:
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     (fits,) = (column.fits for column in columns if column.options == (f"dataset={name}",))
-    config = composing.composed(["method=vprtempo", f"dataset={name}"])
+    config = compose.composed(["method=vprtempo", f"dataset={name}"])
     run = composed(a_search(settings=Settings(dataset=name), dataset=config["dataset"]))
     assert run["method"]["max_module"] == fits.get("vprtempo", {}).get("max_module", 1100)
 

@@ -20,7 +20,7 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.plugins import networks
 from vprbench.plugins.conformance import Journey
-from vprbench.store import Store
+from vprbench.run.store import Store
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 

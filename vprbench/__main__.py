@@ -16,7 +16,7 @@ def main() -> int:
     """Run the command line; returns the exit code, which is 0 only where all that was asked for is done."""
     if ending.waited_for():
         return _waited_for()
-    from vprbench.sweep import run_apart
+    from vprbench.run.processes import run_apart
 
     _open_streams()
     try:

@@ -16,9 +16,9 @@ from vprbench.contests import Contestant
 from vprbench.entries import RATES, TRAINING, Entry
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.plan import QUANTITIES, Plan, Quantity, Row, published
-from vprbench.recall_intervals import recall_interval
-from vprbench.records import Run
-from vprbench.tuned import tuned_here, tuned_note
+from vprbench.run.recall_intervals import recall_interval
+from vprbench.run.record import Run
+from vprbench.run.tuned import tuned_here, tuned_note
 
 _BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
 _RESUMED = "fit was resumed"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from vprbench.plan import PlannedColumn, Row
-from vprbench.records import Failure, Run
+from vprbench.run.record import Failure, Run
 from vprbench.series import Series
 
 Device = Literal["cpu", "cuda"]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.api.search import Search, faiss_module
@@ -48,7 +48,8 @@ from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
 from vprbench.metrics.ranking import best_places
 from vprbench.progress import listening
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.run import machine
+from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 
 Cell = TypeVar("Cell")
@@ -64,9 +65,9 @@ _BEST = 100  # references that a library's search returns
 def measure(settings: Settings, make: Make) -> Report:
     """Measure all sections; what cannot be measured becomes a cell that says why."""
     started = time.perf_counter()
-    surroundings = environment.capture(settings.device, settings.threads or len(environment.cores()))
-    environment.canary_seconds()  # an idle processor needs a while to find its clock
-    canary = {"start": environment.canary_seconds()}
+    surroundings = machine.capture(settings.device, settings.threads or len(machine.cores()))
+    machine.canary_seconds()  # an idle processor needs a while to find its clock
+    canary = {"start": machine.canary_seconds()}
     places = max(settings.places, settings.max_module, settings.vprsnn_places, *settings.sizes)
     route = Route.drawn(places, *FRAME, settings.seed)
     networks: dict[str, Method] = {}
@@ -86,13 +87,13 @@ def measure(settings: Settings, make: Make) -> Report:
     for name, section in sections.items():
         gc.collect()  # what an earlier section left counts as no memory of this one
         cells[name] = list(section()) if name in settings.sections else []
-        canary[name] = environment.canary_seconds()
+        canary[name] = machine.canary_seconds()
     return Report(
         settings,
         surroundings,
         canary,
         list(psutil.getloadavg()),
-        environment.cpu_pressure(),
+        machine.cpu_pressure(),
         time.perf_counter() - started,
         **cells,
     )
@@ -323,10 +324,10 @@ def _beside(
     library: Callable[[], object],
 ) -> SearchCell:
     watch = Stopwatch(Protocol())
-    environment.reset_peak_memory()
+    machine.reset_peak_memory()
     before = psutil.Process().memory_info().rss
     ours()
-    peak = environment.peak_memory_bytes()
+    peak = machine.peak_memory_bytes()
     library()
     laps: list[list[float]] = [[], []]
     while len(laps[0]) < settings.rounds or sum(map(sum, laps)) < settings.minimum_seconds:
@@ -393,6 +394,6 @@ def _vprsnn_queries(
     settings: Settings, make: Make, route: Route, modules: dict[str, Method]
 ) -> Iterator[AskingCell | Failed]:
     for wanted in settings.vprsnn_modules:
-        for threads in sorted({1, settings.threads or len(environment.cores())}):
+        for threads in sorted({1, settings.threads or len(machine.cores())}):
             what = {"modules": str(wanted), "cores": str(threads)}
             yield _attempt(what, partial(asking_cell, settings, make, route, modules, wanted, threads))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from vprbench.bench_report import Failed
-from vprbench.tables import markdown
+from vprbench.run.rows import markdown
 
 Cell = TypeVar("Cell")
 

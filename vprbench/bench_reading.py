@@ -15,14 +15,15 @@ import numpy as np
 import psutil
 from PIL import Image as PillowImage
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images, read_image
 from vprbench.api.preprocess import PatchNormalisation
 from vprbench.bench_report import PATCH, KeptCell, ReadingCell, Settings
 from vprbench.measures import rounded
-from vprbench.preprocessed import Preprocessed
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.run import machine
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.stopwatch import Protocol, Stopwatch
 
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
@@ -65,7 +66,7 @@ def drawn(height: int, width: int, seed: Sequence[int]) -> Image:
 
 def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
     """Read all files, in parts between which bare loops read some of them."""
-    cores = len(environment.cores())
+    cores = len(machine.cores())
     some = list(paths[: settings.reading_files])
     hz: dict[str, list[float]] = {"one loop": [], "loops at once": [], "ahead": []}
     bare(some[:1])
@@ -86,14 +87,14 @@ def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
         rounded(hz["loops at once"]),
         rounded(hz["ahead"]),
         before,
-        environment.peak_memory_bytes(),
+        machine.peak_memory_bytes(),
     )
 
 
 def kept_cell(settings: Settings, paths: Sequence[Path]) -> KeptCell:
     """Preprocess a part of the files, and have them again from the cache; what both leave stands beside the files."""
-    threads = settings.threads or len(environment.cores())
-    environment.pin_threads(threads)
+    threads = settings.threads or len(machine.cores())
+    machine.pin_threads(threads)
     folder = paths[0].parent
     os.environ[_HASHES] = str(folder / "hashes")  # nobody else asks for these files
     part = paths[: max(_KEPT, len(paths) // _TURNS)]
@@ -106,7 +107,7 @@ def kept_cell(settings: Settings, paths: Sequence[Path]) -> KeptCell:
         laps.append(_seconds(partial(_total, normalise, images)))
     made, *again = rounded(laps)
     pixels = settings.pixels**2
-    return KeptCell(len(part), pixels, made, again, len(part) * pixels, before, environment.peak_memory_bytes())
+    return KeptCell(len(part), pixels, made, again, len(part) * pixels, before, machine.peak_memory_bytes())
 
 
 def bare(paths: Sequence[Path]) -> None:
@@ -138,5 +139,5 @@ def _seconds(call: Callable[[], object]) -> float:
 
 
 def _memory_before() -> int:
-    environment.reset_peak_memory()
+    machine.reset_peak_memory()
     return int(psutil.Process().memory_info().rss)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from vprbench.api.preprocess import Engine
 from vprbench.errors import BadInput
 from vprbench.measures import Fit, Rates
-from vprbench.stopwatch import Protocol
+from vprbench.run.stopwatch import Protocol
 
 Counted = Literal["network", "matrix", "references"]
 Part = Literal["input", "normalising", "arrivals", "without learning", "with learning"]

@@ -24,9 +24,9 @@ from vprbench.bench_report import (
     TrainingCell,
 )
 from vprbench.measures import Growth, growth, median
+from vprbench.run.rows import markdown
+from vprbench.run.summary import StageRates
 from vprbench.storage.atomic import replace_text
-from vprbench.summary import StageRates
-from vprbench.tables import markdown
 
 _NOISE = 0.05  # drift of a fixed computation that marks a section as noisy
 _LARGE = 1000  # places from which on the growth is looked at apart: there are about as many modules as places ask for

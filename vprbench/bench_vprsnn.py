@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.bench_report import LOOKED, TRAVERSES, VPRSNN, AskingCell, ModuleCell, Part, Settings
 from vprbench.errors import BadInput
 from vprbench.measures import Fit, Make, rounded, timed_fit
 from vprbench.progress import listening
-from vprbench.stopwatch import Protocol, Stopwatch
+from vprbench.run import machine
+from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.workload import Route
 
 _PLUG_IN = "vprbench.methods.vprsnn"  # the contract of methods does not show the parts of a training
@@ -192,8 +193,8 @@ def _warm_up(settings: Settings, make: Make, route: Route, method: str) -> None:
 
 @contextmanager
 def _on_cores(threads: int, settings: Settings) -> Iterator[None]:
-    environment.pin_threads(threads)
+    machine.pin_threads(threads)
     try:
         yield
     finally:
-        environment.pin_threads(settings.threads or len(environment.cores()))
+        machine.pin_threads(settings.threads or len(machine.cores()))

@@ -25,12 +25,12 @@ from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import ending
 from vprbench.commands import COMMANDS
-from vprbench.composing import check_names, explained, in_order, readable
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError
-from vprbench.options import checked_settings, n_threads
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
-from vprbench.sweep import IN_SWEEP, as_json, record, run_apart, scratch
+from vprbench.run.compose import check_names, explained, in_order, readable
+from vprbench.run.processes import IN_SWEEP, as_json, record, run_apart, scratch
+from vprbench.run.settings import checked_settings, n_threads
 from vprbench.text import printable
 
 _USAGE = """\
@@ -152,10 +152,10 @@ def _run(config: DictConfig) -> int:
     registry.insist_on_one("dataset", choices["dataset"])
     asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load", "limit_minutes")}
     asked["overrides"] = list(HydraConfig.get().overrides.task)
-    from vprbench import environment
-    from vprbench.answer import answer
-    from vprbench.records import Failure
-    from vprbench.store import Store
+    from vprbench.run import machine
+    from vprbench.run.find_or_make import answer
+    from vprbench.run.record import Failure
+    from vprbench.run.store import Store
 
     whose = {"method": choices["method"], "dataset": asked["dataset"].get("name", choices["dataset"]), "config": asked}
     store, threads, process = Store(Path(settings.results).expanduser()), n_threads(settings), os.getpid()
@@ -173,7 +173,7 @@ def _run(config: DictConfig) -> int:
             failure = Failure(
                 **whose,
                 error=_public(_told(error).splitlines()[0]),
-                environment=environment.capture(settings.device, threads),
+                environment=machine.capture(settings.device, threads),
                 missing=isinstance(error, NotThere),
             )
             if isinstance(error, BadInput) and not os.environ.get(IN_SWEEP):

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from vprbench.api.method import Method
-from vprbench.composing import check_names, composed, readable
 from vprbench.errors import BadInput
-from vprbench.options import checked_settings, n_threads
 from vprbench.plugins import registry
+from vprbench.run.compose import check_names, composed, readable
+from vprbench.run.settings import checked_settings, n_threads
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def search_parameters(options: list[str]) -> int:
     """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
     from vprbench.plugins.options import chosen
     from vprbench.progress import progress_shown
-    from vprbench.store import Store
+    from vprbench.run.store import Store
     from vprbench.tuning import search, text
 
     settings = chosen(search.Settings, options, search.QUICK)
@@ -120,15 +120,15 @@ def compare_gpu(options: list[str]) -> int:
 @contextlib.contextmanager
 def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
     """Check what all commands share, pin the threads and show the progress; yields the results folder."""
-    from vprbench import environment
     from vprbench.progress import progress_shown
-    from vprbench.store import Store
+    from vprbench.run import machine
+    from vprbench.run.store import Store
 
     run = {**composed([]), "method": {}, "device": device, "threads": threads, "results": results, "seed": seed}
     settings = checked_settings(run)
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
-    environment.pin_threads(n_threads(settings))
+    machine.pin_threads(n_threads(settings))
     with progress_shown(title):
         yield folder
 
@@ -170,16 +170,16 @@ def list_plugins(options: list[str]) -> int:
 
 def check_method(options: list[str]) -> int:
     """Test a method against the rules of the contract and count them; raises BadInput where none is named."""
-    from vprbench import environment
     from vprbench.plugins import conformance
     from vprbench.progress import progress_shown
+    from vprbench.run import machine
 
     if not any(option.startswith("method=") for option in options):
         raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
     check_names(options)
     options = readable(options)
     config = composed(options)
-    environment.pin_threads(n_threads(checked_settings(config)))
+    machine.pin_threads(n_threads(checked_settings(config)))
     asked = {option.split("=")[0].removeprefix("method.") for option in options}
     with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
         results = list(conformance.check(config["method"], asked))

@@ -8,7 +8,7 @@ from typing import Any
 
 from vprbench.absence import one_sentence
 from vprbench.plan import PlannedColumn, Quantity, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 PAPER = "VPRTempo (ICRA 2024), Table II"
 PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"

@@ -12,10 +12,10 @@ import numpy as np
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.plan import Boundary
-from vprbench.recall_intervals import interval_between
-from vprbench.records import Run
-from vprbench.stopwatch import Seconds
-from vprbench.tables import machine_line
+from vprbench.run.recall_intervals import interval_between
+from vprbench.run.record import Run
+from vprbench.run.rows import machine_line
+from vprbench.run.stopwatch import Seconds
 
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
 RATE_CHANCE = 0.01

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.bench_text import machine_lines
 from vprbench.errors import BadInput
 from vprbench.measures import Make, median
 from vprbench.plugins import registry
-from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.run import machine as environment
+from vprbench.run.rows import markdown
+from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.storage.atomic import replace_text
-from vprbench.tables import markdown
 from vprbench.workload import Route
 
 PRECISIONS = ("float32", "float16", "bfloat16")

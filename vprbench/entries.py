@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from vprbench.belonging import Device, Group, RowRuns, accuracy_device
 from vprbench.cells import Column
 from vprbench.plan import Quantity, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 TRAINING: dict[Quantity, Device] = {"train_cpu": "cpu", "train_gpu": "cuda"}
 RATES: dict[Quantity, Device] = {"query_cpu": "cpu", "query_gpu": "cuda"}

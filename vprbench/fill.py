@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vprbench import environment
 from vprbench.plan import Row
 from vprbench.plugins import registry
-from vprbench.records import Failure
-from vprbench.store import Store
-from vprbench.sweep import Ending, run_apart
+from vprbench.run import machine
+from vprbench.run.processes import Ending, run_apart
+from vprbench.run.record import Failure
+from vprbench.run.store import Store
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class Wanted:
                 "overrides": self.options(),
             },
             error,
-            environment.capture("cpu", 1),
+            machine.capture("cpu", 1),
             missing,
         )
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.arrays import Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
@@ -24,9 +24,10 @@ from vprbench.bench_report import FRAME, PATCH, RULES, TRAVERSES
 from vprbench.bench_text import machine_lines, rates_text
 from vprbench.errors import BadInput
 from vprbench.measures import Make, Rates, measured_rates
-from vprbench.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.run import machine as environment
+from vprbench.run.rows import markdown
+from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.storage.atomic import replace_text
-from vprbench.tables import markdown
 from vprbench.workload import Route
 
 TOLERANCE = 1e-4  # of the largest weight or score

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from vprbench import contests
 from vprbench.errors import BadInput
 from vprbench.plan import Boundary, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which runs of one growth differ
 _PER_SIZE = frozenset(  # and parts of their protocol

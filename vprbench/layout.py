@@ -9,7 +9,7 @@ from typing import Literal
 
 from vprbench.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.plan import QUANTITIES, Quantity
-from vprbench.recall_intervals import METHOD
+from vprbench.run.recall_intervals import METHOD
 
 TITLE = "Table II"
 PAPER = "paper"  # the line below a row

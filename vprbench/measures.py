@@ -11,13 +11,13 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import psutil
 
-from vprbench import environment, stopwatch
 from vprbench.api.arrays import Places
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.progress import Listener, listening, report
-from vprbench.stopwatch import Stopwatch, best_batch, offline_rate, streaming_rate, synchroniser
-from vprbench.summary import StageRates
+from vprbench.run import machine, stopwatch
+from vprbench.run.stopwatch import Stopwatch, best_batch, offline_rate, streaming_rate, synchroniser
+from vprbench.run.summary import StageRates
 
 BEFORE, AFTER = "before training", "after training"
 
@@ -99,18 +99,18 @@ def timed_fit(title: str, method: Method, references: Images, places: Places, de
         marks.setdefault(stage, last)
         show(stage, done)
 
-    environment.reset_peak_memory()
+    machine.reset_peak_memory()
     before = psutil.Process().memory_info().rss
     with listening(note), Stopwatch(stopwatch.Protocol(), synchronise=synchronise).lap() as lap:
         started = time.perf_counter()
         method.fit(references, places)
-    peak = environment.peak_memory_bytes()
+    peak = machine.peak_memory_bytes()
     stages = {}
     if marks:
         ends = [*list(marks.values())[1:], last]
         stages = {stage: end - first for (stage, first), end in zip(marks.items(), ends, strict=True)}
         stages = {BEFORE: next(iter(marks.values())) - started, **stages, AFTER: started + lap[0] - last}
-    return Fit(lap[0], stages, before, peak, environment.peak_device_memory_bytes(device))
+    return Fit(lap[0], stages, before, peak, machine.peak_device_memory_bytes(device))
 
 
 def measured_rates(title: str, method: Method, queries: Images, protocol: stopwatch.Protocol, device: str) -> Rates:

@@ -16,9 +16,9 @@ from vprbench.errors import BadInput
 from vprbench.fill import Wanted, fill, results_folder
 from vprbench.plan import Plan, PlannedColumn, Row, read_plan
 from vprbench.plugins import registry
-from vprbench.records import Failure, Run
-from vprbench.store import Store
-from vprbench.sweep import Ending
+from vprbench.run.processes import Ending
+from vprbench.run.record import Failure, Run
+from vprbench.run.store import Store
 
 Part = TypeVar("Part")
 Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make

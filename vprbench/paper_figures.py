@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from vprbench.belonging import ColumnAsked, Group, accuracy_series, groups, of_row, series, title
 from vprbench.errors import BadInput
 from vprbench.fill import fill, results_folder
-from vprbench.frames import Thumbnails, find
 from vprbench.growth_series import GrowthSamples, samples
 from vprbench.paper import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper_table import exit_code
 from vprbench.plan import Quantity, Row
-from vprbench.records import Run
+from vprbench.run.record import Run
+from vprbench.run.store import Store
+from vprbench.run.thumbnails import Thumbnails, find
 from vprbench.storage.atomic import remove_leftovers, replace_text
-from vprbench.store import Store
 from vprbench.table_formats import shown_as_it_is
 
 if TYPE_CHECKING:

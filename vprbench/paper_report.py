@@ -10,8 +10,8 @@ from vprbench.belonging import accuracy_series, series, title
 from vprbench.paper import Asked, Compose, gather
 from vprbench.paper_figures import draw_all, growth_columns, thumbnails_of
 from vprbench.paper_table import exit_code, file_name
+from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
-from vprbench.store import Store
 
 
 def make_report(asked: Asked, options: Sequence[str], compose: Compose) -> int:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vprbench import table_formats, tables
+from vprbench import table_formats
 from vprbench.paper import Asked, Compose, Material, gather
+from vprbench.run import rows
+from vprbench.run.processes import Ending
+from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
-from vprbench.store import Store
-from vprbench.sweep import Ending
 
 
 def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
@@ -30,7 +31,7 @@ def write(found: Material, folder: Path, name: str) -> list[Path]:
         f"{name}.md": table_formats.markdown(found.table),
         f"{name}.csv": table_formats.csv(found.table),
         f"{name}.tex": table_formats.latex(found.table),
-        f"{name}-runs.csv": tables.csv(runs),
+        f"{name}-runs.csv": rows.csv(runs),
     }
     for file, text in texts.items():
         replace_text(folder / file, text)

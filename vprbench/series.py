@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 
 @dataclass(frozen=True)

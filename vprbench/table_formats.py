@@ -7,7 +7,6 @@ import io
 import re
 from html import escape
 
-from vprbench import tables
 from vprbench.cells import Column, Table, TableRow
 from vprbench.layout import (
     HEADS,
@@ -25,6 +24,7 @@ from vprbench.layout import (
     words,
 )
 from vprbench.plan import QUANTITIES, Quantity
+from vprbench.run import rows as tables
 from vprbench.table_html import html
 from vprbench.table_latex import latex
 

@@ -19,8 +19,8 @@ from vprbench.metrics.block_length import block_length
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.tolerance import hits_within
-from vprbench.recall_intervals import METHOD, along_the_journey
-from vprbench.records import Run
+from vprbench.run.recall_intervals import METHOD, along_the_journey
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 LARGEST_N = 25

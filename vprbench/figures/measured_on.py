@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from vprbench import contests
-from vprbench.records import Run
+from vprbench.run.record import Run
+from vprbench.run.tuned import tuned_note
 from vprbench.series import Series
-from vprbench.tuned import tuned_note
 
 
 def runs_of(series: Sequence[Series]) -> list[Run]:

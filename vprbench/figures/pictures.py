@@ -13,9 +13,9 @@ from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence
 from vprbench.figures.style import DOUBLE_MM, Drawn, new, styled
-from vprbench.frames import Thumbnails
 from vprbench.metrics.ranking import PlacesPerQuery
-from vprbench.records import Run
+from vprbench.run.record import Run
+from vprbench.run.thumbnails import Thumbnails
 
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7

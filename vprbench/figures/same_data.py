@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from vprbench.errors import BadInput
 from vprbench.figures.measured_on import runs_of
-from vprbench.records import Run
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 

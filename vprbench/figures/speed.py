@@ -28,7 +28,7 @@ from vprbench.figures.measured_on import (
 )
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
 from vprbench.plan import PlannedColumn, Quantity, Row, published
-from vprbench.records import Run
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches

@@ -15,7 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
-from vprbench.records import Run
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 _HEIGHT_MM = 62.0

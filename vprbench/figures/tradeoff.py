@@ -25,8 +25,8 @@ from vprbench.figures.measured_on import (
 from vprbench.figures.same_data import one_dataset
 from vprbench.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
 from vprbench.metrics.intervals import Interval
-from vprbench.recall_intervals import METHOD, recall_interval
-from vprbench.records import Run
+from vprbench.run.recall_intervals import METHOD, recall_interval
+from vprbench.run.record import Run
 from vprbench.series import Series
 
 _HEIGHT_MM = 68.0

@@ -14,12 +14,12 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from vprbench.frames import Thumbnails
-from vprbench.records import Run
 from vprbench.report import words
-from vprbench.report.answers import Answers, columns, judged, place_ranges, places_shown
 from vprbench.report.small_png import small_png
 from vprbench.report.thumbnails import fitting
+from vprbench.run.record import Run
+from vprbench.run.thumbnails import Thumbnails
+from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
 from vprbench.series import Series
 
 MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger

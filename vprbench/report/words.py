@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench.layout import TRAINING_TIME
-from vprbench.recall_intervals import METHOD
-from vprbench.records import Run
+from vprbench.run.recall_intervals import METHOD
+from vprbench.run.record import Run
+from vprbench.run.tuned import all_notes
 from vprbench.series import Series
-from vprbench.tuned import all_notes
 
 Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
 

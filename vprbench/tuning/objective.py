@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
@@ -20,6 +20,7 @@ from vprbench.errors import TrainingDivergedError
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
+from vprbench.run import machine
 
 StretchName = Literal["searched", "checked"]
 
@@ -58,7 +59,7 @@ class Training:
 
     def __call__(self) -> Callable[[Task], Tried]:
         """Limit the process to one thread, and return what tries a task."""
-        environment.pin_threads(1)
+        machine.pin_threads(1)
         return self._tried
 
     def _tried(self, task: Task) -> Tried:

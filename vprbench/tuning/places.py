@@ -12,7 +12,7 @@ import yaml
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plan import PlannedColumn
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
 

@@ -13,14 +13,15 @@ from typing import Any
 
 import optuna
 
-from vprbench import environment, progress
+from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.records import content_key
-from vprbench.runner import code_hash, fingerprint
-from vprbench.sources import meaning
-from vprbench.store import Store
+from vprbench.run import machine as environment
+from vprbench.run.record import content_key
+from vprbench.run.runner import code_hash, fingerprint
+from vprbench.run.sources import meaning
+from vprbench.run.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried

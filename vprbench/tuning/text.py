@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vprbench.bench_text import machine_lines
+from vprbench.run.rows import markdown
 from vprbench.storage.atomic import replace_text
-from vprbench.tables import markdown
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings

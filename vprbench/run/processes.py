@@ -23,7 +23,7 @@ from vprbench.storage.atomic import PARTIAL, remove_leftovers
 from vprbench.text import printable
 
 if TYPE_CHECKING:
-    from vprbench.records import Failure
+    from vprbench.run.record import Failure
 
 IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
 _LOOK_EVERY = 1.0  # seconds between looks at whether a child's limit is over
@@ -77,7 +77,7 @@ def scratch() -> Iterator[Path]:
 def record(failure: Failure, root: Path) -> None:
     """Store a failure, where that is possible: the error itself is told in any case."""
     from vprbench.errors import BadInput
-    from vprbench.store import Store
+    from vprbench.run.store import Store
 
     with contextlib.suppress(OSError, BadInput):
         root.mkdir(parents=True, exist_ok=True)
@@ -107,10 +107,10 @@ def _dead(code: int, words: dict[str, Any]) -> Ending:
         print(printable(f"vprbench: {whose} {error}"), file=sys.stderr, flush=True)
     if run is None:
         return Ending(1, False, error)
-    from vprbench import environment
-    from vprbench.records import Failure
+    from vprbench.run import machine
+    from vprbench.run.record import Failure
 
-    failure = Failure(**run, error=error, environment=environment.capture("cpu", words["threads"]))
+    failure = Failure(**run, error=error, environment=machine.capture("cpu", words["threads"]))
     record(failure, Path(words["results"]))
     if words["output"] == "json":
         print(as_json(failure), flush=True)

@@ -14,11 +14,11 @@ from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
-from vprbench.described import Described
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
-from vprbench.preprocessed import Preprocessed
-from vprbench.stopwatch import Stopwatch
+from vprbench.run.descriptors import Described
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.stopwatch import Stopwatch
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
-from vprbench.records import content_key
-from vprbench.sources import source_hash
+from vprbench.run import machine
+from vprbench.run.record import content_key
+from vprbench.run.sources import source_hash
 from vprbench.storage.arrays import ArrayCache
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
@@ -36,9 +36,9 @@ class Preprocessed:
         self._arrays = ArrayCache(folder, "preprocessed frames")
         self._origin = {
             "code": source_hash(PatchNormalisation),
-            "processor": environment.device_class("cpu"),
+            "processor": machine.device_class("cpu"),
             "threads": threads,
-            "libraries": environment.library_versions(),
+            "libraries": machine.library_versions(),
         }
         self.images = 0  # that were had from the cache
         self.seconds = 0.0  # that reading and preprocessing them took when they were made

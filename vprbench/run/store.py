@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput
-from vprbench.records import (
+from vprbench.run.record import (
     SUMMARY,
     DamagedRunError,
     Failure,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from vprbench.records import Run
+    from vprbench.run.record import Run
 
 
 @dataclass(frozen=True)

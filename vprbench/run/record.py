@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.metrics.ranking import Outcome
-from vprbench.record_rules import check_arrays, check_failure, check_summary
-from vprbench.stopwatch import Laps, Timing, plain
+from vprbench.run.record_rules import check_arrays, check_failure, check_summary
+from vprbench.run.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from vprbench.errors import BadInput
-from vprbench.options import KNOWN
 from vprbench.plugins import registry
-from vprbench.stopwatch import Protocol
+from vprbench.run.settings import KNOWN
+from vprbench.run.stopwatch import Protocol
 
 
 def composed(options: Sequence[str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from vprbench.metrics.accuracy import Ties, hits_at
 from vprbench.metrics.intervals import Values, WiderInterval, difference_interval, share_interval
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 METHOD = (
     "the wider one of Wilson's, which takes queries as independent, and that of a bootstrap of blocks of neighbouring "

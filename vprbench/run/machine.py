@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import psutil
 
+import vprbench
+
 _LIBRARIES = (
     "torch",
     "numpy",
@@ -153,7 +155,7 @@ def _version(name: str) -> str | None:
 
 def _git_state() -> dict[str, Any] | None:
     """Return the commit of the checkout this package runs from, and whether it was changed."""
-    root = Path(__file__).resolve().parent.parent
+    root = Path(vprbench.__file__).resolve().parent.parent
     if not (root / ".git").exists():
         return None
     commit = _output("git", "-C", str(root), "rev-parse", "HEAD")

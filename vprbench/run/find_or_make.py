@@ -11,20 +11,21 @@ from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
-from vprbench import ending, environment, frames, runner
+from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.api.weights import content_hash
 from vprbench.data.doctor import insist
-from vprbench.descriptor_cache import DescriptorCache
 from vprbench.errors import BadInput
-from vprbench.options import Settings, n_threads
 from vprbench.plugins import networks, registry
-from vprbench.preprocessed import Preprocessed
 from vprbench.progress import progress_shown
-from vprbench.records import Run
-from vprbench.report.answers import by_interest
-from vprbench.store import Store, insist_on_writing
+from vprbench.run import machine, runner, thumbnails
+from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.record import Run
+from vprbench.run.settings import Settings, n_threads
+from vprbench.run.store import Store, insist_on_writing
+from vprbench.run.verdicts import by_interest
 from vprbench.text import printable
 
 
@@ -39,7 +40,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         asked["changed"] = entry.changed(asked["method"])
     threads, process = n_threads(settings), os.getpid()
     refused = _refused(store)
-    environment.pin_threads(threads)
+    machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     with chdir("."):
         method = registry.make_method(asked["method"])
@@ -119,15 +120,15 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     """Keep small pictures of what the report shows of a run; where that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
-            frames.keep(store.root, run.fingerprint, dataset, by_interest(run))
+            thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(run))
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
 
 
 def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
-    from vprbench import tables  # what it imports does not count as the run's memory
-    from vprbench.tuned import all_notes
+    from vprbench.run import rows  # what it imports does not count as the run's memory
+    from vprbench.run.tuned import all_notes
 
     if output == "json":
         return json.dumps(
@@ -136,7 +137,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
                 "dataset": run.dataset,
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
-                **tables.numbers(run),
+                **rows.numbers(run),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": list(all_notes(run)),
@@ -145,8 +146,8 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
             },
             allow_nan=False,
         )
-    lines = [tables.protocol_line(run), *tables.plain_row(tables.readable_row(run)).splitlines()]
-    lines += filter(None, [tables.interval_line(run), tables.tolerance_line(run)])
+    lines = [rows.protocol_line(run), *rows.plain_row(rows.readable_row(run)).splitlines()]
+    lines += filter(None, [rows.interval_line(run), rows.tolerance_line(run)])
     lines += [f"note: {note}" for note in all_notes(run)]
     if from_store:
         lines.append(f"from the store: {folder} (force=true runs again)")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from vprbench import environment
 from vprbench.api.descriptor import DescriptorMethod, encoded_blocks
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
-from vprbench.descriptor_cache import DescriptorCache, Descriptors
-from vprbench.records import content_key
-from vprbench.sources import source_hash
+from vprbench.run import machine
+from vprbench.run.descriptor_cache import DescriptorCache, Descriptors
+from vprbench.run.record import content_key
+from vprbench.run.sources import source_hash
 
 
 class Described:
@@ -41,8 +41,8 @@ class Described:
                 "arguments": {name: value for name, value in config["method"].items() if name not in apart},
                 "code": source_hash(type(method)),
                 "files": [sha256 for _, sha256 in config.get("files", [])],
-                "device": environment.device_class(config["device"]),
-                "libraries": environment.library_versions(),
+                "device": machine.device_class(config["device"]),
+                "libraries": machine.library_versions(),
             },
         )
 

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
-from vprbench import environment
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.stopwatch import Protocol
+from vprbench.run import machine
+from vprbench.run.stopwatch import Protocol
 from vprbench.storage.folders import insist_on_homes
 
 
@@ -55,7 +55,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
     if settings.limit_minutes is not None and not (settings.limit_minutes > 0 and hasattr(signal, "setitimer")):
         raise BadInput(f"limit_minutes={settings.limit_minutes}: give more than 0, or null where there are no timers")
-    available = len(environment.cores())
+    available = len(machine.cores())
     if settings.threads is not None and not 1 <= settings.threads <= available:
         raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")
     if settings.save is not None and settings.load is not None:
@@ -68,7 +68,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
 
 def n_threads(settings: Settings) -> int:
     """Return how many threads a run uses."""
-    return settings.threads or len(environment.cores())
+    return settings.threads or len(machine.cores())
 
 
 def _checked_timing(config: Any) -> Protocol:

@@ -9,12 +9,7 @@ VERSION = 1
 MODULES = (
     *("vprbench.api.images", "vprbench.api.read_ahead", "vprbench.api.image_formats"),
     *("vprbench.api.png", "vprbench.api.png_pixels"),
-    *(
-        "vprbench.metrics.ranking",
-        "vprbench.stopwatch",
-        "vprbench.learning",
-        "vprbench.runner",
-        "vprbench.plugins.networks",
-    ),
-    *("vprbench.described", "vprbench.descriptor_cache", "vprbench.preprocessed", "vprbench.environment"),
+    *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.run.stopwatch", "vprbench.run.fitting"),
+    *("vprbench.run.runner", "vprbench.run.descriptors", "vprbench.run.descriptor_cache", "vprbench.run.preprocessed"),
+    *("vprbench.run.machine",),
 )

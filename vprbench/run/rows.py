@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from vprbench.recall_intervals import recall_interval
-from vprbench.records import Failure, Run
-from vprbench.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
-from vprbench.tuned import tuned_note
+from vprbench.run.recall_intervals import recall_interval
+from vprbench.run.record import Failure, Run
+from vprbench.run.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
+from vprbench.run.tuned import tuned_note
 
 NOTHING = "-"
 _DIGITS = 12  # of a hash that people compare by eye

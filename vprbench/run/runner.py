@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import environment, harness, progress, spikes
+from vprbench import progress
 from vprbench.api.arrays import Scores
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
@@ -20,17 +20,18 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration, held_together
 from vprbench.api.search import Audit, Search
-from vprbench.data_record import data_record
-from vprbench.described import Described
-from vprbench.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.errors import BadInput
-from vprbench.learning import learn
 from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.plugins import networks
-from vprbench.preprocessed import Preprocessed
-from vprbench.records import Run, content_key
-from vprbench.sources import source_hash
-from vprbench.stopwatch import Protocol, Stopwatch, Timing, synchroniser
+from vprbench.run import harness, machine, spikes
+from vprbench.run.data_record import data_record
+from vprbench.run.descriptor_cache import DescriptorCache, Descriptors
+from vprbench.run.descriptors import Described
+from vprbench.run.fitting import learn
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.record import Run, content_key
+from vprbench.run.sources import source_hash
+from vprbench.run.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
@@ -73,11 +74,11 @@ def run_key(
             "held_out": None if held_out is None else held_out.fingerprint(),
             "files": config.get("files", []),
             "seed": config["seed"],
-            "device": environment.device_class(config["device"]),
+            "device": machine.device_class(config["device"]),
             "threads": threads,
             "depth": config["depth"],
             "timing": asdict(protocol),
-            "libraries": environment.library_versions(),
+            "libraries": machine.library_versions(),
             "network": network,
         }
     )
@@ -123,10 +124,10 @@ def run(
     device = config["device"]
     data = data_record(dataset)
     started = time.perf_counter()
-    surroundings = environment.capture(device, threads)
-    canary = environment.canary_seconds()
+    surroundings = machine.capture(device, threads)
+    canary = machine.canary_seconds()
     stopwatch = Stopwatch(protocol, synchronise=synchroniser(device), seed=config["seed"])
-    environment.reset_peak_memory()
+    machine.reset_peak_memory()
 
     described = Described.of(cache if files.load is None else None, method, config)
     with ledger() as resumed:
@@ -145,10 +146,10 @@ def run(
         timing = stopwatch.measure(method, dataset.queries.unnamed(), first_query)
     progress.report("timing", 1.0)
 
-    pressure = environment.cpu_pressure()
-    slowdown = environment.canary_seconds() / canary
-    peak_memory_bytes = environment.peak_memory_bytes()
-    device_memory_bytes = environment.peak_device_memory_bytes(device)
+    pressure = machine.cpu_pressure()
+    slowdown = machine.canary_seconds() / canary
+    peak_memory_bytes = machine.peak_memory_bytes()
+    device_memory_bytes = machine.peak_device_memory_bytes(device)
     with stopwatch.lap() as auditing:
         search = _search(method, audited)
         spiked, spike_notes = _spikes(method, dataset.queries)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import Counts
-from vprbench.records import Run
+from vprbench.run.record import Run
 
 SHOWN = 3  # best places of a query
 NOWHERE = -1  # in the place of a place

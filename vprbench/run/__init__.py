@@ -1,0 +1,1 @@
+"""One run: found or made, timed, recorded, stored and summarised."""
