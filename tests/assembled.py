@@ -7,10 +7,10 @@ from typing import Any
 
 from stored_runs import PLAN, RAIL, ROWS, run
 
-from vprbench.assembly import assemble
-from vprbench.belonging import ColumnAsked, groups
-from vprbench.cells import Cell, Measured, Table
-from vprbench.plan import QUANTITIES, Quantity, Row
+from vprbench.paper.plan import QUANTITIES, Quantity, Row
+from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.table.build import assemble
+from vprbench.paper.table.cells import Cell, Measured, Table
 from vprbench.run.record import Failure, Run
 
 

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.metrics.ranking import best_places, outcome
+from vprbench.paper.series import Series
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import Laps, Timing
-from vprbench.series import Series
 
 
 def seconds_around(median: float, spread: float, n_laps: int = 101, seed: int = 0) -> npt.NDArray[np.float64]:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from vprbench.cells import Cell, Column, Measured, Table, TableRow
-from vprbench.plan import QUANTITIES, Quantity
+from vprbench.paper.plan import QUANTITIES, Quantity
+from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
 
 RECALL = 46.62962962962963  # 1259 of 2700 queries
 OTHER = "Abacus 9, 2 of 2 cores, torch 2.6.0, 2025-01-31"

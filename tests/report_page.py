@@ -11,10 +11,10 @@ from little import a_run
 from PIL import Image
 
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.report.page import Picture, Section, page
+from vprbench.paper.page.page import Picture, Section, page
+from vprbench.paper.series import Series
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
-from vprbench.series import Series
 
 N_PLACES, N_QUERIES = 60, 50
 RIGHT, OTHERS = 0.5, 0.125  # scores of the right place, and of places that are not mistaken for it

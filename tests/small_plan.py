@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from vprbench import cli, ending, fill, paper
-from vprbench.plan import read_plan
+from vprbench import cli, ending
+from vprbench.paper.gather import gather, missing_runs
+from vprbench.paper.plan import read_plan
 from vprbench.run.processes import IN_SWEEP, Ending
 
 PLAN = """
@@ -76,6 +77,6 @@ def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> 
     apart = Apart()
     monkeypatch.chdir(folder)
     monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(fill, "run_apart", apart)
-    monkeypatch.setattr(paper, "read_plan", lambda _: read_plan(path))
+    monkeypatch.setattr(missing_runs, "run_apart", apart)
+    monkeypatch.setattr(gather, "read_plan", lambda _: read_plan(path))
     return apart

@@ -9,9 +9,9 @@ from typing import Any
 import little
 import numpy as np
 
-from vprbench.belonging import ColumnAsked
 from vprbench.metrics.ranking import Outcome
-from vprbench.plan import Growth, Plan, PlannedColumn, Row
+from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
+from vprbench.paper.selection import ColumnAsked
 from vprbench.run.record import Failure, Run
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}

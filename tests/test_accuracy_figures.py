@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from vprbench.errors import BadInput
-from vprbench.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
-from vprbench.figures.style import Drawn, pdf
-from vprbench.figures.tradeoff import against_rate
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome
+from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
+from vprbench.paper.figures.style import Drawn, pdf
+from vprbench.paper.figures.tradeoff import against_rate
 from vprbench.run.record import Run
 
 ALL = (precision_recall, recall_at_n, recall_at_tolerance)

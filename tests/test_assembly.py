@@ -26,8 +26,8 @@ from stored_runs import (
     run,
 )
 
-from vprbench.belonging import ColumnAsked
-from vprbench.plan import QUANTITIES, Row
+from vprbench.paper.plan import QUANTITIES, Row
+from vprbench.paper.selection import ColumnAsked
 from vprbench.run.record import Run
 
 approx = pytest.approx

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
 
-from vprbench.belonging import (
+from vprbench.paper.plan import Row
+from vprbench.paper.selection import (
     Aside,
     ColumnAsked,
     Group,
@@ -22,7 +23,6 @@ from vprbench.belonging import (
     protocol_words,
     series,
 )
-from vprbench.plan import Row
 from vprbench.run.record import Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)

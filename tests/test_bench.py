@@ -19,16 +19,18 @@ import pytest
 import torch
 from stopped_clock import Clock
 
-from vprbench import bench, bench_text, bench_vprsnn, measures, progress
+from vprbench import progress
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.bench_report import QUICK, Failed, Settings
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.measures import AFTER, BEFORE, floor_laps, growth, timed_fit
 from vprbench.plugins.options import chosen
-from vprbench.workload import Route
+from vprbench.speed import bench, measure, vprsnn
+from vprbench.speed import text as bench_text
+from vprbench.speed.measure import AFTER, BEFORE, floor_laps, growth, timed_fit
+from vprbench.speed.route import Route
+from vprbench.speed.settings import QUICK, Failed, Settings
 
 PLACES, MODULES, PLACES_OF_A_MODULE, PIXELS = 20, 2, 10, 12 * 12  # of quick=true
 FEATURES = 2 * PIXELS
@@ -52,7 +54,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
         contextlib.redirect_stdout(printed),
         contextlib.redirect_stderr(io.StringIO()),
     ):
-        for module in (bench, bench_vprsnn):
+        for module in (bench, vprsnn):
             patch.setattr(module, "psutil", enough)  # less is measured where memory is short
         code = main(["bench", "quick=true", "threads=1", f"results={results}"])
     raw = json.loads((results / "bench.json").read_text())
@@ -202,7 +204,7 @@ def test_floors_were_measured(done: Done) -> None:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    clock.replaces_those_of([measures], monkeypatch)
+    clock.replaces_those_of([measure], monkeypatch)
     return clock
 
 

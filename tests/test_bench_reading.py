@@ -13,14 +13,14 @@ import numpy.typing as npt
 import pytest
 from stopped_clock import Clock, ReadersThatWait
 
-from vprbench import bench, bench_reading, bench_reading_text
 from vprbench.api import images
 from vprbench.api.images import read_image
-from vprbench.bench_reading import drawn, frame_files, in_own_process, kept_cell, reading_cell
-from vprbench.bench_report import QUICK, Failed, KeptCell, ReadingCell, Settings
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
 from vprbench.run import preprocessed
+from vprbench.speed import bench, reading, reading_text
+from vprbench.speed.reading import drawn, frame_files, in_own_process, kept_cell, reading_cell
+from vprbench.speed.settings import QUICK, Failed, KeptCell, ReadingCell, Settings
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 
@@ -38,11 +38,11 @@ def paths(tmp_path: Path) -> list[Path]:
 def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
     """Who reads which file, each in 10 ms."""
     clock = Clock()
-    clock.replaces_those_of([bench_reading, images, preprocessed], monkeypatch)
+    clock.replaces_those_of([reading, images, preprocessed], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    monkeypatch.setattr(bench_reading.environment, "cores", lambda: [0, 1, 2])
+    monkeypatch.setattr(reading.environment, "cores", lambda: [0, 1, 2])
     found: list[tuple[str, Path]] = []
-    for module, who in ((bench_reading, "bare"), (images, "ahead")):
+    for module, who in ((reading, "bare"), (images, "ahead")):
 
         def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
             clock.spend(0.01)
@@ -123,7 +123,7 @@ KEPT = KeptCell(3449, 784, 10.0, [0.001, 0.002, 0.004], 2_704_016, 300_000_000, 
 
 def told(*cells: ReadingCell | KeptCell | Failed) -> list[str]:
     report: Any = SimpleNamespace(settings=Settings(), reading=list(cells))
-    return bench_reading_text.reading(report)
+    return reading_text.reading(report)
 
 
 def cells_of(markdown: str) -> list[str]:

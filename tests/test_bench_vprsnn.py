@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from stopped_clock import Clock
 
-from vprbench import bench_vprsnn, bench_vprsnn_text, measures, progress
+from vprbench import progress
 from vprbench.api.method import Method
-from vprbench.bench_report import QUICK, AskingCell, Failed, ModuleCell, Settings
-from vprbench.bench_vprsnn import affordable, asking_cell, copies, module_cell, watched
 from vprbench.errors import BadInput
-from vprbench.measures import Fit
 from vprbench.methods.vprsnn import module, recipe, simulation, training
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.workload import Route
+from vprbench.speed import measure, vprsnn, vprsnn_text
+from vprbench.speed.measure import Fit
+from vprbench.speed.route import Route
+from vprbench.speed.settings import QUICK, AskingCell, Failed, ModuleCell, Settings
+from vprbench.speed.vprsnn import affordable, asking_cell, copies, module_cell, watched
 
 MODULE = {"height": 6, "width": 6, "patch": 3, "places_per_module": 2, "n_excitatory": 12, "epochs": 4, "seed": 3}
 WATCHED = {"spike_train": recipe, "normalise": training, "present": training}
@@ -26,7 +27,7 @@ WATCHED = {"spike_train": recipe, "normalise": training, "present": training}
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    clock.replaces_those_of([bench_vprsnn, measures], monkeypatch)
+    clock.replaces_those_of([vprsnn, measure], monkeypatch)
     return clock
 
 
@@ -164,7 +165,7 @@ def test_a_training_has_its_own_functions_back_whatever_happened():
 def cores(monkeypatch):
     """The numbers of cores that were asked for, one after the other."""
     pinned = []
-    monkeypatch.setattr(bench_vprsnn.environment, "pin_threads", pinned.append)
+    monkeypatch.setattr(vprsnn.environment, "pin_threads", pinned.append)
     return pinned
 
 
@@ -196,9 +197,7 @@ def test_both_methods_are_asked_in_turn_on_the_cores_that_are_named(clock, cores
         assert device == "cpu"
         return Trained(clock, loops, query_seconds=seconds[name])
 
-    monkeypatch.setattr(
-        bench_vprsnn, "affordable", lambda wanted, module_bytes: given.update({wanted: module_bytes}) or 4
-    )
+    monkeypatch.setattr(vprsnn, "affordable", lambda wanted, module_bytes: given.update({wanted: module_bytes}) or 4)
     settings = Settings(**{**QUICK, "threads": 5, "minimum_seconds": 14.5})
     cell = asking_cell(settings, make, Route.drawn(20, 8, 8, 0), {}, 9, 2)
     assert given == {9: 2 * 3 * 8}
@@ -218,12 +217,12 @@ def test_the_modules_that_are_asked_are_copies_with_places_of_their_own():
 
 @pytest.mark.parametrize(("free", "modules"), [(79_999_999, 9), (80_000_000, 10), (1e12, 111)])
 def test_no_more_modules_are_asked_than_memory_has_room_for(free, modules, monkeypatch):
-    monkeypatch.setattr(bench_vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
+    monkeypatch.setattr(vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
     assert affordable(111, 2_000_000) == modules
 
 
 def test_where_memory_has_no_room_for_one_module_it_says_so(monkeypatch):
-    monkeypatch.setattr(bench_vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=7e6))
+    monkeypatch.setattr(vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=7e6))
     with pytest.raises(BadInput, match="one module takes 8 MB, and 7 MB are free"):
         affordable(18, 2_000_000)
 
@@ -261,7 +260,7 @@ def row(text, first, number=0):
 
 def test_a_training_is_told_by_its_median_and_what_happens_in_a_second():
     # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
-    assert row(told(bench_vprsnn_text.training, vprsnn_training=[CELL]), "vprsnn") == [
+    assert row(told(vprsnn_text.training, vprsnn_training=[CELL]), "vprsnn") == [
         "vprsnn",
         "15 (3)",
         "1,500",
@@ -275,19 +274,19 @@ def test_a_training_is_told_by_its_median_and_what_happens_in_a_second():
 
 def test_shares_are_of_whole_presentations_and_add_up():
     # input 1.5 + normalising 0.5 + presentations 18 = 20 s, of two
-    text = told(bench_vprsnn_text.training, vprsnn_training=[CELL])
+    text = told(vprsnn_text.training, vprsnn_training=[CELL])
     assert row(text, "vprsnn ", 1) == ["vprsnn", "2", "10,000", "7.5 %", "25.0 %", "15.0 %", "50.0 %", "2.5 %"]
 
 
 def test_the_papers_training_stands_beside_the_measured_one():
-    text = told(bench_vprsnn_text.training, vprsnn_training=[CELL])
+    text = told(vprsnn_text.training, vprsnn_training=[CELL])
     assert "one module of 25 places, on one core: vprsnn 15 s." in text
     assert "The paper prints 360 min for 3,300 places" in text
     assert "164 s for each of its 132 modules of 25." in text  # 21,600 s / 132
 
 
 def test_a_training_that_failed_has_its_row_and_claims_nothing():
-    text = told(bench_vprsnn_text.training, vprsnn_training=[Failed({"method": "vprsnn"}, "no room")])
+    text = told(vprsnn_text.training, vprsnn_training=[Failed({"method": "vprsnn"}, "no room")])
     assert row(text, "vprsnn ")[1] == "no room"
     assert "Measured" not in text
 
@@ -300,14 +299,14 @@ ASKED = [
 
 
 def test_queries_are_told_by_medians_and_the_modules_that_memory_left():
-    text = told(bench_vprsnn_text.queries, vprsnn_queries=ASKED)
+    text = told(vprsnn_text.queries, vprsnn_queries=ASKED)
     assert row(text, "18")[:3] == ["18", "450", "1"]
     wanted = ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
     assert row(text, "60 of 111") == wanted
 
 
 def test_the_papers_queries_stand_beside_those_of_the_most_modules():
-    text = told(bench_vprsnn_text.queries, vprsnn_queries=ASKED)
+    text = told(vprsnn_text.queries, vprsnn_queries=ASKED)
     assert "queries to 60 modules, 1,500 places: 2 Hz on 1 core, 4 Hz on 2 cores." in text
     assert "The paper prints 2 Hz for 3,300 places, 132 modules" in text
 

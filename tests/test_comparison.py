@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPRTEMPO, answers, older, run
 
-from vprbench.comparison import other_timing, reasons
-from vprbench.plan import QUANTITIES, PlannedColumn, Quantity, Row
+from vprbench.paper.plan import QUANTITIES, PlannedColumn, Quantity, Row
+from vprbench.paper.table.comparison import other_timing, reasons
 from vprbench.run.record import Run
 
 PAPERS_MACHINE = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K CPU @ 3.60GHz"}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from stored_runs import ABACUS, run
 
-from vprbench.contests import Contestant, best_rate, best_recall, best_training, disturbed, machine
-from vprbench.plan import Boundary
+from vprbench.paper.plan import Boundary
+from vprbench.paper.table.best import Contestant, best_rate, best_recall, best_training, disturbed, machine
 from vprbench.run.record import Run
 
 NOISY = ("noisy: two carts passed",)

@@ -15,9 +15,9 @@ from vprbench.api.method import Method
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.api.weights import Weights
 from vprbench.cli import main
-from vprbench.descriptor_bench import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
+from vprbench.speed.descriptors import Cell, Failed, Settings, Way, _ways, measure, randomised, text_of
 
 NO_FILE = Weights(file="none.pth", licence="", trained_on="")
 

@@ -19,10 +19,11 @@ from scipy.io import savemat
 from small_plan import RUN, Apart
 from test_dbstruct import cells
 
-from vprbench import cli, fill, paper
+from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.datasets.nordland import chosen_names
-from vprbench.plan import Plan, read_plan
+from vprbench.paper.gather import gather, missing_runs
+from vprbench.paper.plan import Plan, read_plan
 from vprbench.plugins import registry
 from vprbench.run.processes import IN_SWEEP, Ending
 
@@ -157,8 +158,8 @@ def sweep(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sweep:
     monkeypatch.setenv("VPRBENCH_DATA", str(data))
     monkeypatch.setenv(IN_SWEEP, "1")
     monkeypatch.setattr(cli, "run_apart", sweep)
-    monkeypatch.setattr(fill, "run_apart", lambda options, **_: Apart()(smaller(list(options))))
-    monkeypatch.setattr(paper, "read_plan", smaller_plan)
+    monkeypatch.setattr(missing_runs, "run_apart", lambda options, **_: Apart()(smaller(list(options))))
+    monkeypatch.setattr(gather, "read_plan", smaller_plan)
     return sweep
 
 

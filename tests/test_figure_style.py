@@ -13,9 +13,9 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from vprbench.errors import BadInput
-from vprbench.figures.log_axis import plain, plain_log
-from vprbench.figures.measured_on import listed
-from vprbench.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, Look, looks, new, pdf, png, styled, write
+from vprbench.paper.figures.log_axis import plain, plain_log
+from vprbench.paper.figures.measured_on import listed
+from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, Look, looks, new, pdf, png, styled, write
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
 OTHERS = [f"method {i}" for i in range(10)]
@@ -96,7 +96,7 @@ def test_nothing_but_the_two_files_is_left_in_the_folder(tmp_path: Path) -> None
 def test_the_same_drawing_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from test_figure_style import drawing\n"
-        "from vprbench.figures.style import write; write(drawing(), Path(sys.argv[1]), 'three')"
+        "from vprbench.paper.figures.style import write; write(drawing(), Path(sys.argv[1]), 'three')"
     )
     for seed in ("1", "2"):
         environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parent)}

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from vprbench import fill
-from vprbench.fill import Wanted
-from vprbench.plan import Row
+from vprbench.paper.gather import missing_runs
+from vprbench.paper.missing_runs import Wanted
+from vprbench.paper.plan import Row
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 
@@ -48,7 +48,7 @@ def store(tmp_path: Path) -> Store:
 
 def with_children(monkeypatch: pytest.MonkeyPatch, *answers: Ending) -> Children:
     children = Children(*answers)
-    monkeypatch.setattr(fill, "run_apart", children)
+    monkeypatch.setattr(missing_runs, "run_apart", children)
     return children
 
 
@@ -57,7 +57,7 @@ def test_a_run_is_asked_for_by_the_options_of_row_dataset_seed_and_device(
 ) -> None:
     children = with_children(monkeypatch, Ending(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    assert fill.fill([a_wish(row, seed=3)], ["threads=1"], store) == [Ending(0)]
+    assert missing_runs.fill([a_wish(row, seed=3)], ["threads=1"], store) == [Ending(0)]
     assert children.asked == [
         [
             "dataset=synthetic",
@@ -78,7 +78,7 @@ def test_a_method_that_is_not_there_is_a_stored_failure_and_starts_no_process(
 ) -> None:
     children = with_children(monkeypatch)
     row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = fill.fill([a_wish(row, 0), a_wish(row, 1)], [], store)
+    endings = missing_runs.fill([a_wish(row, 0), a_wish(row, 1)], [], store)
     assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
     assert children.asked == []
     (failure,) = store.failures()
@@ -91,7 +91,7 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
 ) -> None:
     missing = Ending(2, True, "weights are missing", recorded=True)
     children = with_children(monkeypatch, missing, Ending(0))
-    endings = fill.fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], [], store)
+    endings = missing_runs.fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], [], store)
     assert endings == [missing, missing, Ending(0)]
     assert len(children.asked) == 2
 
@@ -99,7 +99,7 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
 def test_a_failure_of_one_seed_does_not_stop_the_next(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
     diverged = Ending(1, False, "it diverged", recorded=True)
     with_children(monkeypatch, diverged, Ending(0))
-    assert fill.fill([a_wish(seed=0), a_wish(seed=1)], [], store) == [diverged, Ending(0)]
+    assert missing_runs.fill([a_wish(seed=0), a_wish(seed=1)], [], store) == [diverged, Ending(0)]
     assert not list(store.failures())  # the process has stored it
 
 
@@ -107,7 +107,7 @@ def test_a_process_that_ends_before_its_run_begins_is_a_stored_failure(
     monkeypatch: pytest.MonkeyPatch, store: Store
 ) -> None:
     with_children(monkeypatch, Ending(1, False, "was ended by signal 9 (SIGKILL)"))
-    (ending,) = fill.fill([a_wish(seed=4)], [], store)
+    (ending,) = missing_runs.fill([a_wish(seed=4)], [], store)
     assert (ending.code, ending.recorded) == (1, True)
     (failure,) = store.failures()
     assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9 (SIGKILL)", False, 4)
@@ -115,10 +115,10 @@ def test_a_process_that_ends_before_its_run_begins_is_a_stored_failure(
 
 def test_a_method_that_knows_no_device_does_not_run_on_a_gpu(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
     children = with_children(monkeypatch)
-    assert fill.fill([a_wish(Row("HOG", "hog"), device="cuda")], [], store) == [Ending(0)]
+    assert missing_runs.fill([a_wish(Row("HOG", "hog"), device="cuda")], [], store) == [Ending(0)]
     assert children.asked == []
 
 
 def test_an_absolute_folder_is_what_a_process_elsewhere_finds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    assert fill.results_folder("mine") == tmp_path / "mine"
+    assert missing_runs.results_folder("mine") == tmp_path / "mine"

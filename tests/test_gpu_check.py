@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import torch
 
-from vprbench import gpu_check
 from vprbench.api.method import Method
 from vprbench.cli import main
-from vprbench.gpu_check import Comparison, Settings, compared
-from vprbench.measures import Make
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
-from vprbench.workload import Route
+from vprbench.speed import gpu
+from vprbench.speed.gpu import Comparison, Settings, compared
+from vprbench.speed.measure import Make
+from vprbench.speed.route import Route
 
 AGAINST_CPU, AGAINST_READABLE, BATCH = 0, 1, 2
 
@@ -58,7 +58,7 @@ def make(name: str, device: str, **arguments: Any) -> Method:
 
 
 def comparisons(make: Make, rules: str = "paper") -> list[Comparison]:
-    settings = chosen(Settings, ["quick=true", "device=cpu", "max_module=12"], gpu_check.QUICK)
+    settings = chosen(Settings, ["quick=true", "device=cpu", "max_module=12"], gpu.QUICK)
     return compared(settings, make, Route.drawn(settings.check_places, 32, 64, 0), rules)
 
 
@@ -141,7 +141,7 @@ QUICK = ["gpu-check", "quick=true", "threads=1", "device=cpu", "results=here"]
 
 @pytest.fixture
 def cpu_as_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu_check, "require_gpu", lambda _: None)
+    monkeypatch.setattr(gpu, "require_gpu", lambda _: None)
 
 
 @pytest.mark.usefixtures("cpu_as_gpu")

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 
 from vprbench.errors import BadInput
-from vprbench.figures.growth import growth
-from vprbench.figures.style import png
-from vprbench.growth_series import GrowthSamples, samples
-from vprbench.plan import Row
+from vprbench.paper.figures.growth import growth
+from vprbench.paper.figures.style import png
+from vprbench.paper.growth import GrowthSamples, samples
+from vprbench.paper.plan import Row
 from vprbench.run.record import Run
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from vprbench.errors import BadInput
-from vprbench.growth_series import interval_of_median, samples
 from vprbench.metrics.growth import LAWS, compare
-from vprbench.plan import Row
+from vprbench.paper.growth import interval_of_median, samples
+from vprbench.paper.plan import Row
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
 TEMPO = Row("VPRTempo", "vprtempo", boundary="match")

@@ -13,10 +13,10 @@ import pytest
 from stored_runs import ROWS, run
 
 from vprbench.api.dataset import Dataset
-from vprbench.belonging import ColumnAsked, groups
 from vprbench.datasets.nordland import published_frames
-from vprbench.paper import Asked, choose
-from vprbench.plan import read_plan
+from vprbench.paper.gather import Asked, choose
+from vprbench.paper.plan import read_plan
+from vprbench.paper.selection import ColumnAsked, groups
 from vprbench.plugins import registry
 from vprbench.run import compose
 

@@ -10,7 +10,7 @@ import pytest
 from small_plan import RUN, Apart, install
 
 from vprbench.cli import main
-from vprbench.paper_figures import listed
+from vprbench.paper.figures.make import listed
 
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
 OF_A_COLUMN = (

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 
 from vprbench.api.arrays import Image
 from vprbench.errors import BadInput
-from vprbench.figures.pictures import frames, similarity
-from vprbench.figures.style import Drawn, pdf
 from vprbench.metrics.ranking import outcome
+from vprbench.paper.figures.pictures import frames, similarity
+from vprbench.paper.figures.style import Drawn, pdf
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Example, Thumbnails
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from vprbench.errors import BadInput
-from vprbench.paper import Asked, Chosen, choose, wanted
-from vprbench.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
+from vprbench.paper.gather import Asked, Chosen, choose, wanted
+from vprbench.paper.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
 from vprbench.plugins import registry
 from vprbench.run import compose
 

@@ -16,14 +16,14 @@ from assembled import table
 from little import a_failure, a_run
 from stored_runs import ABACUS, NORDLAND, PLANNED, ROWS, SAD, answers, run
 
-from vprbench.belonging import ColumnAsked, groups
 from vprbench.cli import main
-from vprbench.comparison import reasons
 from vprbench.errors import BadInput
-from vprbench.growth_series import samples
-from vprbench.plan import PlannedColumn, Row
+from vprbench.paper.growth import samples
+from vprbench.paper.page import words
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.table.comparison import reasons
 from vprbench.plugins import registry
-from vprbench.report import words
 from vprbench.run.record import Failure, Run
 from vprbench.run.store import Store
 from vprbench.tuning.places import cut, querying, searchable

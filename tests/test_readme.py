@@ -11,10 +11,10 @@ from pathlib import Path
 import hydra
 import pytest
 
-from vprbench.layout import HEADS, TRAINING_TIME
-from vprbench.plan import QUANTITIES, read_plan
+from vprbench.paper.page.words import TERMS
+from vprbench.paper.plan import QUANTITIES, read_plan
+from vprbench.paper.table.words import HEADS, TRAINING_TIME
 from vprbench.plugins import registry
-from vprbench.report.words import TERMS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

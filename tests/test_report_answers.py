@@ -13,7 +13,7 @@ from PIL import Image
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.report.thumbnails import fitting, text_bytes
+from vprbench.paper.page.fitting import fitting, text_bytes
 from vprbench.run.verdicts import Answers, by_interest, columns, judged, place_ranges, places_shown
 
 NO = -np.inf  # the score of a place that is no candidate

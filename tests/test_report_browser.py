@@ -27,8 +27,8 @@ from report_page import (
 )
 from report_reader import Reader, choose, colours, contrasts, listed, widest
 
-from vprbench.report.page import Section, page
-from vprbench.series import Series
+from vprbench.paper.page.page import Section, page
+from vprbench.paper.series import Series
 
 MINUS = "\N{MINUS SIGN}"
 ORDERS = {"route": "along the route", "lowest": "by margin, lowest first", "highest": "by margin, highest first"}

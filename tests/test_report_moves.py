@@ -7,8 +7,8 @@ from playwright.sync_api import Page, expect
 from report_page import N_QUERIES, SAD_WRONG, TEMPO_WRONG, answered
 from report_reader import Reader, choose, current, focused, listed, queries_of
 
-from vprbench.report.page import Section, page
-from vprbench.series import Series
+from vprbench.paper.page.page import Section, page
+from vprbench.paper.series import Series
 
 ROUTE = "along the route"
 

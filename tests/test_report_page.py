@@ -30,12 +30,12 @@ from report_page import (
     place_colour,
 )
 
-from vprbench.report import page as report
-from vprbench.report import words
-from vprbench.report.page import Picture, Section
-from vprbench.report.small_png import small_png
+from vprbench.paper.page import page as report
+from vprbench.paper.page import words
+from vprbench.paper.page.page import Picture, Section
+from vprbench.paper.page.small_png import small_png
+from vprbench.paper.series import Series
 from vprbench.run.record import Run
-from vprbench.series import Series
 
 
 class Parsed(HTMLParser):

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 
 from vprbench.errors import BadInput
-from vprbench.figures.speed import query_rate, training_time
-from vprbench.figures.style import Drawn, looks, png
-from vprbench.plan import Quantity, Row, read_plan
-from vprbench.series import Series
+from vprbench.paper.figures.speed import query_rate, training_time
+from vprbench.paper.figures.style import Drawn, looks, png
+from vprbench.paper.plan import Quantity, Row, read_plan
+from vprbench.paper.series import Series
 
 PLAN = read_plan(Path(__file__).parents[1] / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())

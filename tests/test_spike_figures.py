@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from vprbench.errors import BadInput
-from vprbench.figures.spikes import spike_statistics
+from vprbench.paper.figures.spikes import spike_statistics
+from vprbench.paper.series import Series
 from vprbench.run.record import Run
-from vprbench.series import Series
 
 
 def spiking(*layers: dict[str, Any], **changes: Any) -> Run:

@@ -8,8 +8,8 @@ import numpy as np
 from assembled import absences, measured, table, tempo
 from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
 
-from vprbench.assembly import assemble
-from vprbench.belonging import ColumnAsked, groups
+from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.table.build import assemble
 
 
 def test_seeds_are_named_where_they_differ_between_columns_and_devices() -> None:

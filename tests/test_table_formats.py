@@ -16,10 +16,10 @@ import pandas as pd
 import pytest
 from made_table import GPU, OTHER, RECALL, cell, found, measured, paper, row, small, table
 
-from vprbench import table_formats
-from vprbench.cells import Cell, Column, Table
-from vprbench.layout import TRAINING_TIME
-from vprbench.plan import QUANTITIES, Quantity
+from vprbench.paper.plan import QUANTITIES, Quantity
+from vprbench.paper.table import markdown as table_formats
+from vprbench.paper.table.cells import Cell, Column, Table
+from vprbench.paper.table.words import TRAINING_TIME
 
 HEADS = ("R@1 %", "train CPU min", "query CPU Hz", "train GPU min", "query GPU Hz")
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"

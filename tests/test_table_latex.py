@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from made_table import OTHER, RECALL, cell, found, paper, row, small, table
 
-from vprbench.cells import Cell, Column
-from vprbench.table_formats import latex
+from vprbench.paper.table.cells import Cell, Column
+from vprbench.paper.table.markdown import latex
 
 LINE = r"(?<!\\)&"
 

@@ -15,10 +15,10 @@ from matplotlib.transforms import Bbox
 from stored_runs import answers
 
 from vprbench.errors import BadInput
-from vprbench.figures.style import Drawn, png
-from vprbench.figures.tradeoff import against_memory, against_rate, front
 from vprbench.metrics.intervals import share_interval
-from vprbench.series import Series
+from vprbench.paper.figures.style import Drawn, png
+from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
+from vprbench.paper.series import Series
 
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
 

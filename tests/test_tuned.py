@@ -12,12 +12,12 @@ import pytest
 from small_plan import RUN, install
 
 from vprbench.cli import main
-from vprbench.paper import Asked, stored
+from vprbench.paper.gather import Asked, stored
+from vprbench.paper.page import words
+from vprbench.paper.series import Series
 from vprbench.plugins import registry
-from vprbench.report import words
 from vprbench.run.record import Run
 from vprbench.run.store import Store
-from vprbench.series import Series
 
 NOT_TUNED = "# Mine\n_target_: vprbench.methods.sad.SAD\npatch: 5\n"
 MINE = f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: every second place}}\n"

@@ -13,7 +13,7 @@ from little import a_run, pictures
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.plan import PlannedColumn, read_plan
+from vprbench.paper.plan import PlannedColumn, read_plan
 from vprbench.plugins import registry
 from vprbench.run.record import Run
 from vprbench.tuning.places import Searchable, cut, querying, searchable

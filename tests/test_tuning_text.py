@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vprbench.metrics.intervals import McNemar, WiderInterval
-from vprbench.plan import read_plan
+from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
 from vprbench.run import compose
 from vprbench.tuning import text

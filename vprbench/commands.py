@@ -16,33 +16,33 @@ from vprbench.run.settings import checked_settings, n_threads
 from vprbench.text import printable
 
 if TYPE_CHECKING:
-    from vprbench.paper import Asked, Compose
+    from vprbench.paper.gather import Asked, Compose
 
 
 def table(options: list[str]) -> int:
     """Make what Table II lacks, and write it."""
-    from vprbench.paper_table import make_table
+    from vprbench.paper.table.make import make_table
 
     return make_table(*_asked(options))
 
 
 def figures(options: list[str]) -> int:
     """Make what the figures lack, and draw them."""
-    from vprbench.paper_figures import make_figures
+    from vprbench.paper.figures.make import make_figures
 
     return make_figures(*_asked(options))
 
 
 def report(options: list[str]) -> int:
     """Make what the table lacks, and write the page."""
-    from vprbench.paper_report import make_report
+    from vprbench.paper.page.make import make_report
 
     return make_report(*_asked(options))
 
 
 def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
     """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
-    from vprbench.paper import Asked
+    from vprbench.paper.gather import Asked
     from vprbench.plugins.options import chosen
 
     own = [option for option in options if option.partition("=")[0] in Asked.__dataclass_fields__]
@@ -79,9 +79,10 @@ def search_parameters(options: list[str]) -> int:
 
 def measure_speed(options: list[str]) -> int:
     """Measure how fast training, preprocessing and queries are, and write the numbers."""
-    from vprbench import bench, bench_text
-    from vprbench.bench_report import QUICK, Settings
     from vprbench.plugins.options import chosen
+    from vprbench.speed import bench
+    from vprbench.speed import text as bench_text
+    from vprbench.speed.settings import QUICK, Settings
 
     settings = chosen(Settings, options, QUICK)
     with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
@@ -92,28 +93,28 @@ def measure_speed(options: list[str]) -> int:
 
 def measure_descriptors(options: list[str]) -> int:
     """Measure how fast each method describes frames and searches, and write the numbers."""
-    from vprbench import descriptor_bench
     from vprbench.plugins.options import chosen
+    from vprbench.speed import descriptors
 
-    settings = chosen(descriptor_bench.Settings, options, descriptor_bench.QUICK)
+    settings = chosen(descriptors.Settings, options, descriptors.QUICK)
     check_names([f"method={','.join(settings.methods)}"])
     title = "bench-descriptors"
     with _prepared(title, settings.devices[-1], settings.threads, settings.results, settings.seed) as results:
-        report = descriptor_bench.measure(settings, _maker(settings.seed))
-    descriptor_bench.write(report, results)
+        report = descriptors.measure(settings, _maker(settings.seed))
+    descriptors.write(report, results)
     return 1 if report.failures else 0
 
 
 def compare_gpu(options: list[str]) -> int:
     """Compare the GPU with the CPU, time it, and write both."""
-    from vprbench import gpu_check
     from vprbench.plugins.options import chosen
+    from vprbench.speed import gpu
 
-    settings = chosen(gpu_check.Settings, options, gpu_check.QUICK)
-    gpu_check.require_gpu(settings.device)
+    settings = chosen(gpu.Settings, options, gpu.QUICK)
+    gpu.require_gpu(settings.device)
     with _prepared("gpu-check", settings.device, settings.threads, settings.results, settings.seed) as results:
-        report = gpu_check.measure(settings, _maker(settings.seed))
-    gpu_check.write(report, results)
+        report = gpu.measure(settings, _maker(settings.seed))
+    gpu.write(report, results)
     return 0 if report.correct else 1
 
 

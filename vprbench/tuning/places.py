@@ -11,7 +11,7 @@ import yaml
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
-from vprbench.plan import PlannedColumn
+from vprbench.paper.plan import PlannedColumn
 from vprbench.run.record import Run
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen

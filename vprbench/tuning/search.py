@@ -15,7 +15,7 @@ import optuna
 
 from vprbench import progress
 from vprbench.errors import BadInput
-from vprbench.plan import read_plan
+from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
 from vprbench.run import machine as environment
 from vprbench.run.record import content_key

@@ -1,0 +1,1 @@
+"""Stored runs become Table II, figures and a page."""

@@ -1,0 +1,258 @@
+"""Accuracy: precision-recall curves, recall at N, and recall at 1 under a wider ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, pr_curve
+from vprbench.metrics.block_length import block_length
+from vprbench.metrics.intervals import share_interval
+from vprbench.metrics.ranking import Outcome
+from vprbench.metrics.tolerance import hits_within
+from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
+from vprbench.paper.figures.same_data import one_dataset
+from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
+from vprbench.paper.series import Series
+from vprbench.run.recall_intervals import METHOD, along_the_journey
+from vprbench.run.record import Run
+
+LARGEST_N = 25
+LARGEST_TOLERANCE = 10  # places to either side
+
+_HEIGHT_MM = 64.0  # without the legend
+_LEGEND_ROW_MM = 3.9
+_SHORT = 22  # characters of a label, two of which fit side by side
+_RESAMPLES = 500
+_GRID_POINTS = 200  # recalls at which resampled curves are compared
+_ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
+_BAND = 0.15  # opacity
+_BANDS = f"Bands are 95 % intervals: {METHOD}."
+_SEEDS = "the line is the mean, thin lines are the seeds, and the band is that of the mean hits"
+
+
+@styled
+def precision_recall(series: Sequence[Series]) -> Drawn:
+    """Draw the precision-recall curves over the answerable queries (curve A), Figure 3C of the paper.
+
+    The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
+    block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
+    them does. Raises BadInput for no rows, for rows on different data and where no query has a right place.
+    """
+    run = _answerable(series, "precision and recall")
+    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
+    styles = looks([row.name for row in series])
+    for row in series:
+        look = styles[row.name]
+        curves = [curve for each in row.runs if (curve := pr_curve(each.outcome, "A"))]
+        recall, precision = _mean_curve(curves)
+        if len(curves) > 1:
+            for curve in curves:
+                axes.step(curve.recall, curve.precision, color=look.colour, linewidth=0.4, alpha=0.6)
+        else:
+            grid, low, high = _resampled(row.runs[0], float(recall[-1]))
+            axes.fill_between(grid, low, high, color=look.colour, alpha=_BAND, linewidth=0)
+        label = f"{row.name}, AP {_mean_and_spread([average_precision(curve) for curve in curves])}"
+        (line,) = axes.step(recall, precision, color=look.colour, linestyle=look.dash, marker=look.marker, label=label)
+        line.set_markevery([len(recall) - 1])
+    axes.set(xlabel="Recall", ylabel="Precision", xlim=(0, 1.03), ylim=(0, 1.03))
+    _finish(figure, axes)
+    return Drawn(
+        figure,
+        caption(
+            "Precision-recall curves of the best match of each query (curve A: recall is over the queries that have a "
+            "right place). A curve ends, at its marker, where every query is answered.",
+            dataset_sentence([run]),
+            _unanswerable(run),
+            "AP is the average precision, the area under the steps.",
+            _single(
+                series,
+                "The band of a single run is the 95 % interval of its precision at that recall (bootstrap of blocks of "
+                f"consecutive queries, as long as for its R@1, {_RESAMPLES} resamples; it ends where 1 in 20 of them "
+                "ends).",
+            ),
+            seed_sentence(
+                series,
+                "thin lines are the seeds, the thick one is their mean and ends where the first of them ends; AP is "
+                "the mean ± one standard deviation",
+            ),
+            tuned_sentence(series),
+        ),
+    )
+
+
+@styled
+def recall_at_n(series: Sequence[Series]) -> Drawn:
+    """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
+
+    The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput for no rows,
+    for rows on different data and where no query has a right place.
+    """
+    run = _answerable(series, "recall at N")
+    numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
+    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
+    _draw_recalls(axes, series, numbers, lambda each: np.stack([hits_at(each.outcome, n) for n in numbers]))
+    ticks = [n for n in (1, 5, 10, 15, 20, 25) if n in numbers]
+    axes.set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
+    _finish(figure, axes)
+    return Drawn(
+        figure,
+        caption(
+            "Recall at N: the share of all queries that have a right place among the N best ones, an expected value "
+            "where scores tie.",
+            dataset_sentence([run]),
+            _unanswerable(run),
+            _BANDS,
+            seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
+        ),
+    )
+
+
+@styled
+def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
+    """Draw recall at 1 over all queries with the ground truth widened by 0 to 10 places to either side.
+
+    Intervals and what is raised are those of `recall_at_n`; ties are counted as in `tolerance.hits_within`.
+    """
+    run = _answerable(series, "recall against tolerance")
+    tolerances = range(LARGEST_TOLERANCE + 1)
+    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
+    _draw_recalls(
+        axes,
+        series,
+        tolerances,
+        lambda each: hits_within(each.top_places, each.top_scores, each.positives, tolerances, each.place_numbers),
+    )
+    axes.set(xlabel="Tolerance (places to either side)", ylabel="Recall at 1 (%)", xticks=tolerances[::2])
+    _finish(figure, axes)
+    own = run.protocol.get("tolerance_places")
+    return Drawn(
+        figure,
+        caption(
+            "Recall at 1 over all queries against tolerance: at k, the best match is right if it lies at most k places "
+            f"of the map from a right place{f' (the dataset itself allows {own})' if own else ''}.",
+            "Where several places share the highest score, the share of right ones among them counts.",
+            _unseen_ties(series),
+            dataset_sentence([run]),
+            _unanswerable(run),
+            _BANDS,
+            seed_sentence(series, _SEEDS),
+            tuned_sentence(series),
+        ),
+    )
+
+
+def _answerable(series: Sequence[Series], figure: str) -> Run:
+    """Return a run that stands for the data of all rows; raises BadInput where no query has a right place."""
+    run = one_dataset(series, figure)
+    if not run.outcome.answerable.any():
+        raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")
+    return run
+
+
+def _unanswerable(run: Run) -> str:
+    """Say how many queries have no right place; nothing where all have one."""
+    count = int(np.count_nonzero(~run.outcome.answerable))
+    return f"{counted(count, 'query')} {'has' if count == 1 else 'have'} no right place." if count else ""
+
+
+def _finish(figure: Figure, axes: Axes) -> None:
+    """Add the grid, and above the panel a legend, which never hides a curve."""
+    axes.grid(True)
+    labels = axes.get_legend_handles_labels()[1]
+    columns = 2 if max(map(len, labels)) <= _SHORT else 1
+    figure.set_figheight(figure.get_figheight() + -(-len(labels) // columns) * _LEGEND_ROW_MM / 25.4)
+    figure.legend(loc="outside upper left", ncols=columns)
+
+
+def _mean_curve(curves: Sequence[PRCurve]) -> tuple[Values, Values]:
+    """Return the mean precision at every recall that a curve has, up to the first end of one, as steps."""
+    end = min(float(curve.recall[-1]) for curve in curves)
+    if len(curves) == 1:
+        return curves[0].recall, curves[0].precision
+    recall = np.unique(np.concatenate([curve.recall for curve in curves]))
+    recall = recall[recall <= end]
+    return recall, np.mean([_precision_at(curve, recall) for curve in curves], axis=0)
+
+
+def _precision_at(curve: PRCurve, recall: Values) -> Values:
+    """Return the precision of a curve, in steps, at each of these recalls; NaN beyond its end."""
+    precision = np.append(curve.precision, np.nan)
+    return precision[np.searchsorted(curve.recall, recall)]
+
+
+def _resampled(run: Run, end: float) -> tuple[Values, Values, Values]:
+    """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
+    random = np.random.default_rng(0)
+    outcome = _of_queries(run.outcome, along_the_journey(run))
+    block = block_length(hits_at(outcome, 1))
+    n_blocks = -(-len(outcome) // block)
+    grid = np.linspace(0, end, _GRID_POINTS)
+    precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
+    for precision in precisions:
+        starts = random.integers(len(outcome), size=(n_blocks, 1))
+        drawn = ((starts + np.arange(block)) % len(outcome)).ravel()[: len(outcome)]
+        curve = pr_curve(_of_queries(outcome, drawn), "A")
+        if curve is not None:
+            precision[:] = _precision_at(curve, grid)
+    reached = np.isnan(precisions).mean(axis=0) <= _ENDED
+    if not reached.any():  # too few queries have a right place
+        return grid[:0], grid[:0], grid[:0]
+    low, high = np.nanquantile(precisions[:, reached], [0.025, 0.975], axis=0)
+    return grid[reached], low, high
+
+
+def _of_queries(outcome: Outcome, queries: npt.NDArray[np.int64]) -> Outcome:
+    columns = [field.name for field in fields(Outcome) if field.name != "n_places"]
+    return replace(outcome, **{name: getattr(outcome, name)[queries] for name in columns})
+
+
+def _mean_and_spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.3f}" + (f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else "")
+
+
+def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits: Callable[[Run], Values]) -> None:
+    """Draw the mean of `hits` (len(xs), n_queries) of each row over `xs`, in percent, with its interval."""
+    styles = looks([row.name for row in series])
+    lowest = 100.0
+    for row in series:
+        look = styles[row.name]
+        order = along_the_journey(row.runs[0])
+        of_seeds = np.stack([hits(run)[:, order] for run in row.runs])  # (n_seeds, len(xs), n_queries)
+        shares = of_seeds.mean(axis=2)
+        mean = shares.mean(axis=0)
+        ends = [end for each in of_seeds.mean(axis=0) if (end := share_interval(each))]
+        low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
+        for seed in shares if len(row.runs) > 1 else ():
+            axes.plot(xs, 100 * seed, color=look.colour, linewidth=0.4, alpha=0.6)
+            lowest = min(lowest, 100 * float(seed.min()))
+        axes.fill_between(xs, low, high, color=look.colour, alpha=_BAND, linewidth=0)
+        (line,) = axes.plot(xs, 100 * mean, color=look.colour, linestyle=look.dash, marker=look.marker, label=row.name)
+        line.set_markevery(_marked(xs))
+        lowest = min(lowest, float(low.min()))
+    axes.set_ylim(10 * (lowest // 10), 102)
+
+
+def _marked(xs: Sequence[int]) -> list[int]:
+    """Return which points have a marker: 1 and each fifth of many, all of few."""
+    return [i for i, x in enumerate(xs) if len(xs) <= LARGEST_TOLERANCE + 1 or x == 1 or x % 5 == 0]
+
+
+def _single(series: Sequence[Series], meaning: str) -> str:
+    """Return what the band of a single run means where there is such a row, else nothing."""
+    return meaning if any(len(row.runs) == 1 for row in series) else ""
+
+
+def _unseen_ties(series: Sequence[Series]) -> str:
+    """Return a sentence where more places share a highest score than are stored, else nothing."""
+    cut = [
+        row.name for row in series if any((run.outcome.top_tied > run.top_places.shape[1]).any() for run in row.runs)
+    ]
+    return f"Of {listed(cut)}, more places tie than are stored; only the stored ones count." if cut else ""

@@ -1,0 +1,166 @@
+"""`make figures`: every figure of the paper and some beyond it, from stored runs, those that are missing made first."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vprbench.errors import BadInput
+from vprbench.paper.gather import Asked, Compose, Material, gather, stored, wanted
+from vprbench.paper.growth import GrowthSamples, samples
+from vprbench.paper.missing_runs import fill, results_folder
+from vprbench.paper.plan import Quantity, Row
+from vprbench.paper.selection import ColumnAsked, Group, accuracy_series, groups, of_row, series, title
+from vprbench.paper.table.make import exit_code
+from vprbench.paper.table.markdown import shown_as_it_is
+from vprbench.run.record import Run
+from vprbench.run.store import Store
+from vprbench.run.thumbnails import Thumbnails, find
+from vprbench.storage.atomic import remove_leftovers, replace_text
+
+if TYPE_CHECKING:
+    from vprbench.paper.figures.style import Drawn
+
+logger = logging.getLogger(__name__)
+
+
+def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+    """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
+    from vprbench.paper.figures.style import write
+
+    found = gather(asked, options, compose)
+    growth = growth_columns(found, compose)
+    runs = found.runs
+    endings = list(found.endings)
+    if not asked.stored:
+        store = Store(results_folder(asked.results))
+        once = replace(found.chosen, devices=("cpu",))
+        sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
+        endings += fill(sizes, [*options, "frames=false"], store)  # nobody looks at theirs
+        runs = tuple(stored(asked)[0])
+    folder = Path(asked.results).expanduser() / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(folder)
+    captions: list[tuple[str, str]] = []
+    for name, drawn in draw_all(found, runs, growth, asked):
+        paths = write(drawn, folder, name)
+        captions.append((name, drawn.caption))
+        print(f"{paths[0]} and .png")
+    replace_text(folder / "captions.md", listed(captions))
+    print(f"what each shows: {folder / 'captions.md'}")
+    return exit_code(endings)
+
+
+def listed(captions: Iterable[tuple[str, str]]) -> str:
+    """Return the captions of figures, by their names, as Markdown; what is in them is shown as it is."""
+    lines = (f"**{shown_as_it_is(name)}.** {shown_as_it_is(caption)}\n" for name, caption in captions)
+    return "\n".join(["# Captions\n", *lines])
+
+
+def draw_all(
+    found: Material,
+    runs: Sequence[Run],
+    growth: Sequence[ColumnAsked],
+    asked: Asked,
+    report: Callable[[str], None] = logger.info,
+) -> Iterator[tuple[str, Drawn]]:
+    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why."""
+    for name, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
+        try:
+            yield name, draw()
+        except BadInput as error:
+            report(f"{name} is not drawn: {error}")
+
+
+def thumbnails_of(group: Group, asked: Asked) -> Thumbnails | None:
+    """Return the frames that were kept of a group's dataset, from the first store that has them."""
+    for folder in (asked.results, *asked.stores):
+        kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
+        if kept is not None:
+            return kept
+    return None
+
+
+def group_name(group: Group) -> str:
+    """Return what a group is called in the names of files."""
+    return group.asked.planned.name + (f"-{group.number}" if group.number > 1 else "")
+
+
+def growth_columns(found: Material, compose: Compose) -> list[ColumnAsked]:
+    """Return a column for each size of the growth."""
+    planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
+    return [ColumnAsked(column, dict(compose(column.options)["dataset"])) for column in planned]
+
+
+Draw = Callable[[], "Drawn"]
+
+
+def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> Iterator[tuple[str, Draw]]:
+    """Yield Figure 2: training time, query rate, and both against the number of places."""
+    from vprbench.paper.figures import growth as growing
+    from vprbench.paper.figures import speed
+
+    group = next((group for group in found.groups if group.runs), None)
+    if group is not None:
+        rows = found.chosen.rows
+        parts = series(group, rows), series(group, rows, "cuda"), rows, group.asked.planned, _marks(found, group)
+        yield "fig2a-training-time", partial(speed.training_time, *parts)
+        yield "fig2b-query-rate", partial(speed.query_rate, *parts)
+    yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
+
+
+def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> list[GrowthSamples]:
+    """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
+    chosen = []
+    for row in _growing(found):
+        there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]
+        if there:
+            chosen.append(samples(row, there, found.chosen.plan.growth.at_most.get(row.method, ())))
+    if not chosen:
+        raise BadInput("no run at other numbers of places is stored: make figures makes them")
+    return chosen
+
+
+def _marks(found: Material, group: Group) -> dict[tuple[str, Quantity], str]:
+    """Return the table's word for each cell of a group, by row and quantity."""
+    name = group_name(group)
+    return {
+        (row.name, quantity): cell.mark
+        for row in found.table.rows
+        for (column, quantity), cell in row.cells.items()
+        if column == name
+    }
+
+
+def _growing(found: Material) -> list[Row]:
+    """Return the rows whose growth is drawn, with their first seed."""
+    plan = found.chosen.plan
+    return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
+
+
+def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
+    """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
+    from vprbench.paper.figures import accuracy, pictures, spikes, tradeoff
+
+    for group in found.groups:
+        shown = accuracy_series(group, found.chosen.rows)
+        if not shown:
+            continue
+        timed = series(group, found.chosen.rows)
+        name = group_name(group)
+        thumbnails = thumbnails_of(group, asked)
+        if thumbnails is not None:
+            yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
+        papers = [one for one in shown if one.name in found.chosen.plan.rows] or shown
+        one = papers[-1]  # VPRTempo, as in the paper, where it has runs
+        yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
+        yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
+        yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
+        yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
+        yield f"rate-{name}", partial(tradeoff.against_rate, timed)
+        yield f"memory-{name}", partial(tradeoff.against_memory, timed)
+        yield f"spikes-{name}", partial(spikes.spike_statistics, shown)

@@ -1,0 +1,133 @@
+"""How much spiking networks spike: in each layer, the spikes of a query and the neurons that spike at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from vprbench.errors import BadInput
+from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
+from vprbench.paper.figures.same_data import one_dataset
+from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
+from vprbench.paper.series import Series
+from vprbench.run.record import Run
+
+_HEIGHT_MM = 62.0
+_GROUP = 0.8  # of the distance of two layers, filled by the rows
+_FILLED = 0.85  # of the room of a row
+_WHISKERS = (5, 95)  # percentiles
+_WIDE = 30  # from this ratio of the most to the fewest spikes on, a layer's axis is logarithmic
+
+Layer = Mapping[str, Any]
+
+
+@styled
+def spike_statistics(series: Sequence[Series]) -> Drawn:
+    """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
+
+    A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
+    without stored spikes are left out; raises BadInput where none has any, and for rows on different data.
+    """
+    styles = looks([row.name for row in series])
+    rows = [Series(row.name, row.spiking, runs) for row in series if (runs := _with_spikes(row))]
+    if not rows:
+        raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
+    run = one_dataset(rows, "spikes")
+    names = list(dict.fromkeys(layer["name"] for row in rows for each in row.runs for layer in _layers(each)))
+    figure, axes = new(DOUBLE_MM, _HEIGHT_MM, columns=len(names) + 1)
+    room = _GROUP / len(rows)
+    for number, row in enumerate(rows):
+        for position, name in enumerate(names):
+            found = [layer for each in row.runs for layer in _layers(each) if layer["name"] == name]
+            if found:
+                _draw_box(axes[position], number, found, styles[row.name])
+                x = position + (number - (len(rows) - 1) / 2) * room
+                _draw_bar(axes[-1], x, room * _FILLED, found, styles[row.name])
+    for panel, name in zip(axes, names, strict=False):
+        panel.set(title=_title(name, rows), xticks=[], xlim=(-0.5, len(rows) - 0.5))
+        _scale(panel, [layer for row in rows for each in row.runs for layer in _layers(each) if layer["name"] == name])
+    axes[0].set_ylabel("Spikes of a query")
+    axes[-1].set(title="Neurons that spike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
+    axes[-1].set_xticks(range(len(names)), names)
+    for panel in axes:
+        panel.grid(True, axis="y")
+    _legend(figure, rows, styles)
+    low, high = _WHISKERS
+    return Drawn(
+        figure,
+        caption(
+            f"Spikes of {listed(row.name for row in rows)}, each layer on its own axis: a box runs from quartile to "
+            f"quartile of the queries, with the median, its whiskers from the {low}th to the {high}th percentile.",
+            "Last panel: share of a layer's neurons that spike for at least one of the sampled queries.",
+            dataset_sentence([run]),
+            f"Sampled: {'; '.join(_sample(row) for row in rows)}.",
+            seed_sentence(rows, "boxes hold the queries of all seeds, bars are the mean, dots the seeds"),
+        ),
+    )
+
+
+def _with_spikes(row: Series) -> tuple[Run, ...]:
+    return tuple(run for run in row.runs if run.spikes)
+
+
+def _layers(run: Run) -> Sequence[Layer]:
+    return run.spikes["layers"] if run.spikes else ()
+
+
+def _draw_box(axes: Axes, x: float, layers: Sequence[Layer], look: Look) -> None:
+    axes.boxplot(
+        np.concatenate([layer["spikes_per_query"] for layer in layers]),
+        positions=[x],
+        widths=_GROUP * _FILLED,
+        whis=_WHISKERS,
+        showfliers=False,
+        manage_ticks=False,
+        patch_artist=True,
+        boxprops={"facecolor": "white", "edgecolor": look.colour, "hatch": look.hatch},
+        medianprops={"color": "black", "linewidth": 1.2},
+        whiskerprops={"color": look.colour},
+        capprops={"color": look.colour},
+    )
+
+
+def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look: Look) -> None:
+    shares = [100 * layer["active_share"] for layer in layers]
+    axes.bar(x, np.mean(shares), width, facecolor="white", edgecolor=look.colour, hatch=look.hatch)
+    if len(shares) > 1:
+        axes.plot([x] * len(shares), shares, linestyle="", marker=look.marker, color="black", markersize=2.5)
+
+
+def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
+    """Choose the axis of a layer: logarithmic where rows differ by far, with room for queries without a spike."""
+    counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
+    if counts.max() >= _WIDE * max(counts.min(), 1):
+        axes.set_yscale("symlog", linthresh=1)
+        axes.set_ylim(bottom=0)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda spikes, _: f"{spikes:,g}"))
+
+
+def _title(name: str, rows: Sequence[Series]) -> str:
+    """Return a layer's name, with its number of neurons where all rows have as many."""
+    neurons = {layer["neurons"] for row in rows for run in row.runs for layer in _layers(run) if layer["name"] == name}
+    return f"{name}, {counted(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
+
+
+def _sample(row: Series) -> str:
+    """Return how many queries of a row were sampled and how many neurons its layers have."""
+    queries = listed(f"{run.spikes['queries']:,}" for run in row.runs if run.spikes)
+    sizes = listed(f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0]))
+    return f"{row.name} {queries} queries of a seed (neurons: {sizes})"
+
+
+def _legend(figure: Figure, rows: Sequence[Series], styles: Mapping[str, Look]) -> None:
+    handles = [
+        Patch(facecolor="white", edgecolor=styles[row.name].colour, hatch=styles[row.name].hatch, label=row.name)
+        for row in rows
+    ]
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 4))

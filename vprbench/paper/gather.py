@@ -1,0 +1,289 @@
+"""What a table, the figures and the report are made of: what was asked for, which runs that takes, and those stored."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from vprbench.errors import BadInput
+from vprbench.paper.missing_runs import Wanted, fill, results_folder
+from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan
+from vprbench.paper.selection import ColumnAsked, Group, groups
+from vprbench.paper.table.build import assemble
+from vprbench.paper.table.cells import Table
+from vprbench.plugins import registry
+from vprbench.run.processes import Ending
+from vprbench.run.record import Failure, Run
+from vprbench.run.store import Store
+
+Part = TypeVar("Part")
+Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
+
+#: Which option of ours gives the root of datasets whose names begin so.
+_ROOTS = {"nordland": "nordland", "oxford_robotcar": "robotcar"}
+_FRAMES_OF_THEIR_OWN = ("nordland_64x32",)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Which rows and columns, from which stores; raises BadInput for what cannot be."""
+
+    rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
+    methods: list[str] = field(default_factory=list)  # more rows: names of methods, or of more_rows
+    columns: list[str] | None = None  # None: the paper's datasets, or what stands in for them
+    seeds: int | None = None  # at most so many a row
+    devices: list[str] | None = None  # None: cpu, and cuda where there is a GPU
+    full: bool = False  # slow rows at full size too
+    stored: bool = False  # from the store alone: nothing is run
+    stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
+    nordland: str | None = None  # folder of the real frames
+    robotcar: str | None = None
+    name: str | None = None  # of the files that are written
+    results: str = "results"
+
+    def __post_init__(self) -> None:
+        """Check what can be checked before a plan is read."""
+        if self.seeds is not None and self.seeds < 1:
+            raise BadInput(f"seeds={self.seeds}: give at least 1")
+        if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
+            raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
+        for device in self.devices or ():
+            if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
+                raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
+        for option, folders in (("stores", self.stores), ("nordland", [self.nordland]), ("robotcar", [self.robotcar])):
+            for folder in folders:
+                if folder is not None and not Path(folder).expanduser().is_dir():
+                    raise BadInput(f"{option}={folder} is no folder: give the one that holds the frames or the runs")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The rows and columns that were asked for, resolved."""
+
+    plan: Plan
+    rows: tuple[Row, ...]
+    columns: tuple[ColumnAsked, ...]
+    smaller: Mapping[str, ColumnAsked]  # by column, where its slow rows run
+    devices: tuple[str, ...]
+    full: bool
+
+    def slow(self, column: ColumnAsked, row: Row) -> bool:
+        """Tell whether a row takes too long in a column for the time that a table has."""
+        places = column.dataset.get("places")
+        too_many = row.most_places is not None and isinstance(places, int) and places > row.most_places
+        return too_many and not self.full
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a table, figures and a report are made from."""
+
+    chosen: Chosen
+    groups: tuple[Group, ...]
+    table: Table
+    runs: tuple[Run, ...]  # all that are stored
+    endings: tuple[Ending, ...]  # of what was tried now
+
+
+def choose(asked: Asked, compose: Compose) -> Chosen:
+    """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
+    plan = read_plan(registry.conf_folders()["vprbench"] / "table.yaml")
+    rows = {name: _known("rows", name, plan.rows) for name in asked.rows or plan.rows}
+    for name in asked.methods:
+        row = _on_request(plan, name, asked)
+        rows.setdefault(row.name, row)
+    columns = {name: _known("columns", name, plan.columns) for name in asked.columns or _default_columns(plan, asked)}
+
+    def resolved(column: PlannedColumn) -> ColumnAsked:
+        options = (*column.options, *_root(column, asked))
+        return ColumnAsked(replace(column, options=options), dict(compose(options)["dataset"]))
+
+    return Chosen(
+        plan,
+        tuple(replace(row, seeds=row.seeds[: asked.seeds]) for row in rows.values()),
+        tuple(map(resolved, columns.values())),
+        {column.name: resolved(plan.columns[column.smaller]) for column in columns.values() if column.smaller},
+        tuple(asked.devices or _devices()),
+        asked.full,
+    )
+
+
+def gather(asked: Asked, options: Sequence[str], compose: Compose) -> Material:
+    """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
+
+    `options` of the command line are those of all runs. Raises BadInput where there is no run at all.
+    """
+    chosen = choose(asked, compose)
+    store = Store(results_folder(asked.results), read_only=asked.stored)
+    endings: list[Ending] = []
+    if not asked.stored:
+        endings += fill(_first(chosen), options, store)
+    runs, failures = stored(asked)
+    if not asked.stored:
+        more = list(_in_smaller_columns(chosen, runs))
+        if more:
+            endings += fill(more, options, store)
+            runs, failures = stored(asked)
+    found = material(chosen, runs, failures, tuple(endings))
+    if not any(group.runs for group in found.groups):
+        raise BadInput(
+            f"results={asked.results} holds no run of these rows and columns: "
+            + ("leave stored=true out, so that some are made" if asked.stored else "see above why none could be made")
+        )
+    return found
+
+
+def material(
+    chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[Ending, ...] = ()
+) -> Material:
+    """Put stored runs and failures into the rows and columns that were chosen."""
+    columns = [*chosen.columns, *_shown_smaller(chosen, runs)]
+    shown = {column.planned.name for column in columns}
+    failures = [*failures, *_of_slow_rows(chosen, failures)]
+    found = groups(runs, failures, columns, chosen.rows)
+    left_out = {
+        (column.planned.name, row.name): _left_out(chosen.smaller.get(column.planned.name), shown)
+        for column, row in itertools.product(chosen.columns, chosen.rows)
+        if chosen.slow(column, row)
+    }
+    table = assemble(found, chosen.rows, chosen.plan, left_out)
+    return Material(chosen, tuple(found), table, tuple(runs), endings)
+
+
+def stored(asked: Asked) -> tuple[list[Run], list[Failure]]:
+    """Return what the store holds, and those of other machines; what is in several is there once.
+
+    A run of a layout that did not hold yet on what its method was tuned is told it by today's yaml.
+    """
+    known = registry.entries("method")
+    stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
+    runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
+    told = [
+        replace(run, tuned_on=known[run.method].tuned_on) if run.tuned_on is None and run.method in known else run
+        for run in runs.values()
+    ]
+    return told, [failure for store in stores for failure in store.failures()]
+
+
+def wanted(chosen: Chosen, column: ColumnAsked, rows: Sequence[Row]) -> Iterator[Wanted]:
+    """Yield the runs of some rows in one column."""
+    planned = column.planned
+    for row in rows:
+        for device, seed in itertools.product(chosen.devices, row.seeds):
+            yield Wanted(row, planned.title, planned.options, column.dataset, planned.arguments(row), seed, device)
+
+
+def _first(chosen: Chosen) -> list[Wanted]:
+    """Return the runs of all columns, slow rows in the smaller ones."""
+    found: list[Wanted] = []
+    for column in chosen.columns:
+        fast = [row for row in chosen.rows if not chosen.slow(column, row)]
+        slow = [row for row in chosen.rows if chosen.slow(column, row)]
+        found += wanted(chosen, column, fast)
+        if column.planned.name in chosen.smaller:
+            found += wanted(chosen, chosen.smaller[column.planned.name], slow)
+    return found
+
+
+def _in_smaller_columns(chosen: Chosen, runs: Sequence[Run]) -> Iterator[Wanted]:
+    """Yield the runs of the fast rows where slow ones have run."""
+    shown = {column.planned.name for column in _shown_smaller(chosen, runs)}
+    for column in chosen.columns:
+        smaller = chosen.smaller.get(column.planned.name)
+        if smaller is not None and smaller.planned.name in shown:
+            yield from wanted(chosen, smaller, [row for row in chosen.rows if not chosen.slow(column, row)])
+
+
+def _shown_smaller(chosen: Chosen, runs: Sequence[Run]) -> list[ColumnAsked]:
+    """Return the smaller columns in which a slow row has runs."""
+    shown = []
+    for column in chosen.columns:
+        slow = [row for row in chosen.rows if chosen.slow(column, row)]
+        smaller = chosen.smaller.get(column.planned.name)
+        if not slow or smaller is None:
+            continue
+        there = groups(runs, (), [smaller], slow)
+        if any(group.runs for group in there) and smaller.planned.name not in {c.planned.name for c in chosen.columns}:
+            shown.append(smaller)
+    return shown
+
+
+def _of_slow_rows(chosen: Chosen, failures: Sequence[Failure]) -> Iterator[Failure]:
+    """Yield the failures of slow rows in the smaller columns, as failures in the columns they were left out of."""
+    for column in chosen.columns:
+        methods = {row.method for row in chosen.rows if chosen.slow(column, row)}
+        smaller = chosen.smaller.get(column.planned.name)
+        if not methods or smaller is None:
+            continue
+        (there, *_) = groups((), failures, [smaller], chosen.rows)
+        for failure in there.failures:
+            if failure.method in methods:
+                fits = {**failure.config.get("changed", {})}
+                for name in smaller.planned.fits.get(failure.method, {}):
+                    fits.pop(name, None)
+                changed = {**column.planned.fits.get(failure.method, {}), **fits}
+                yield replace(failure, config={**failure.config, "dataset": column.dataset, "changed": changed})
+
+
+def _left_out(smaller: ColumnAsked | None, shown: set[str]) -> str:
+    there = f": it stands under {smaller.planned.title}" if smaller and smaller.planned.name in shown else ""
+    return f"too many places for the time that a table takes{there}; FULL=1 runs it here"
+
+
+def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
+    """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
+
+    A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
+    from it: it trains, and gets the plan's seeds.
+    """
+    planned = {**plan.rows, **plan.more_rows}
+    if name in planned:
+        return planned[name]
+    for row in planned.values():
+        if row.method == name and not row.arguments:
+            return row
+    entries, runs = registry.entries("method"), stored(asked)[0]
+    known = {*entries, *(run.method for run in runs)}
+    if name not in known:
+        raise BadInput(f"methods={name} is unknown: {registry.near(name, [*plan.more_rows, *sorted(known)])}")
+    if name in entries:
+        seeded = "seed" in entries[name].options
+    else:
+        seeded = any("seed" in run.config.get("method", {}) for run in runs if run.method == name)
+    return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
+
+
+def _default_columns(plan: Plan, asked: Asked) -> list[str]:
+    """Return the paper's datasets where their frames are, and what stands in for them where not."""
+    smaller = {column.smaller for column in plan.columns.values()}
+    chosen = []
+    for column in plan.columns.values():
+        if column.stand_in_for is not None and column.name not in smaller and not column.on_request:
+            real = plan.columns[column.stand_in_for]
+            chosen.append(real.name if _root(real, asked) else column.name)
+    return chosen
+
+
+def _root(column: PlannedColumn, asked: Asked) -> tuple[str, ...]:
+    """Return the option that says where the frames of a column lie, where that was asked for."""
+    dataset = next(option.partition("=")[2] for option in column.options if option.startswith("dataset="))
+    ours = [_ROOTS[name] for name in _ROOTS if dataset.startswith(name) and dataset not in _FRAMES_OF_THEIR_OWN]
+    folder = getattr(asked, ours[0]) if ours else None
+    return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
+
+
+def _devices() -> list[str]:
+    """Return the CPU, and the GPU where torch sees one."""
+    import torch
+
+    return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+
+
+def _known(option: str, name: str, known: Mapping[str, Part]) -> Part:
+    if name not in known:
+        raise BadInput(f"{option}={name} is unknown: {registry.near(name, known)}")
+    return known[name]

@@ -1,0 +1,129 @@
+"""The runs of one row on maps of different sizes, as times against the number of places."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.errors import BadInput
+from vprbench.paper.plan import Boundary, Row
+from vprbench.paper.table import best
+from vprbench.run.record import Run
+
+_PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which runs of one growth differ
+_PER_SIZE = frozenset(  # and parts of their protocol
+    {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}
+)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One time at one number of places."""
+
+    n_places: int
+    seconds: float
+    low: float | None = None  # 95 % interval of a median; None for a single measurement and for under six laps
+    high: float | None = None
+    disturbed: bool = False  # the machine did other things meanwhile, or the laps were too few
+
+
+@dataclass(frozen=True)
+class GrowthSamples:
+    """Times of one row by number of places, ascending, all measured under the same conditions."""
+
+    name: str  # the row's
+    boundary: Boundary | None  # what `query` covers; None: encode and match
+    runs: tuple[Run, ...]  # those behind the samples: one a size and seed
+    training: tuple[Sample, ...]  # one a run that trained, without the time that it waited for images
+    query: tuple[Sample, ...]  # one image at a time, at the row's boundary: median
+    total: tuple[Sample, ...]  # encode and match, where `query` covers less
+    aside: tuple[str, ...]  # sentences: which runs are not among them, and why
+
+
+def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSamples:
+    """Collect the times of one row on one dataset, whose runs differ in their places and seeds.
+
+    `at_most` names the arguments of the method that small maps lower. Times compare by one code under the same other
+    arguments, on one machine and under one protocol alone: the set of runs with the newest one is taken, of each size
+    and seed its newest run, and the others are named in `aside`. Raises BadInput for no runs.
+    """
+    if not runs:
+        raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
+    sets: dict[str, list[Run]] = {}
+    for run in sorted(runs, key=_age, reverse=True):
+        sets.setdefault(json.dumps(_conditions(run, at_most), sort_keys=True), []).append(run)
+    newest, *others = sets.values()
+    chosen: dict[tuple[int, int], Run] = {}
+    for run in newest:
+        chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
+    kept = tuple(run for _, run in sorted(chosen.items(), key=lambda item: item[0]))
+    trained = [(run, run.training_compute_seconds) for run in kept if run.training_compute_seconds is not None]
+    return GrowthSamples(
+        name=row.name,
+        boundary=row.boundary,
+        runs=kept,
+        training=tuple(
+            Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
+        ),
+        query=tuple(_median(run, row.boundary) for run in kept),
+        total=tuple(_median(run, None) for run in kept if row.boundary is not None),
+        aside=tuple(_set_aside(row.name, members, newest[0], at_most) for members in others),
+    )
+
+
+def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the 95 % interval of the median of `values` (n,) from their order; None for fewer than six.
+
+    With k the largest number for which Binomial(n, 1/2) lies below k with a chance of at most 2.5 %, it runs from the
+    k-th lowest to the k-th highest value. It assumes nothing about the distribution, only independent values.
+    """
+    from scipy.stats import binom  # takes long to import
+
+    k = int(binom.ppf(0.025, len(values), 0.5))
+    ordered = np.sort(values)
+    return (float(ordered[k - 1]), float(ordered[-k])) if k else None
+
+
+def _laps(run: Run, boundary: Boundary | None) -> npt.NDArray[np.float64]:
+    streaming = run.timing.streaming
+    if boundary is None:
+        return streaming.total_seconds
+    return streaming.match_seconds if boundary == "match" else streaming.encode_seconds
+
+
+def _median(run: Run, boundary: Boundary | None) -> Sample:
+    seconds = _laps(run, boundary)
+    low, high = interval_of_median(seconds) or (None, None)
+    return Sample(run.outcome.n_places, float(np.median(seconds)), low, high, best.disturbed(run))
+
+
+def _age(run: Run) -> tuple[str, str]:
+    return str(run.environment.get("time_utc") or ""), run.key
+
+
+def _conditions(run: Run, at_most: Collection[str]) -> dict[str, Any]:
+    """Return what has to be the same for times to compare, by what it is called where it differs."""
+    surroundings, arguments = run.environment, run.config["method"]
+    return {
+        "code": run.config.get("code"),
+        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN and k not in at_most},
+        "weights": run.config.get("files", []),
+        "dataset": [run.dataset, {k: v for k, v in run.protocol.items() if k not in _PER_SIZE}],
+        "timing protocol": run.config.get("timing"),
+        "libraries": surroundings.get("libraries"),
+        "threads": surroundings.get("threads"),
+        "device": run.config["device"],
+        "machine": [surroundings.get(name) for name in ("processor", "cores", "accelerator")],
+    }
+
+
+def _set_aside(name: str, members: Sequence[Run], chosen: Run, at_most: Collection[str]) -> str:
+    ours, wanted = _conditions(members[0], at_most), _conditions(chosen, at_most)
+    different = ", ".join(part for part in wanted if ours[part] != wanted[part])
+    sizes = ", ".join(f"{size:,}" for size in sorted({run.outcome.n_places for run in members}))
+    return f"Set aside: runs of {name} at {sizes} places (other {different})."

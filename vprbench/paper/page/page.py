@@ -1,0 +1,217 @@
+"""The report: one HTML page that holds everything it shows and asks no network for anything."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from vprbench.paper.page import words
+from vprbench.paper.page.fitting import fitting
+from vprbench.paper.page.small_png import small_png
+from vprbench.paper.series import Series
+from vprbench.run.record import Run
+from vprbench.run.thumbnails import Thumbnails
+from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
+
+MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger
+
+_FOLDER = Path(__file__).parent
+_FRAMES_MISSING = "The frames of this dataset are not stored, so names stand in their places."
+_SOME_MISSING = "Of this large dataset some frames are stored; names stand in the places of the others."
+_FRAMES_TOO_LARGE = "This page would be too large with frames, so names stand in their places."
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its caption."""
+
+    name: str
+    caption: str
+    png: bytes
+
+
+@dataclass(frozen=True)
+class Section:
+    """The runs of one dataset and protocol, with its frames where they are stored."""
+
+    title: str
+    series: tuple[Series, ...]
+    thumbnails: Thumbnails | None
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of a section that are shown, as WebP: of each query, and of some places by their number."""
+
+    queries: tuple[bytes, ...] = ()
+    places: Mapping[int, bytes] = field(default_factory=dict)
+
+
+def page(
+    table_html: str,
+    pictures: Sequence[Picture],
+    sections: Sequence[Section],
+    title: str = "Visual place recognition, measured",
+    made_from: str = "",
+    measured: Sequence[tuple[str, Series]] = (),
+    absent: Sequence[str] = (),
+) -> str:
+    """Return the page: table, figures, queries one by one, protocol, machines and notes.
+
+    `table_html` is a fragment that is escaped already; `made_from` is a sentence that stands below the title.
+    `measured` are the series behind the table on every device, with the titles of their sections: machines and notes
+    are of them, or where there are none of the sections' own. `absent` says of each figure that is not drawn why.
+    Frames are made coarser where the page would exceed `MOST_BYTES` of UTF-8, and left out where that is not enough.
+    Raises ValueError where the runs of a section are not of the same images.
+    """
+    measured = measured or [(section.title, series) for section in sections for series in section.series]
+    sections = [section for section in sections if section.series]
+    answers = [_judged(section) for section in sections]
+    told = [_told(section, judged_runs) for section, judged_runs in zip(sections, answers, strict=True)]
+    facts = {
+        "title": title,
+        "made_from": made_from,
+        "table": Markup(table_html),
+        "pictures": [
+            {"name": one.name, "caption": one.caption, "png": _base64(small_png(one.png))} for one in pictures
+        ],
+        "absent": absent,
+        "protocols": [(one.title, words.protocol([run for _, run in _named(one)])) for one in sections],
+        "terms": words.TERMS,
+        "machines": words.machines(series for _, series in measured),
+        "notes": words.notes(measured),
+    }
+    nothing = [_Frames()] * len(sections)
+    without_frames = _rendered(facts, told, nothing)
+    frames = [_frames(section, judged_runs.values()) for section, judged_runs in zip(sections, answers, strict=True)]
+    fitted = _fitted(frames, MOST_BYTES - len(without_frames.encode()))
+    if fitted is None:
+        return _rendered(
+            facts,
+            [
+                {**one, "framesMissing": one["framesMissing"] or _FRAMES_TOO_LARGE, "firstReferences": ""}
+                for one in told
+            ],
+            nothing,
+        )
+    return _rendered(facts, told, fitted)
+
+
+def _named(section: Section) -> list[tuple[str, Run]]:
+    return [(words.run_name(series, run), run) for series in section.series for run in series.runs]
+
+
+def _judged(section: Section) -> dict[str, Answers]:
+    """Return the answers of each run of a section, by its name; raises ValueError for runs of several datasets."""
+    named = _named(section)
+    if len({run.fingerprint for _, run in named}) > 1:
+        raise ValueError(f"the runs of {section.title} are of different images: a section shows one dataset")
+    return {name: judged(run) for name, run in named}
+
+
+def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
+    """Return what the page's script reads of a section."""
+    runs, kept = [run for _, run in _named(section)], section.thumbnails
+    run = runs[0]
+    shown = places_shown(answers.values())
+    place_names = None if kept is None else {place: kept.reference_names[place] for place in shown}
+    return {
+        "title": section.title,
+        "nPlaces": run.outcome.n_places,
+        "nQueries": len(run.outcome),
+        "queryNames": kept and kept.query_names,
+        "placeNames": place_names,
+        "firstReferences": words.first_references(runs, place_names.values()) if place_names else "",
+        "rightPlaces": [place_ranges(right) for right in run.positives],
+        "framesMissing": _missing(kept, len(run.outcome), shown),
+        "runs": [{"name": name, **columns(one)} for name, one in answers.items()],
+    }
+
+
+def _missing(kept: Thumbnails | None, n_queries: int, places: Iterable[int]) -> str:
+    """Return the sentence on frames that are not stored; empty where all are that the page shows."""
+    if kept is None:
+        return _FRAMES_MISSING
+    whole = all(kept.query(query) for query in range(n_queries)) and all(kept.reference(place) for place in places)
+    return "" if whole else _SOME_MISSING
+
+
+def _frames(section: Section, answers: Iterable[Answers]) -> _Frames:
+    """Return the frames of a section that the page shows."""
+    kept = section.thumbnails
+    if kept is None:
+        return _Frames()
+    n_queries = len(section.series[0].runs[0].outcome)
+    return _Frames(
+        tuple(kept.query(query) for query in range(n_queries)),
+        {place: frame for place in places_shown(answers) if (frame := kept.reference(place))},
+    )
+
+
+def _fitted(frames: Sequence[_Frames], most_bytes: int) -> list[_Frames] | None:
+    """Return the frames of all sections so that they fill at most so many bytes of the page; None: they cannot."""
+    numbers = sum(len(f'"{place}":') for section in frames for place in section.places)
+    made = fitting([frame for one in frames for frame in (*one.queries, *one.places.values())], most_bytes - numbers)
+    if made is None:
+        return None
+    following = iter(made)
+    return [
+        _Frames(tuple(itertools.islice(following, len(one.queries))), dict(zip(one.places, following, strict=False)))
+        for one in frames
+    ]
+
+
+def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frames: Sequence[_Frames]) -> str:
+    templates = Environment(
+        loader=FileSystemLoader(_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style, *scripts = (
+        (_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "queries.js", "report.js")
+    )
+    script = "".join(scripts)
+    text = templates.get_template("template.html").render(
+        **facts,
+        style=Markup(style),
+        script=Markup(script),
+        style_hash=_hash(style),
+        script_hash=_hash(script),
+        answers=_json(told),
+        frames=[
+            _json(
+                {
+                    "queries": [_base64(frame) for frame in one.queries],
+                    "places": {place: _base64(frame) for place, frame in one.places.items()},
+                }
+            )
+            for one in frames
+        ],
+    )
+    return text.encode("utf-8", "replace").decode()  # a file name may hold what is no text
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
+def _json(content: Any) -> Markup:
+    """Return plain values as JSON that cannot end the script element around it."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def _hash(text: str) -> str:
+    """Return what a content security policy calls a script or a style by."""
+    return f"sha256-{_base64(hashlib.sha256(text.encode()).digest())}"

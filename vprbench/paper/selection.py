@@ -1,0 +1,298 @@
+"""Which stored runs belong to which column and row: what is alike stands together, the rest is set aside by name."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.series import Series
+from vprbench.run.record import Failure, Run
+
+Device = Literal["cpu", "cuda"]
+DEVICES: tuple[Device, ...] = ("cpu", "cuda")
+
+#: Arguments of a dataset that say where code and frames lie, not which they are.
+_WHERE = frozenset({"_target_", "root", "default_root", "source", "download", "calibration", "processed", "lists"})
+_OTHER = "of other"
+_PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which the runs of a row differ
+
+
+@dataclass(frozen=True)
+class ColumnAsked:
+    """A column of the table and what its options make of the dataset."""
+
+    planned: PlannedColumn
+    dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
+
+
+@dataclass(frozen=True)
+class Group:
+    """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
+
+    asked: ColumnAsked
+    number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
+    runs: tuple[Run, ...]  # of all rows, devices and seeds
+    failures: tuple[Failure, ...]  # all in number 1: what failed has no images
+
+
+@dataclass(frozen=True)
+class Aside:
+    """Runs of a row that are stored and not shown."""
+
+    n_runs: int
+    why: str  # words that follow "runs"
+    other: tuple[str, ...] = ()  # in what they differ from those that are shown
+
+
+@dataclass(frozen=True)
+class RowRuns:
+    """The runs of one row in one column on one kind of device, alike in all but their seed."""
+
+    runs: tuple[Run, ...]  # one a seed, ascending
+    aside: tuple[Aside, ...]
+    missing_seeds: tuple[int, ...]
+    failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and errors since the seed's run
+
+
+def groups(
+    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ColumnAsked], rows: Sequence[Row]
+) -> list[Group]:
+    """Put runs and failures of the rows into the columns, in the columns' order.
+
+    A column gives one group for each protocol and version of its images, the one with the newest run first, and an
+    empty group where it has no run. A dataset gains and loses options over time: runs are taken by the options that
+    both have, and what else they differ in shows in their protocol. The order of `runs` changes nothing.
+    """
+    ordered = sorted(runs, key=lambda run: (run.dataset, run.method, _when(run), run.key))
+    failed = sorted(failures, key=lambda failure: (failure.method, _when(failure), failure.error))
+    found: list[Group] = []
+    for column in asked:
+        alike: dict[str, list[Run]] = defaultdict(list)
+        for run in ordered:
+            if _in_column(run, column) and any(_in_row(run, column.planned, row) for row in rows):
+                alike[f"{_text(run.protocol)} {run.fingerprint}"].append(run)
+        newest_first = sorted(alike.items(), key=lambda item: (max(map(_when, item[1])), item[0]), reverse=True)
+        there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, column.planned, r) for r in rows))
+        found += [
+            Group(column, number, tuple(members), there if number == 1 else ())
+            for number, (_, members) in enumerate(newest_first or [("", [])], 1)
+        ]
+    return found
+
+
+def of_row(group: Group, row: Row, device: Device) -> RowRuns:
+    """Return the runs of a row: those that one code measured in one way on one machine, one a seed.
+
+    Runs that differ in code, defaults, weights, timing protocol, libraries, threads or machine are never put together.
+    Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
+    run; the others are counted in `aside`, and so are seeds that the row does not ask for. Where there are runs, what
+    failed on another machine says nothing of them, and that something was missing nothing of a seed that is stored.
+    """
+    there = [run for run in group.runs if _in_row(run, group.asked.planned, row) and _on(run) == device]
+    asked = [run for run in there if run.config["seed"] in row.seeds]
+    sets: dict[str, list[Run]] = defaultdict(list)
+    for run in asked:
+        sets[_text(_setup(run))].append(run)
+    ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
+    chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=_age)} if ranked else {}
+    aside = [_difference(members, ranked[0]) for members in ranked[1:]]
+    if ranked and (repeated := [run for run in ranked[0] if run is not chosen[run.config["seed"]]]):
+        aside.append(Aside(len(repeated), "measured again since"))
+    if unasked := [run for run in there if run.config["seed"] not in row.seeds]:
+        aside.append(Aside(len(unasked), "of seeds that were not asked for"))
+    newest: dict[int, Failure] = {}
+    for failure in group.failures:
+        if not _in_row(failure, group.asked.planned, row) or _on(failure) != device:
+            continue
+        seed = failure.config.get("seed")
+        elsewhere = bool(chosen) and not _same_machine(failure, ranked[0][0])
+        told = seed in chosen and (failure.missing or _when(failure) <= _when(chosen[seed]))
+        if seed in row.seeds and not elsewhere and not told:
+            newest[seed] = failure
+    return RowRuns(
+        runs=tuple(run for _, run in sorted(chosen.items())),
+        aside=tuple(aside),
+        missing_seeds=tuple(seed for seed in row.seeds if seed not in chosen),
+        failures=tuple(failure for _, failure in sorted(newest.items())),
+    )
+
+
+def series(group: Group, rows: Sequence[Row], device: Device = "cpu") -> list[Series]:
+    """Return the rows of a group that have runs on a kind of device, as figures draw them."""
+    found = ((row, of_row(group, row, device).runs) for row in rows)
+    return [Series(row.name, row.spiking, runs) for row, runs in found if runs]
+
+
+def accuracy_device(found: Mapping[Device, RowRuns]) -> Device:
+    """Return the device that a row's accuracy is taken from: that with the most seeds, of equals the CPU.
+
+    Where none has a run, it is the one whose failure says why.
+    """
+
+    def known(device: Device) -> tuple[int, bool]:
+        there = found[device]
+        return len(there.runs), not there.runs and bool(there.failures)
+
+    return max(DEVICES, key=known)
+
+
+def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
+    """Return the rows of a group that have runs, each from the device that the table takes its R@1 from."""
+    found = [(row, {device: of_row(group, row, device) for device in DEVICES}) for row in rows]
+    taken = ((row, devices[accuracy_device(devices)].runs) for row, devices in found)
+    return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
+
+
+def aside_sentence(name: str, found: Iterable[RowRuns]) -> str:
+    """Return how many runs of a row are not shown and why, in one sentence; empty where all are shown."""
+    counts: dict[str, int] = defaultdict(int)
+    other: dict[str, None] = {}
+    for aside in (aside for each in found for aside in each.aside):
+        counts[aside.why] += aside.n_runs
+        other |= dict.fromkeys(aside.other)
+    parts = [
+        f"{count} run{'s' if count > 1 else ''} {why}" + (f" {_listed([*other], 'or')}" if why == _OTHER else "")
+        for why, count in counts.items()
+    ]
+    are = "are" if sum(counts.values()) > 1 else "is"
+    return f"{name}: {_listed(parts, 'and')} {are} set aside." if parts else ""
+
+
+def options_apart(group: Group) -> tuple[str, ...]:
+    """Return the options of the dataset that none of a group's runs share with it: it gained or lost them since."""
+    today = group.asked.dataset.keys() - _WHERE
+    apart = [today ^ (run.config["dataset"].keys() - _WHERE) for run in group.runs]
+    return tuple(sorted(set.union(*apart))) if apart and all(apart) else ()
+
+
+def title(group: Group, among: Sequence[Group]) -> str:
+    """Return the title of a group's column; of several, with its protocol where it differs, or else its images."""
+    planned = group.asked.planned
+    versions = [other for other in among if other.asked.planned.name == planned.name and other.runs]
+    if len(versions) < 2:
+        return planned.title
+    protocols = [_told(other.runs[0]) for other in versions]
+    names = dict.fromkeys(name for protocol in protocols for name in protocol)
+    differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
+    parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
+    mine = parts[next(i for i, other in enumerate(versions) if other is group)]
+    images = "" if mine and parts.count(mine) == 1 else f"images {group.runs[0].fingerprint[:8]}"
+    return ", ".join(filter(None, [planned.title, mine, images]))
+
+
+def protocol_words(run: Run) -> str:
+    """Return what a run's dataset selected and how, without the numbers of its places and queries."""
+    return _words({name: value for name, value in _told(run).items() if name not in ("places", "query_places")})
+
+
+def _told(run: Run) -> dict[str, Any]:
+    """Return the protocol of a run without counts that follow from the rest of it."""
+    follows = {"reference_places"} | ({"held_out_places"} if "first_query_place" in run.protocol else set())
+    return {name: value for name, value in run.protocol.items() if name not in follows}
+
+
+def _words(protocol: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_word(value)}" for name, value in protocol.items())
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "+".join(f"{inner} in {name}" for name, inner in value.items())
+    return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _in_column(result: Run | Failure, column: ColumnAsked) -> bool:
+    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay."""
+    wanted, given = column.dataset, result.config.get("dataset", {})
+    both = wanted.keys() & given.keys() - _WHERE
+    return "name" in both and all(_text(wanted[name]) == _text(given[name]) for name in both)
+
+
+def _in_row(result: Run | Failure, planned: PlannedColumn, row: Row) -> bool:
+    """Tell whether a run's method has a row's arguments and otherwise its defaults."""
+    if result.method != row.method:
+        return False
+    wanted = planned.arguments(row)
+    given = {**result.config.get("method", {}), **result.config.get("changed", {})}
+    return _changed(result) <= wanted.keys() and all(
+        name in given and _text(given[name]) == _text(value) for name, value in wanted.items()
+    )
+
+
+def _changed(result: Run | Failure) -> set[str]:
+    """Return the arguments of the method that were asked for; older records name them in the words of the user."""
+    if "changed" in result.config:
+        return set(result.config["changed"])
+    asked = (text.lstrip("+").partition("=")[0] for text in result.config.get("overrides", []))
+    return {name.removeprefix("method.") for name in asked if name.startswith("method.")} - _PER_RUN
+
+
+def _on(result: Run | Failure) -> str:
+    return str(result.config.get("device", "cpu")).partition(":")[0]
+
+
+def _when(result: Run | Failure) -> str:
+    return str(result.environment.get("time_utc") or "")
+
+
+def _age(run: Run) -> tuple[str, str]:
+    return _when(run), run.key
+
+
+def _setup(run: Run) -> dict[str, Any]:
+    """Return what runs have in common that are put together, by what it is called where it differs."""
+    surroundings = run.environment
+    return {
+        "code": run.config.get("code"),
+        "defaults of the method": {k: v for k, v in run.config["method"].items() if k not in _PER_RUN},
+        "weights": run.config.get("files", []),
+        "timing": run.config.get("timing"),
+        "libraries": surroundings.get("libraries"),
+        "threads": surroundings.get("threads"),
+        "machine": _machine(run),
+        "network": "trained" if run.network is None else "loaded",
+    }
+
+
+def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:
+    complete = {run.config["seed"] for run in members} >= set(row.seeds)
+    return complete, members[0].network is None, max(map(_age, members))
+
+
+def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> Aside:
+    """Say in what runs differ from those that were chosen."""
+    ours, theirs = _setup(members[0]), _setup(chosen[0])
+    other = tuple(name for name, value in ours.items() if _text(value) != _text(theirs[name]))
+    if ours["code"] is None and "code" in other:
+        return Aside(len(members), "in an older record that does not name its code and timing")
+    return Aside(len(members), _OTHER, other)
+
+
+def _listed(words: Sequence[str], last: str) -> str:
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _machine(result: Run | Failure) -> list[Any]:
+    return [result.environment.get(name) for name in ("processor", "cores", "accelerator")]
+
+
+def _same_machine(failure: Failure, run: Run) -> bool:
+    """Tell whether a failure is of a run's machine, or may be: older ones do not say."""
+    return "processor" not in failure.environment or _machine(failure) == _machine(run)
+
+
+def _text(value: Any) -> str:
+    """Return plain values as text that is the same for equal ones: order, tuples and 2.0 for 2 make no difference."""
+    return json.dumps(_plain(value), sort_keys=True)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value

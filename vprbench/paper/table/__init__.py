@@ -1,0 +1,1 @@
+"""Table II: stored runs become rows, and rows become Markdown, CSV, LaTeX and HTML."""

@@ -1,0 +1,175 @@
+"""Which row of a column is best, where a test says so: nothing is bold that chance or a busy machine may have made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.intervals import mcnemar_exact
+from vprbench.paper.plan import Boundary
+from vprbench.run.recall_intervals import interval_between
+from vprbench.run.record import Run
+from vprbench.run.rows import machine_line
+from vprbench.run.stopwatch import Seconds
+
+CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
+RATE_CHANCE = 0.01
+FASTER = 1.25  # times: less is within what machines vary by
+
+FAILED_AUDITS = ("caching", "audit failed")  # beginnings of the notes of a run whose rates are not to be trusted
+
+NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
+RULES = (
+    "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
+    f"{CHANCE} / number of other rows, and the interval of the difference at that level, which allows for neighbouring "
+    "queries being alike, lies above 0.",
+    f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
+    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary, and "
+    "never where an audit found a rate wanting.",
+)
+
+Stage = Boundary | None  # None: encode and match together
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One measured row."""
+
+    name: str
+    runs: tuple[Run, ...]  # one a seed, at least one
+    boundary: Stage
+    finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
+
+
+def best_recall(rows: Sequence[Contestant]) -> str | None:
+    """Return the row with the highest R@1 where a paired test separates it from every other row; None where not.
+
+    For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the interval of the
+    difference at that level (`intervals.difference_interval`) lies above 0. Ties are broken against the best row and in
+    favour of the other one. All runs answer the same queries.
+    """
+    rows = [row for row in rows if mean_recall(row.runs) is not None]
+    chance = CHANCE / max(1, len(rows) - 1)
+    return _winner(rows, lambda row: mean_recall(row.runs) or 0.0, partial(_more_accurate, chance=chance))
+
+
+def best_rate(rows: Sequence[Contestant]) -> str | None:
+    """Return the row with the highest query rate where the laps separate it from every other row; None where not.
+
+    All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
+    fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
+    and match together, for rows of different boundaries do not do the same work. A row with a run that caches, or that
+    answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
+    """
+    rows = [replace(row, finished=row.finished and not any(map(failed_audit, row.runs))) for row in rows]
+    if not _comparable(rows):
+        return None
+    return _winner(rows, lambda row: float(np.mean([rate(run, row.boundary) for run in row.runs])), _faster)
+
+
+def best_training(rows: Sequence[Contestant]) -> str | None:
+    """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None where there is none.
+
+    Waiting for images does not count. All rows trained undisturbed on one machine. One fit a seed is no sample that a
+    test could weigh.
+    """
+    rows = [row for row in rows if all(run.fit_compute_seconds is not None for run in row.runs)]
+    if not _comparable(rows):
+        return None
+    return _winner(rows, lambda row: -_slowest(row), lambda one, other: FASTER * _slowest(one) <= _fastest(other))
+
+
+def mean_recall(runs: Sequence[Run]) -> float | None:
+    """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None where no query has a right place."""
+    recalls = [recall_at(run.outcome, 1) for run in runs]
+    expected = [recall.expected for recall in recalls if recall is not None]
+    return float(np.mean(expected)) if expected else None
+
+
+def rate(run: Run, stage: Stage) -> float:
+    """Return the streaming rate of a stage in Hz: 1 / median."""
+    return 1 / float(np.median(_laps(run, stage)))
+
+
+def disturbed(run: Run) -> bool:
+    """Tell whether a run's times were taken while the machine did other things, or are too few."""
+    return any(note.startswith(("noisy", "invalid")) for note in run.notes)
+
+
+def failed_audit(run: Run) -> bool:
+    """Tell whether an audit found that a run's rates are not those of its answers, or not of images seen first."""
+    return any(note.startswith(FAILED_AUDITS) for note in run.notes)
+
+
+def machine(run: Run) -> str:
+    """Return what a run's times were measured on, without the day."""
+    return machine_line(run).rpartition(", ")[0]
+
+
+def _winner(
+    rows: Sequence[Contestant],
+    value: Callable[[Contestant], float],
+    beats: Callable[[Contestant, Contestant], bool],
+) -> str | None:
+    """Return the row of the highest value if it is the only one of that value and beats all others one by one."""
+    if len(rows) < 2:
+        return None
+    leader, *others = sorted(rows, key=value, reverse=True)
+    won = leader.finished and value(leader) > value(others[0]) and all(beats(leader, other) for other in others)
+    return leader.name if won else None
+
+
+def _more_accurate(one: Contestant, other: Contestant, chance: float) -> bool:
+    return all(_separated(first, second, chance) for first, second in product(one.runs, other.runs))
+
+
+def _separated(first: Run, second: Run, chance: float) -> bool:
+    ours, theirs = hits_at(first.outcome, 1, "pessimistic"), hits_at(second.outcome, 1, "optimistic")
+    test = mcnemar_exact(ours, theirs)
+    if test.b <= test.c or test.p_value >= chance:
+        return False
+    interval = interval_between(first, second, 1 - chance)
+    return interval is not None and interval.low > 0
+
+
+def _faster(one: Contestant, other: Contestant) -> bool:
+    from scipy.stats import mannwhitneyu  # takes long to import
+
+    stages: tuple[tuple[Stage, Stage], ...] = ((one.boundary, other.boundary), (None, None))
+    for (first, second), (ours, theirs) in product(product(one.runs, other.runs), stages):
+        if rate(first, ours) < FASTER * rate(second, theirs):
+            return False
+        if mannwhitneyu(_laps(first, ours), _laps(second, theirs)).pvalue >= RATE_CHANCE:
+            return False
+    return True
+
+
+def _comparable(rows: Sequence[Contestant]) -> bool:
+    """Tell whether all times were taken in one way on one machine that did nothing else."""
+    runs = [run for row in rows for run in row.runs]
+    alike = all(_timed_by(run) == _timed_by(runs[0]) for run in runs)
+    return alike and len(set(map(machine, runs))) == 1 and not any(map(disturbed, runs))
+
+
+def _timed_by(run: Run) -> tuple[object, ...]:
+    return run.config.get("timing"), run.environment.get("libraries"), run.environment.get("threads")
+
+
+def _laps(run: Run, stage: Stage) -> Seconds:
+    streaming = run.timing.streaming
+    if stage is None:
+        return streaming.total_seconds
+    return streaming.encode_seconds if stage == "encode" else streaming.match_seconds
+
+
+def _slowest(row: Contestant) -> float:
+    return max(run.training_compute_seconds or 0.0 for run in row.runs)
+
+
+def _fastest(row: Contestant) -> float:
+    return min(run.training_compute_seconds or 0.0 for run in row.runs)

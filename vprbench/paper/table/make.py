@@ -1,0 +1,48 @@
+"""`make table`: Table II from stored runs, those that are missing made first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from vprbench.paper.gather import Asked, Compose, Material, gather
+from vprbench.paper.table import markdown
+from vprbench.run import rows
+from vprbench.run.processes import Ending
+from vprbench.run.store import Store
+from vprbench.storage.atomic import replace_text
+
+
+def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
+    found = gather(asked, options, compose)
+    folder = Path(asked.results).expanduser()
+    print(markdown.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
+    written = write(found, folder, file_name(asked))
+    print(f"\nwritten to {', '.join(str(path) for path in written)}")
+    return exit_code(found.endings)
+
+
+def write(found: Material, folder: Path, name: str) -> list[Path]:
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
+    Store(folder).prepare()
+    runs = [run for group in found.groups for run in group.runs]
+    texts = {
+        f"{name}.md": markdown.markdown(found.table),
+        f"{name}.csv": markdown.csv(found.table),
+        f"{name}.tex": markdown.latex(found.table),
+        f"{name}-runs.csv": rows.csv(runs),
+    }
+    for file, text in texts.items():
+        replace_text(folder / file, text)
+    return [folder / file for file in texts]
+
+
+def file_name(asked: Asked) -> str:
+    """Return what the files are called: the columns, where some were asked for."""
+    return asked.name or ("-".join(asked.columns) if asked.columns else "table")
+
+
+def exit_code(endings: Sequence[Ending]) -> int:
+    """Return 1 where a run failed that could have been made."""
+    return int(any(ending.code and not ending.missing for ending in endings))

@@ -1,0 +1,143 @@
+"""What the benchmark of speed measures of files: reading them, and preprocessing a traverse of them once and again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import cv2
+import numpy as np
+import psutil
+from PIL import Image as PillowImage
+
+from vprbench import progress
+from vprbench.api.arrays import Image
+from vprbench.api.images import Images, read_image
+from vprbench.api.preprocess import PatchNormalisation
+from vprbench.run import machine
+from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.stopwatch import Protocol, Stopwatch
+from vprbench.speed.measure import rounded
+from vprbench.speed.settings import PATCH, KeptCell, ReadingCell, Settings
+
+Asked = ParamSpec("Asked")
+Answer = TypeVar("Answer")
+
+_TURNS = 8  # of each way of reading
+_KEPT = 256  # frames of a traverse that is worth keeping, at least
+_LEVELS = ((64, 90.0), (16, 40.0), (4, 15.0))  # pixels of a cell, grey levels to either side
+_NOISE = 3.0  # grey levels
+_HASHES = "VPRBENCH_HASHES"
+
+
+def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
+    """Return what is measured in a process that has done nothing else."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(measure, *arguments, **options).result()
+
+
+def frame_files(settings: Settings, folder: Path) -> list[Path]:
+    """Write the frames that are read; beyond so many different ones they are hard links to these."""
+    height, width = settings.frame
+    paths = [folder / f"{number:06}.png" for number in range(settings.reading_frames)]
+    for number, path in enumerate(paths):
+        if number < settings.reading_files:
+            progress.report("reading, drawing frames", number / settings.reading_files)
+            PillowImage.fromarray(drawn(height, width, [settings.seed, number])).save(path)
+        else:
+            os.link(paths[number % settings.reading_files], path)
+    return paths
+
+
+def drawn(height: int, width: int, seed: Sequence[int]) -> Image:
+    """Return a frame that costs a decoder what a photograph does: large and small shapes, and a camera's noise."""
+    generator = np.random.default_rng(seed)
+    frame = 128 + generator.normal(0, _NOISE, (height, width, 1)).astype(np.float32)
+    for cell, levels in _LEVELS:
+        coarse = generator.uniform(-levels, levels, (height // cell + 2, width // cell + 2, 3)).astype(np.float32)
+        frame = frame + cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.clip(frame, 0, 255).astype(np.uint8)
+
+
+def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
+    """Read all files, in parts between which bare loops read some of them."""
+    cores = len(machine.cores())
+    some = list(paths[: settings.reading_files])
+    hz: dict[str, list[float]] = {"one loop": [], "loops at once": [], "ahead": []}
+    bare(some[:1])
+    before = _memory_before()
+    for turn in range(_TURNS):
+        part = paths[len(paths) * turn // _TURNS : len(paths) * (turn + 1) // _TURNS]
+        hz["one loop"].append(len(some) / _seconds(partial(bare, some)))
+        hz["loops at once"].append(cores * len(some) / _seconds(partial(bare_at_once, some, cores)))
+        hz["ahead"].append(len(part) / _seconds(partial(_look_at, Images.from_files(part))))
+    height, width = settings.frame
+    return ReadingCell(
+        height,
+        width,
+        len(paths),
+        len(some),
+        cores,
+        rounded(hz["one loop"]),
+        rounded(hz["loops at once"]),
+        rounded(hz["ahead"]),
+        before,
+        machine.peak_memory_bytes(),
+    )
+
+
+def kept_cell(settings: Settings, paths: Sequence[Path]) -> KeptCell:
+    """Preprocess a part of the files, and have them again from the cache; what both leave stands beside the files."""
+    threads = settings.threads or len(machine.cores())
+    machine.pin_threads(threads)
+    folder = paths[0].parent
+    os.environ[_HASHES] = str(folder / "hashes")  # nobody else asks for these files
+    part = paths[: max(_KEPT, len(paths) // _TURNS)]
+    normalise = PatchNormalisation("C", settings.pixels, settings.pixels, PATCH)
+    normalise(Images.from_files(part[:1]))
+    before = _memory_before()
+    laps = []
+    for _ in range(1 + settings.rounds):
+        images = Preprocessed(folder / "preprocessed", threads).kept(Images.from_files(part))
+        laps.append(_seconds(partial(_total, normalise, images)))
+    made, *again = rounded(laps)
+    pixels = settings.pixels**2
+    return KeptCell(len(part), pixels, made, again, len(part) * pixels, before, machine.peak_memory_bytes())
+
+
+def bare(paths: Sequence[Path]) -> None:
+    """Decode one file after the other."""
+    for path in paths:
+        read_image(path)
+
+
+def bare_at_once(paths: Sequence[Path], loops: int) -> None:
+    """Let so many threads decode all files each."""
+    with ThreadPoolExecutor(loops) as threads:
+        for _ in threads.map(bare, [paths] * loops):
+            pass
+
+
+def _look_at(images: Images) -> None:
+    for _ in images:
+        pass
+
+
+def _total(normalise: PatchNormalisation, images: Images) -> int:
+    return int(normalise(images).sum())
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    with Stopwatch(Protocol()).lap() as lap:
+        call()
+    return lap[0]
+
+
+def _memory_before() -> int:
+    machine.reset_peak_memory()
+    return int(psutil.Process().memory_info().rss)
