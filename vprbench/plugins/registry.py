@@ -26,7 +26,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
-from vprbench.run.tuned import TunedOn
+from vprbench.plugins.tuned_on import TunedOn
 
 Group = Literal["method", "dataset"]
 

@@ -89,6 +89,25 @@ def device_class(device: str) -> str:
     return f"{kind} {processor() if kind == 'cpu' else _accelerator(device)['accelerator']}"
 
 
+def machine_lines(surroundings: dict[str, Any]) -> list[str]:
+    """Return what an environment says about processor, accelerator, libraries and source."""
+    git = surroundings["git"]
+    source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
+    accelerator = (
+        f" GPU: {surroundings['accelerator']}, {surroundings['accelerator_memory_bytes'] / 1e9:.0f} GB, driver "
+        f"{surroundings['driver']}, CUDA {surroundings['cuda']}."
+        if "accelerator" in surroundings
+        else ""
+    )
+    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in surroundings["libraries"].items())
+    return [
+        f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores, "
+        f"{surroundings['memory_bytes'] / 1e9:.0f} GB, {surroundings['platform']}.{accelerator}",
+        f"python {surroundings['python']}, vprbench {surroundings['vprbench']}, {libraries}. Source: {source}. "
+        f"{surroundings['time_utc']}.",
+    ]
+
+
 def cpu_pressure() -> float | None:
     """Return the share of the last 10 s, in percent, in which some process waited for a core; None where unknown."""
     for line in _read("/proc/pressure/cpu").splitlines():

@@ -1,23 +1,8 @@
-"""What the settings of a method were chosen on, as its yaml declares it: numbers on these places are no contest."""
+"""What a reader has to know of a run whose method was tuned: numbers on these places are no contest."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
-
-if TYPE_CHECKING:
-    from vprbench.run.record import Run
-
-
-@dataclass(frozen=True)
-class TunedOn:
-    """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
-
-    dataset: str  # its name, as runs hold it
-    places: str  # in words: the first 1000 places
-    also_in: tuple[str, ...] = ()  # datasets that show these places under other names
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+from vprbench.run.record import Run
 
 
 def tuned_here(run: Run) -> bool:

@@ -18,11 +18,11 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.run import machine as environment
+from vprbench.run.machine import machine_lines
 from vprbench.run.rows import markdown
 from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.speed.measure import Make, median
 from vprbench.speed.route import Route
-from vprbench.speed.text import machine_lines
 from vprbench.storage.atomic import replace_text
 
 PRECISIONS = ("float32", "float16", "bfloat16")

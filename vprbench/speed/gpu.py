@@ -22,12 +22,13 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import machine as environment
+from vprbench.run.machine import machine_lines
 from vprbench.run.rows import markdown
 from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
 from vprbench.speed.measure import Make, Rates, measured_rates
 from vprbench.speed.route import Route
 from vprbench.speed.settings import FRAME, PATCH, RULES, TRAVERSES
-from vprbench.speed.text import machine_lines, rates_text
+from vprbench.speed.text import rates_text
 from vprbench.storage.atomic import replace_text
 
 TOLERANCE = 1e-4  # of the largest weight or score

@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
+from vprbench.run.machine import machine_lines
 from vprbench.run.rows import markdown
 from vprbench.run.summary import StageRates
 from vprbench.speed import reading_text, vprsnn_text
@@ -298,24 +298,6 @@ def _warnings(report: Report) -> list[str]:
 
 def _machine(report: Report) -> list[str]:
     return [*machine_lines(report.environment), _load_line(report)]
-
-
-def machine_lines(surroundings: dict[str, Any]) -> list[str]:
-    """Return what an environment says about processor, accelerator, libraries and source."""
-    git = surroundings["git"]
-    source = "no checkout" if git is None else f"{git['commit']}{', changed' * git['changed']}"
-    accelerator = (
-        f" GPU: {surroundings['accelerator']}, {surroundings['accelerator_memory_bytes'] / 1e9:.0f} GB, driver "
-        f"{surroundings['driver']}, CUDA {surroundings['cuda']}."
-        if "accelerator" in surroundings
-        else ""
-    )
-    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in surroundings["libraries"].items())
-    return [
-        f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores, "
-        f"{surroundings['memory_bytes'] / 1e9:.0f} GB, {surroundings['platform']}.{accelerator}",
-        f"python {surroundings['python']}, {libraries}. Source: {source}. {surroundings['time_utc']}.",
-    ]
 
 
 def _load_line(report: Report) -> str:

@@ -8,8 +8,8 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
+from vprbench.run.machine import machine_lines
 from vprbench.run.rows import markdown
-from vprbench.speed.text import machine_lines
 from vprbench.storage.atomic import replace_text
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
 from vprbench.tuning.objective import StretchName
