@@ -6,7 +6,7 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 _MOST_COLUMNS = 1000
 _SHOWN = 10  # columns in a message

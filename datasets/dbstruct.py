@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.dataset import Dataset
-from vprbench.errors import BadInput, NotThere
-from vprbench.storage.mat_files import MatFileError, read_mat
+from vprbench.api import BadInput, Dataset, MatFileError, NotThere, read_mat
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder

@@ -10,10 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arrays import Places
-from vprbench.api.dataset import Dataset, FrameFolder
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Dataset, FrameFolder, Images, Places
 
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 

@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vprbench.api.dataset import Dataset
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, Dataset, NotThere
 
 from .file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .image_files import images_in

@@ -6,10 +6,7 @@ import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-import vprbench
-from vprbench.api.dataset import FrameFolder
-from vprbench.errors import NotThere
-from vprbench.storage.folders import data_folder
+from vprbench.api import FrameFolder, NotThere, checkout_folder, data_folder
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _ARCHIVES = "archives"  # what was downloaded and not unpacked yet
@@ -32,7 +29,7 @@ def root_folder(
         kept = data_folder(download or name)
         if _holds_data(kept):
             return kept
-        default = Path(vprbench.__file__).resolve().parents[1] / (default_root or "")
+        default = checkout_folder() / (default_root or "")
         if default_root is not None and default.is_dir():
             return default
         unfinished = " (which holds no frames yet: a download was not finished)" if kept.is_dir() else ""

@@ -9,8 +9,7 @@ from typing import Literal, NoReturn
 
 from natsort import natsorted
 
-from vprbench.api.image_formats import SUFFIXES, is_beside, is_folder_beside, is_image_name
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import IMAGE_SUFFIXES, BadInput, NotThere, is_beside, is_folder_beside, is_image_name
 
 
 def images_in(
@@ -38,7 +37,7 @@ def images_in(
         is_frame = is_image_name(path.name) and (path.is_file() or not path.exists())
         (files if is_frame else strangers).append(path)
     if not files:
-        raise NotThere(f"{option}: {folder} holds no images ({', '.join(SUFFIXES)}): {advice}")
+        raise NotThere(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
     if strangers:
         raise _stranger(option, min(strangers), len(strangers))
     if order == "plain":
@@ -63,7 +62,7 @@ def _stranger(option: str, first: Path, count: int) -> BadInput:
     elif is_image_name(first.name):
         kind = "no file but a pipe, a device or the like"
     else:
-        kind = f"none of the images that are read ({', '.join(SUFFIXES)})"
+        kind = f"none of the images that are read ({', '.join(IMAGE_SUFFIXES)})"
     more = f", like {count - 1} more beside the frames" if count > 1 else ""
     return BadInput(
         f"{option}: {first} is {kind}{more}: save it as PNG or JPEG if it is a frame, else move it away; none is "

@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.dataset import Dataset
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, Dataset, NotThere
 
 from .csv_tables import read_csv
 from .file_dataset import GroundTruth, Unmatched, dataset_of_files

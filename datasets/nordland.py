@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, get_args
 
-from vprbench.api.dataset import Dataset, FrameFolder
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Dataset, FrameFolder, Images
 
 from .frame_folders import check_folders, root_folder
 from .traverses import Evaluation, check_recorded, dataset_of, recorded_split

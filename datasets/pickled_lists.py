@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 _MOST_BYTES = 1 << 24
 _MOST_STEPS = 1 << 22  # of the pickle's program, and numbers in what it makes

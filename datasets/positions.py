@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .file_dataset import GroundTruth
 

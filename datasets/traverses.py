@@ -9,9 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.dataset import Dataset, FrameFolder, HeldOut
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Dataset, FrameFolder, HeldOut, Images
 
 Evaluation = Literal["vprtempo", "vprsnn"]  # whose way to split places
 Numbers = npt.NDArray[np.int64]  # (n,), of places along the journey, ascending

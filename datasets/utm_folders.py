@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vprbench.api.dataset import Dataset
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, Dataset, NotThere
 
 from .file_dataset import Unmatched, dataset_of_files
 from .frame_folders import root_folder

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .file_dataset import GroundTruth
 from .positions import METRES_WANTED, Metres, are_metres, by_radius

@@ -13,14 +13,22 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench import progress
-from vprbench.api.arrays import Places
-from vprbench.api.images import Images
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.resize import Interpolation, Resize
-from vprbench.api.search import faiss_module
-from vprbench.api.weights import Weights, find, load_strictly, state_dict, tensor
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import (
+    BadInput,
+    Images,
+    Interpolation,
+    NeuralDescriptor,
+    NotFittedError,
+    Places,
+    Resize,
+    Weights,
+    faiss_module,
+    find_weights,
+    load_strictly,
+    progress,
+    read_tensor,
+    state_dict,
+)
 
 from .backbones.vit import SIZES, VisionTransformer, first_blocks
 from .dinov2 import Backbone, transformer
@@ -162,11 +170,11 @@ class AnyLoc(NeuralDescriptor):
                 f"published for {backbone}, {layer} and {words} alone; set method.vocabulary=references, or give "
                 "method.centres.path=FILE"
             )
-        return find(self.centres, f"{type(self).__name__} in the domain {self.domain}", "centres")
+        return find_weights(self.centres, f"{type(self).__name__} in the domain {self.domain}", "centres")
 
     def _read_centres(self, dim: int) -> Tensor:
         path = self._centres_file()
-        centres = tensor(path)
+        centres = read_tensor(path)
         if centres.shape != (self.words, dim) or not centres.is_floating_point() or not centres.isfinite().all():
             raise BadInput(
                 f"{path} holds centres of shape {tuple(centres.shape)} {centres.dtype}; wanted ({self.words}, {dim}), "

@@ -12,9 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly, read, state_dict, without_prefix
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_weights, state_dict, without_prefix
 
 from .backbones.resnet import n_channels, resnet
 from .pooling import GeM
@@ -51,7 +49,7 @@ class APGeM(NeuralDescriptor):
         with torch.serialization.safe_globals(
             [(_PCA, f"sklearn.decomposition.{name}.PCA") for name in ("pca", "_pca")]
         ):
-            content = read(path)
+            content = read_weights(path)
             tensors = without_prefix(state_dict(path, "state_dict"), "module.")
         options = content.get("model_options")
         unit = isinstance(options, Mapping) and bool(options.get("norm_features"))

@@ -12,10 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.resize import Interpolation, Resize
-from vprbench.api.weights import load_strictly, state_dict
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Interpolation, NeuralDescriptor, Resize, load_strictly, state_dict
 
 from .backbones import vit
 from .backbones.resnet import n_channels, resnet

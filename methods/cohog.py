@@ -18,12 +18,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from vprbench.api.arrays import Image, Places, Scores
-from vprbench.api.compiled import compiled
-from vprbench.api.descriptor import best_image_of_place
-from vprbench.api.images import Images
-from vprbench.api.method import Method
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, compiled
 
 Grey = npt.NDArray[np.uint8]  # (height, width)
 Regions = npt.NDArray[np.float32]  # (n_regions, d)

@@ -8,10 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.resize import Interpolation
-from vprbench.api.weights import load_strictly, state_dict
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Interpolation, NeuralDescriptor, load_strictly, state_dict
 
 from .backbones.resnet import n_channels, resnet
 

@@ -12,9 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api.resize import Resize
-from vprbench.api.weights import load_strictly, state_dict, without_prefix
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Resize, load_strictly, state_dict, without_prefix
 
 from .backbones.vit import SIZES, VisionTransformer
 from .cross_image import CrossImageDescriptor, CrossImageEncoder

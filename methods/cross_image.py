@@ -10,8 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, NeuralDescriptor
 
 _HEADS, _LAYERS = 16, 2
 _REASON = "images that are described together see one another; images_together=1 describes each alone"

@@ -10,9 +10,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly, state_dict
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
 
 from .backbones.vit import SIZES, VisionTransformer
 

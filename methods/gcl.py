@@ -13,10 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly, state_dict, without_prefix
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, NeuralDescriptor, Places, Scores, load_strictly, state_dict, without_prefix
 
 from .backbones.resnet import resnet
 from .backbones.vgg import vgg16_features

@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, DescriptorMethod, Images
 
 _INTERPOLATIONS = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA}
 

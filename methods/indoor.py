@@ -11,9 +11,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.resize import Resize
-from vprbench.api.weights import load_strictly, state_dict
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Resize, load_strictly, state_dict
 
 from .cosplace import Backbone, EigenPlaces
 from .salad import SALAD, loaded

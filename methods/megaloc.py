@@ -9,9 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.resize import Resize
-from vprbench.api.weights import load_strictly, state_dict
+from vprbench.api import NeuralDescriptor, Resize, load_strictly, state_dict
 
 from .backbones.vit import SIZES, VisionTransformer
 from .dinov2 import transformer

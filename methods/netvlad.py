@@ -13,10 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly, state_dict, without_prefix
-from vprbench.errors import BadInput
-from vprbench.storage.mat_files import read_mat
+from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_mat, state_dict, without_prefix
 
 from .backbones.vgg import N_CHANNELS, vgg16_features
 

@@ -16,11 +16,7 @@ import psutil
 import torch
 from torch import nn
 
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.images import Images
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import BadInput, Images, NeuralDescriptor, NotFittedError, Places, Scores, load_strictly
 
 from .netvlad import STRIDE, published_sizes, read_checkpoint, sizes
 from .patch_geometry import Geometry, mutual, score

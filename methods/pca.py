@@ -11,12 +11,17 @@ import numpy as np
 import numpy.typing as npt
 from sklearn import decomposition
 
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.descriptor import best_image_of_place
-from vprbench.api.images import Images
-from vprbench.api.method import Method
-from vprbench.api.preprocess import PatchNormalisation, Variant
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import (
+    BadInput,
+    Images,
+    Method,
+    NotFittedError,
+    PatchNormalisation,
+    Places,
+    Scores,
+    Variant,
+    best_image_of_place,
+)
 
 
 @dataclass(frozen=True)

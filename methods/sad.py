@@ -14,13 +14,17 @@ import numpy.typing as npt
 import torch
 from numba import types
 
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.compiled import compiled
-from vprbench.api.descriptor import best_image_of_place
-from vprbench.api.images import Images
-from vprbench.api.method import Method
-from vprbench.api.preprocess import PatchNormalisation, Variant
-from vprbench.errors import NotFittedError
+from vprbench.api import (
+    Images,
+    Method,
+    NotFittedError,
+    PatchNormalisation,
+    Places,
+    Scores,
+    Variant,
+    best_image_of_place,
+    compiled,
+)
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 

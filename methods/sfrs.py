@@ -9,8 +9,7 @@ from typing import ClassVar, cast
 import torch
 from torch import Tensor, nn
 
-from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import load_strictly, state_dict
+from vprbench.api import NeuralDescriptor, load_strictly, state_dict
 
 from .netvlad import STRIDE, Network
 from .salad import n_outputs

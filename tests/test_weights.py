@@ -26,11 +26,11 @@ from vprbench.api.weights import (
     Stated,
     Weights,
     content_hash,
-    find,
+    find_weights,
     load_strictly,
-    read,
+    read_tensor,
+    read_weights,
     state_dict,
-    tensor,
     weights_folder,
     without_prefix,
 )
@@ -137,33 +137,33 @@ class TestFinding:
         own = tmp_path / "own.pth"
         own.write_bytes(b"mine")
         (folder / "net.pth").write_bytes(CONTENT)
-        assert find(replace(of_content(sha256=SHA256), path=str(own)), "gcl") == own
+        assert find_weights(replace(of_content(sha256=SHA256), path=str(own)), "gcl") == own
         assert downloads == []
 
     def test_an_own_copy_may_stand_in_the_home_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("HOME", str(tmp_path))
         monkeypatch.setenv("USERPROFILE", str(tmp_path))
         (tmp_path / "own.pth").touch()
-        assert find(replace(WANTED, path="~/own.pth"), "gcl") == tmp_path / "own.pth"
+        assert find_weights(replace(WANTED, path="~/own.pth"), "gcl") == tmp_path / "own.pth"
 
     @pytest.mark.parametrize("own", ["/nowhere/net.pth", "."])
     def test_an_own_copy_that_is_no_file_is_named(self, own: str) -> None:
         with pytest.raises(
             BadInput, match=rf"^method\.weights\.path={re.escape(own)} is no file that can be read: .*gcl"
         ):
-            find(replace(LINKED, path=own), "gcl")
+            find_weights(replace(LINKED, path=own), "gcl")
 
     def test_a_file_in_the_folder_is_taken(self, folder: Path, downloads: list[Any]) -> None:
         (folder / "net.pth").write_bytes(CONTENT)
-        assert find(LINKED, "gcl") == folder / "net.pth"
+        assert find_weights(LINKED, "gcl") == folder / "net.pth"
         assert downloads == []
 
     def test_a_missing_file_is_downloaded_with_what_is_stated(self, folder: Path, downloads: list[Any]) -> None:
-        assert find(of_content(size_bytes=9, sha256=SHA256), "gcl").read_bytes() == CONTENT
+        assert find_weights(of_content(size_bytes=9, sha256=SHA256), "gcl").read_bytes() == CONTENT
         assert downloads == [(LINKED.url, folder / "net.pth", {"size_bytes": 9, "sha256": SHA256})]
 
     def test_what_is_stated_of_another_file_does_not_count(self, downloads: list[Any]) -> None:
-        find(replace(LINKED, stated={"other.pth": Stated(size_bytes=1)}), "gcl")
+        find_weights(replace(LINKED, stated={"other.pth": Stated(size_bytes=1)}), "gcl")
         assert downloads[0][2] == {"size_bytes": None, "sha256": None}
 
     def test_no_download_is_tried_where_that_is_forbidden(
@@ -171,7 +171,7 @@ class TestFinding:
     ) -> None:
         monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
         with pytest.raises(BadInput) as error:
-            find(LINKED, "gcl")
+            find_weights(LINKED, "gcl")
         assert str(error.value) == (
             f"gcl needs net.pth, which is not in {folder}, and VPRBENCH_OFFLINE forbids downloads: "
             "get it from https://example.org/net.pth; put it there under that name, or give method.weights.path=FILE"
@@ -180,7 +180,7 @@ class TestFinding:
 
     def test_what_no_program_can_fetch_is_said_to_a_person(self, folder: Path, downloads: list[Any]) -> None:
         with pytest.raises(BadInput) as error:
-            find(replace(WANTED, by_hand="log in at example.org and take MSLS.zip"), "gcl")
+            find_weights(replace(WANTED, by_hand="log in at example.org and take MSLS.zip"), "gcl")
         assert str(error.value) == (
             f"gcl needs net.pth, which is not in {folder}: log in at example.org and take MSLS.zip; "
             "put it there under that name, or give method.weights.path=FILE"
@@ -189,7 +189,7 @@ class TestFinding:
     @pytest.mark.parametrize("name", ["../net.pth", "a/net.pth", "", ".."])
     def test_a_name_that_leaves_the_folder_is_refused(self, name: str, downloads: list[Any]) -> None:
         with pytest.raises(BadInput, match=r"method\.weights\.file="):
-            find(replace(LINKED, file=name), "gcl")
+            find_weights(replace(LINKED, file=name), "gcl")
         assert downloads == []
 
     @pytest.mark.parametrize(
@@ -202,14 +202,14 @@ class TestFinding:
     def test_a_wrong_file_in_the_folder_is_refused(self, folder: Path, stated: dict[str, Any], message: str) -> None:
         (folder / "net.pth").write_bytes(CONTENT)
         with pytest.raises(BadInput, match=f"net.pth {message}"):
-            find(of_content(**stated), "gcl")
+            find_weights(of_content(**stated), "gcl")
 
     @pytest.mark.parametrize("stated", [{"size_bytes": 7}, {"sha256": "0" * 64}])
     def test_what_a_third_party_states_is_a_warning(
         self, stated: dict[str, Any], downloads: list[Any], caplog: pytest.LogCaptureFixture
     ) -> None:
         with caplog.at_level(logging.WARNING):
-            find(of_content(certain=False, **stated), "gcl")
+            find_weights(of_content(certain=False, **stated), "gcl")
         assert "by a third party" in caplog.text
         assert downloads[0][2] == {"size_bytes": None, "sha256": None}
 
@@ -219,7 +219,7 @@ class TestFinding:
 
         monkeypatch.setattr(Path, "is_file", refuse)
         with pytest.raises(BadInput, match=r"cannot be read \(Permission denied\)"):
-            find(LINKED, "gcl")
+            find_weights(LINKED, "gcl")
 
 
 class TestHash:
@@ -230,7 +230,7 @@ class TestHash:
     def test_a_file_of_the_folder_is_read_once_for_it(self, folder: Path, hashed: list[str]) -> None:
         (folder / "net.pth").write_bytes(CONTENT)
         for _ in range(3):
-            find(of_content(sha256=SHA256), "gcl")
+            find_weights(of_content(sha256=SHA256), "gcl")
         assert content_hash(folder / "net.pth") == SHA256
         assert hashed == ["net.pth"]
 
@@ -286,14 +286,14 @@ class TestReading:
     @pytest.mark.parametrize("name", ["net.pth", "net.pt", "net.ckpt", "net.pth.tar"])
     def test_files_of_torch_are_read_nested_as_they_are(self, tmp_path: Path, name: str, zipped: bool) -> None:
         path = write_torch({"epoch": 3, "state_dict": TENSORS}, tmp_path / name, zipped=zipped)
-        content = read(path)
+        content = read_weights(path)
         assert content["epoch"] == 3
         assert torch.equal(content["state_dict"]["weight"], TENSORS["weight"])
 
     @pytest.mark.parametrize("name", ["model.safetensors", "model.bin"])
     def test_safetensors_are_read_whatever_the_name(self, tmp_path: Path, name: str) -> None:
         save_file(TENSORS, tmp_path / name)
-        assert torch.equal(read(tmp_path / name)["bias"], TENSORS["bias"])
+        assert torch.equal(read_weights(tmp_path / name)["bias"], TENSORS["bias"])
 
     def test_a_zipped_file_stays_on_the_disk_until_it_is_used(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -301,8 +301,8 @@ class TestReading:
         modes = []
         load = torch.load
         monkeypatch.setattr(torch, "load", lambda *a, **options: modes.append(options["mmap"]) or load(*a, **options))
-        read(write_torch(TENSORS, tmp_path / "new.pth"))
-        read(write_torch(TENSORS, tmp_path / "old.pth", zipped=False))
+        read_weights(write_torch(TENSORS, tmp_path / "new.pth"))
+        read_weights(write_torch(TENSORS, tmp_path / "old.pth", zipped=False))
         assert modes == [True, False]
 
     @pytest.mark.parametrize("zipped", [True, False])
@@ -310,7 +310,7 @@ class TestReading:
         mark = tmp_path / "mark"
         path = write_torch({"state_dict": TENSORS, "x": Hostile(mark)}, tmp_path / "net.pth", zipped=zipped)
         with pytest.raises(BadInput, match=r"running code out of it, which is never done") as error:
-            read(path)
+            read_weights(path)
         assert not mark.exists()
         assert "\n" not in str(error.value)
 
@@ -318,7 +318,7 @@ class TestReading:
         path, mark = tmp_path / "net.pth", tmp_path / "mark"
         path.write_bytes(pickle.dumps(Hostile(mark)))
         with pytest.raises(BadInput, match=r"net\.pth"):
-            read(path)
+            read_weights(path)
         assert not mark.exists()
 
     @pytest.mark.parametrize("zipped", [True, False])
@@ -329,7 +329,7 @@ class TestReading:
         if isinstance(value, np.dtype):
             value = np.array([0.25], value)[0]
         path = write_torch({"recalls": {1: value}, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped)
-        content = read(path)
+        content = read_weights(path)
         assert content["recalls"][1] == value
         assert torch.equal(content["state_dict"]["bias"], TENSORS["bias"])
 
@@ -339,7 +339,7 @@ class TestReading:
         written = path.read_bytes()
         ours = next(name for name in (b"numpy._core.multiarray", b"numpy.core.multiarray") if name in written)
         path.write_bytes(written.replace(b"c" + ours + b"\n", b"c" + module + b"\n"))
-        assert read(path) == {"best_score": 0.852}
+        assert read_weights(path) == {"best_score": 0.852}
 
     @pytest.mark.parametrize("zipped", [True, False])
     @pytest.mark.parametrize(
@@ -347,7 +347,9 @@ class TestReading:
         [np.array([0.5, 2.0]), np.array([[1, 2], [3, 4]], ">i2", order="F"), np.array([True]), np.array("ab")],
     )
     def test_numpy_arrays_beside_tensors_are_read(self, tmp_path: Path, value: Any, zipped: bool) -> None:
-        content = read(write_torch({"recalls": value, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped))
+        content = read_weights(
+            write_torch({"recalls": value, "state_dict": TENSORS}, tmp_path / "net.pth", zipped=zipped)
+        )
         assert content["recalls"].dtype.newbyteorder("=") == value.dtype.newbyteorder("=")
         np.testing.assert_array_equal(content["recalls"], value)
 
@@ -356,7 +358,7 @@ class TestReading:
         path = write_torch({"pca": value, "best": number, "state_dict": TENSORS}, tmp_path / "net.pth")
         rebuilders = [value.__reduce__()[0], number.__reduce__()[0]]
         with torch.serialization.safe_globals([np.ndarray, np.dtype, type(value.dtype), *rebuilders]):
-            content = read(path)
+            content = read_weights(path)
         assert content["pca"].tolist() == [0.5, 2.0]
         assert content["best"] == 0.5
 
@@ -368,13 +370,13 @@ class TestReading:
     def test_a_file_with_more_than_tensors_names_what_it_needs(self, tmp_path: Path, value: Any) -> None:
         path = write_torch({"state_dict": TENSORS, "best": value}, tmp_path / "net.pth")
         with pytest.raises(BadInput, match=r"holds more than tensors \(numpy\S*\)"):
-            read(path)
+            read_weights(path)
 
     def test_a_file_that_would_run_a_program_is_called_dishonest(self, tmp_path: Path) -> None:
         path, mark = tmp_path / "net.pth", tmp_path / "mark"
         path.write_bytes(f"cos\nsystem\n(S'touch {mark}'\ntR.".encode())
         with pytest.raises(BadInput, match=r"would run os\.system when it is read: .* delete it"):
-            read(path)
+            read_weights(path)
         assert not mark.exists()
 
     @pytest.mark.parametrize(
@@ -390,7 +392,7 @@ class TestReading:
     ) -> None:
         path = write_torch({**content, "best": np.array([{}])}, tmp_path / "net.pth")
         with pytest.raises(BadInput) as error:
-            read(path)
+            read_weights(path)
         named = re.search(r'(python -c ".*"), and give method\.weights\.path=(\S+)$', str(error.value))
         assert named is not None
         monkeypatch.chdir(tmp_path)
@@ -416,7 +418,7 @@ class TestReading:
     def test_what_holds_no_weights_is_refused(self, tmp_path: Path, content: bytes, message: str) -> None:
         (tmp_path / "net.pth").write_bytes(content)
         with pytest.raises(BadInput, match=message) as error:
-            read(tmp_path / "net.pth")
+            read_weights(tmp_path / "net.pth")
         assert "\n" not in str(error.value)
 
     @pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
@@ -429,25 +431,25 @@ class TestReading:
             write_torch(tensors, path, zipped=kind == "new.pth")
         path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
         with pytest.raises(BadInput, match=kind):
-            read(path)
+            read_weights(path)
 
     def test_a_file_that_is_not_there_is_named(self, tmp_path: Path) -> None:
         with pytest.raises(BadInput, match=r"net\.pth cannot be read \(No such file"):
-            read(tmp_path / "net.pth")
+            read_weights(tmp_path / "net.pth")
 
     def test_a_single_tensor_is_no_dictionary(self, tmp_path: Path) -> None:
         with pytest.raises(BadInput, match="holds one Tensor; wanted a dictionary"):
-            read(write_torch(torch.ones(3), tmp_path / "centres.pt"))
+            read_weights(write_torch(torch.ones(3), tmp_path / "centres.pt"))
 
 
 class TestTensor:
     def test_a_file_of_one_tensor_gives_it(self, tmp_path: Path) -> None:
-        assert torch.equal(tensor(write_torch(torch.arange(3.0), tmp_path / "centres.pt")), torch.arange(3.0))
+        assert torch.equal(read_tensor(write_torch(torch.arange(3.0), tmp_path / "centres.pt")), torch.arange(3.0))
 
     @pytest.mark.parametrize("content", [TENSORS, [torch.ones(1)], torch.ones(2, dtype=torch.complex64)])
     def test_anything_else_is_refused(self, tmp_path: Path, content: Any) -> None:
         with pytest.raises(BadInput, match=r"centres\.pt holds one"):
-            tensor(write_torch(content, tmp_path / "centres.pt"))
+            read_tensor(write_torch(content, tmp_path / "centres.pt"))
 
 
 class TestStateDict:

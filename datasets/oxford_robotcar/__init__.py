@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
-from vprbench.storage.folders import data_folder
+from vprbench.api import Dataset, Images, data_folder
 
 from ..frame_folders import root_folder
 from ..traverses import Evaluation, check_recorded, dataset_of, recorded_split, right_places

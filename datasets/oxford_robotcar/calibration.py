@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PillowImage
 
-from vprbench.api.arrays import Image
-from vprbench.api.image_formats import opened
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, Image, NotThere, open_image
 
 from .undistortion import undistort
 
@@ -110,7 +108,7 @@ def read_calibration(path: Path, camera: Camera) -> Calibration:
 def check_raw(path: Path, camera: Camera) -> None:
     """Raise BadInput for a file that is no raw frame of the camera: grey, 8 bit, of its size."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             _insist_on_raw(path, image, camera)
     except (OSError, SyntaxError) as error:
         raise unreadable(path, error) from error
@@ -119,7 +117,7 @@ def check_raw(path: Path, camera: Camera) -> None:
 def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
     """Read a frame as the camera recorded it, (height, width), one colour a pixel; raises BadInput for any other."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             _insist_on_raw(path, image, camera)
             return np.asarray(image)
     except (OSError, SyntaxError) as error:

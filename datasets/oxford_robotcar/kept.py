@@ -16,9 +16,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
-from vprbench.api.arrays import Image
-from vprbench.api.image_formats import opened
-from vprbench.api.images import Images
+from vprbench.api import Image, Images, open_image
 
 from .calibration import VERSION, Calibration, processed, read_raw
 
@@ -122,7 +120,7 @@ def recorded_calibration(folder: Path) -> str | None:
 def is_made_with(path: Path, calibration: str) -> bool:
     """Tell whether a file is a frame that we made with the calibration of this hash."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             return bool(_mark(image)["calibration"] == calibration)
     except Exception:  # a damaged file may upset its reader in any way
         return False
@@ -131,7 +129,7 @@ def is_made_with(path: Path, calibration: str) -> bool:
 def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
     """Return a frame that was kept; None where it is not there, damaged or made of something else."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             mark = _mark(image)
             pixels = mark.pop("pixels")
             if mark != wanted or image.mode != "RGB":

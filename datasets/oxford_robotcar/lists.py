@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, NotThere
 
 #: When each traverse was recorded: its name in the RobotCar dataset.
 RECORDINGS = {"sun": "2015-08-12-15-04-18", "rain": "2015-10-29-12-18-17", "dusk": "2014-11-21-16-07-03"}

@@ -6,10 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vprbench.api.dataset import FrameFolder
-from vprbench.api.image_formats import opened
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, FrameFolder, Images, open_image
 
 from ..frame_folders import check_folders, files_in
 from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable
@@ -135,7 +132,7 @@ def _is_somebody_elses(folder: Path) -> bool:
 def _check_processed(path: Path) -> None:
     """Raise BadInput for a frame that is no image, or grey, as the camera records it: one colour a pixel."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             mode = image.mode
     except (OSError, SyntaxError) as error:
         raise unreadable(path, error) from error

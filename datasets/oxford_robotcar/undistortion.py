@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from vprbench.api.compiled import compiled
+from vprbench.api import compiled
 
 _ROUNDING = 1e-4  # levels that the weights' rounding may take off a whole number before its decimals are cut off
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arrays import Image
+from vprbench.api import Image
 
 from .chance import FULL, Chance
 

@@ -9,10 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vprbench.api.arrays import Image
-from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Dataset, Image, Images
 
 from ..traverses import Evaluation, dataset_of, split
 from .film import HEIGHT, WIDTH

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vprbench.api.dataset import Dataset
+from vprbench.api import Dataset
 
 from ..rendering.journey import Rendered
 from ..traverses import Evaluation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from vprbench.api.arrays import Image
+from vprbench.api import Image
 
 from ..rendering.chance import FULL, Chance
 from ..rendering.film import BOTTOM, FAR, HEIGHT, PIXEL, WIDTH, Canvas, Film, develop, roughen, sky

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vprbench.api.arrays import Image
+from vprbench.api import Image
 
 from ..rendering.chance import FULL, Chance
 from ..rendering.film import PIXEL, WIDTH, Canvas, Film, Outlines, Paint, develop, roughen, sky

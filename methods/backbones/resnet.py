@@ -10,7 +10,7 @@ from typing import Literal
 
 from torch import Tensor, nn
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 N_STAGES = 4
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import nn
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 N_CHANNELS = 512
 N_LAYERS = 31  # convolutions, ReLUs and pools

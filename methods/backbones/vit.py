@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 _HEAD = 64  # dimensions of an attention head, in all published sizes
 _EPSILON = 1e-6

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from vprbench.api.arrays import Image
+from vprbench.api import Image
 
 ArcTangent = Literal["exact", "vlfeat"]
 

@@ -12,12 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from vprbench import progress
-from vprbench.api.arrays import Image, Places
-from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.images import Images
-from vprbench.api.search import faiss_module
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, faiss_module, progress
 
 from .dense_sift import (
     DIMENSIONS,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.errors import BadInput
-from vprbench.storage.mat_files import read_mat
+from vprbench.api import BadInput, read_mat
 
 from .dense_sift import DIMENSIONS
 

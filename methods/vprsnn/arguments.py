@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vprbench.api.preprocess import Variant
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, Variant
 
 Engine = Literal["compiled", "batched"]
 

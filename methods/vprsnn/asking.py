@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench import progress
+from vprbench.api import progress
 
 from . import batched
 from .assignment import labels

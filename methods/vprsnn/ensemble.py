@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .method import VPRSNN
 from .recipe import Recipe

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.compiled import compiled
+from vprbench.api import compiled
 
 from .module import Train
 

@@ -13,13 +13,18 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import checkpoints
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.dataset import HeldOut
-from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method
-from vprbench.api.preprocess import PatchNormalisation
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import (
+    BadInput,
+    HeldOut,
+    Images,
+    LayerSpikes,
+    Method,
+    NotFittedError,
+    PatchNormalisation,
+    Places,
+    Scores,
+    checkpoints,
+)
 
 from . import published, scoring
 from .arguments import Arguments

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .assignment import Learnt
 from .module import side_by_side, unpadded

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.errors import BadInput, NotThere
+from vprbench.api import BadInput, NotThere
 
 _NAME = re.compile(r"(?P<size>weights_ne\d+_L(?P<places>\d+))_offset(?P<offset>\d+)(?P<seed>_S\d+)?")
 _WEIGHTS, _THETA = "XeAe.npy", "theta_A.npy"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from vprbench.api.arrays import Places, Scores
+from vprbench.api import Places, Scores
 
 from .assignment import Learnt
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from vprbench.api.compiled import compiled
+from vprbench.api import compiled
 
 from .module import SIDE, STRETCH
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import torch
 
-from vprbench import progress
+from vprbench.api import progress
 
 _LOOK_SECONDS = 0.5  # from one report of the progress to the next
 Result = TypeVar("Result")

@@ -10,9 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench import progress
-from vprbench.api.checkpoints import Partial
-from vprbench.errors import BadInput
+from vprbench.api import BadInput, checkpoints, progress
 
 from . import batched
 from .lessons import Lesson, Responses
@@ -29,7 +27,7 @@ Module = Mapping[str, npt.NDArray[Any]]
 def train_all(
     recipe: Recipe,
     lessons: Sequence[Lesson],
-    kept: Partial,
+    kept: checkpoints.Partial,
     stage: str,
     device: torch.device | None,
     given: Sequence[PublishedModule] | None = None,
@@ -116,7 +114,7 @@ def assign(
 def _train_at_once(
     recipe: Recipe,
     lessons: Sequence[Lesson],
-    kept: Partial,
+    kept: checkpoints.Partial,
     stage: str,
     device: torch.device,
     within: tuple[float, float],

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .method import VPRTempo
 

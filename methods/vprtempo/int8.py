@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .method import VPRTempo
 from .quantised import MOST_INPUTS, Int8LinearQuery, Int8SpikingQuery

@@ -14,12 +14,18 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from vprbench import progress
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method
-from vprbench.api.preprocess import PatchNormalisation, Variant
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.api import (
+    BadInput,
+    Images,
+    LayerSpikes,
+    Method,
+    NotFittedError,
+    PatchNormalisation,
+    Places,
+    Scores,
+    Variant,
+    progress,
+)
 
 from . import fused, training
 from .encoding import spikes_of

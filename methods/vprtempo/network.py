@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from vprbench.errors import BadInput
+from vprbench.api import BadInput
 
 from .layer import Layer
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api.arrays import Scores
+from vprbench.api import Scores
 
 from .compiled import compiled
 from .network import Network

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.api.arrays import Scores
+from vprbench.api import Scores
 
 from .compiled import compiled
 from .network import Network

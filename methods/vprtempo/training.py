@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from vprbench.api.arrays import Scores
-from vprbench.errors import BadInput, TrainingDivergedError
+from vprbench.api import BadInput, Scores, TrainingDivergedError
 
 from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing

@@ -8,7 +8,7 @@ from PIL import Image as PillowImage
 
 #: Pillow knows many more, some of which start other programs (EPS) or have no use here.
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
-SUFFIXES = (
+IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".tif", ".tiff", ".webp"),
     *(".ppm", ".pgm", ".pbm", ".pnm"),
 )
@@ -28,7 +28,7 @@ _SUFFIXES_BESIDE = {
 }
 
 
-def opened(path: Path) -> PillowImage.Image:
+def open_image(path: Path) -> PillowImage.Image:
     """Open an image of one of the formats, of which nothing is decoded yet; to be closed by the caller.
 
     Raises what Pillow does: UnidentifiedImageError, an OSError, for any other content, whatever its name.
@@ -38,7 +38,7 @@ def opened(path: Path) -> PillowImage.Image:
 
 def is_image_name(name: str) -> bool:
     """Tell whether a file of this name is an image by its suffix."""
-    return name.lower().endswith(SUFFIXES)
+    return name.lower().endswith(IMAGE_SUFFIXES)
 
 
 def is_beside(name: str) -> bool:

@@ -17,7 +17,7 @@ from PIL import Image as PillowImage
 
 from vprbench.api import png
 from vprbench.api.arrays import Image
-from vprbench.api.image_formats import opened
+from vprbench.api.image_formats import open_image
 from vprbench.api.read_ahead import Window
 from vprbench.errors import BadInput
 from vprbench.storage.hashes import FileHash, file_hashes
@@ -285,7 +285,7 @@ def read_image(path: Path) -> Image:
     try:
         if (pixels := _decoded_png(path)) is not None:
             return pixels
-        with opened(path) as image:
+        with open_image(path) as image:
             _insist_on_size(image)
             if image.mode.startswith("I"):
                 return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
@@ -316,7 +316,7 @@ def _decoded_png(path: Path) -> Image | None:
 def _decoded_bytes(path: Path) -> int:
     """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             return max(1, 3 * image.width * image.height)
     except _UNREADABLE:  # said when the image is read
         return 1

@@ -30,7 +30,7 @@ from vprbench.api.resize import (
     resize_batch,
     resize_image,
 )
-from vprbench.api.weights import Weights, find
+from vprbench.api.weights import Weights, find_weights
 from vprbench.errors import BadInput
 
 Precision = Literal["float32", "float16", "bfloat16"]
@@ -96,7 +96,7 @@ class NeuralDescriptor(DescriptorMethod):
         Arguments that do not fit are told first: a download may take long.
         """
         self._check_arguments()
-        return (find(self.weights, type(self).__name__),)
+        return (find_weights(self.weights, type(self).__name__),)
 
     def keeps_descriptors(self) -> bool:
         """Tell that descriptors are worth keeping on disk."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from vprbench.api.compiled import compiled
+from vprbench.api.compiling import compiled
 
 _NEARLY_FLAT = np.float32(1e-4)  # deviation over mean, below which a window is looked at for being constant
 _CASCADE = 16  # terms that PyTorch adds up before it adds them to its sum

@@ -65,7 +65,7 @@ def weights_folder() -> Path:
     return cache_folder(_FOLDER, "weights")
 
 
-def find(weights: Weights, subject: str, option: str = "weights") -> Path:
+def find_weights(weights: Weights, subject: str, option: str = "weights") -> Path:
     """Return the file with the weights that `subject`, a method, needs; downloads it where that is possible.
 
     `option` is the method's argument that holds `weights`, for the message.
@@ -112,7 +112,7 @@ def content_hash(path: Path) -> str:
     return sha256
 
 
-def read(path: Path) -> dict[str, Any]:
+def read_weights(path: Path) -> dict[str, Any]:
     """Return what a file of safetensors or of torch holds, nested as it is there, on the CPU.
 
     Raises BadInput for a file that is damaged, no dictionary, or not to be read without running code out of it.
@@ -128,7 +128,7 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
 
     Raises BadInput as `read` does, and where anything but plain tensors is found there.
     """
-    content = read(path)
+    content = read_weights(path)
     key = next((key for key in keys if key in content), None)
     found = content if key is None else content[key]
     odd = [name for name, value in found.items() if not _is_plain(value)] if isinstance(found, Mapping) else [key]
@@ -138,7 +138,7 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
     return {name: value.detach() for name, value in found.items()}
 
 
-def tensor(path: Path) -> Tensor:
+def read_tensor(path: Path) -> Tensor:
     """Return the one tensor that a file of torch holds; raises BadInput for anything else."""
     content = _content(path)
     if not _is_plain(content):

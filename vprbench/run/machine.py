@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-import vprbench
+from vprbench.storage.folders import checkout_folder
 
 _LIBRARIES = (
     "torch",
@@ -174,7 +174,7 @@ def _version(name: str) -> str | None:
 
 def _git_state() -> dict[str, Any] | None:
     """Return the commit of the checkout this package runs from, and whether it was changed."""
-    root = Path(vprbench.__file__).resolve().parent.parent
+    root = checkout_folder()
     if not (root / ".git").exists():
         return None
     commit = _output("git", "-C", str(root), "rev-parse", "HEAD")

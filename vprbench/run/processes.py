@@ -17,9 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import vprbench
 from vprbench import ending
 from vprbench.storage.atomic import PARTIAL, remove_leftovers
+from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
     A process that dies without a word is a failure: one line on standard error, and a record where it had begun a run.
     Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
     """
-    home = str(Path(vprbench.__file__).resolve().parents[1])
+    home = str(checkout_folder())
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     with _slip() as left, _signals_passed_on() as (children, signals):
         given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})

@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from vprbench import api
+
 #: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
 COMPUTING = frozenset(
     f"vprbench.api.{name}"
@@ -70,7 +72,8 @@ def _imported(module: str, path: Path) -> Iterator[str]:
             source = "." * node.level + (node.module or "")
             source = importlib.util.resolve_name(source, package) if node.level else source
             yield source
-            yield from (f"{source}.{alias.name}" for alias in node.names)
+            homes = api.HOMES if source == api.__name__ else {}
+            yield from (homes.get(alias.name, f"{source}.{alias.name}") for alias in node.names)
 
 
 def _statements(tree: ast.AST) -> Iterator[ast.AST]:

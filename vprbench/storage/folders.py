@@ -9,6 +9,7 @@ from typing import Any
 
 import platformdirs
 
+import vprbench
 from vprbench.errors import BadInput
 
 
@@ -44,6 +45,11 @@ def cache_folder(variable: str, name: str) -> Path:
         return platformdirs.user_cache_path("vprbench", appauthor=False).expanduser() / name
     except RuntimeError as error:
         raise BadInput(f"nobody knows the home of this user: set HOME, or {variable} to a folder") from error
+
+
+def checkout_folder() -> Path:
+    """Return the folder that holds this package: that of the checkout where it runs from one."""
+    return Path(vprbench.__file__).resolve().parents[1]
 
 
 def data_folder(name: str) -> Path:

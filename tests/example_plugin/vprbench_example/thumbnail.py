@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.images import Images
+from vprbench.api import DescriptorMethod, Images
 
 
 @dataclass
