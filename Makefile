@@ -45,7 +45,7 @@ test: $(READY) ## Run all tests, a worker with one thread for each core (ARGS pa
 
 test-triton: $(READY) ## Run the tests of the GPU training in Triton's interpreter, without a GPU; installs triton (280 MB).
 	$(RUN) -c "import triton" 2>/dev/null || $(RUN) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) triton==3.9.0
-	VPRBENCH_INSIST_ON_TRITON=1 $(RUN) -m pytest tests/test_vprtempo_fused_cuda.py $(ARGS)
+	VPRBENCH_INSIST_ON_TRITON=1 $(RUN) -m pytest tests/methods/vprtempo/test_fused_cuda.py $(ARGS)
 
 check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/ruff check .

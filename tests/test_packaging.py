@@ -13,8 +13,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("vprbench", "methods", "datasets", "conf", "pyproject.toml", "README.md", "LICENSE")
 QUICK = (
     "dataset.places=12",

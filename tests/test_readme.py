@@ -10,13 +10,13 @@ from pathlib import Path
 
 import hydra
 import pytest
+from checkout import ROOT
 
 from vprbench.paper.page.words import TERMS
 from vprbench.paper.plan import QUANTITIES, read_plan
 from vprbench.paper.table.words import HEADS, TRAINING_TIME
 from vprbench.plugins import registry
 
-ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

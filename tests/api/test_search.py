@@ -1,0 +1,366 @@
+"""The search of descriptors: exact against plain sums in float64, approximate indexes against exact search."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from checkout import ROOT
+
+from vprbench.api import search
+from vprbench.api.search import Kind, Search, agreement
+
+Vectors = npt.NDArray[np.float32]
+
+
+N_IMAGES, N_DIMENSIONS = 2000, 64
+APPROXIMATE: tuple[Kind, ...] = ("hnsw", "ivfpq", "sq8")
+RETRIEVING: tuple[Kind, ...] = ("hnsw", "ivfpq")
+
+
+def unit(vectors: npt.NDArray[Any]) -> Vectors:
+    return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+
+
+def clustered(n_images: int = N_IMAGES, n_dimensions: int = N_DIMENSIONS, seed: int = 0) -> tuple[Vectors, Vectors]:
+    """Unit vectors around fifty centres, and a noisy copy of every eighth."""
+    generator = np.random.default_rng(seed)
+    centres = generator.standard_normal((50, n_dimensions))
+    references = unit(
+        centres[generator.integers(0, 50, n_images)] + 0.5 * generator.standard_normal((n_images, n_dimensions))
+    )
+    return references, unit(references[::8] + 0.05 * generator.standard_normal(references[::8].shape))
+
+
+def oracle(codes: Vectors, references: Vectors, places: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Inner products in float64, and of each place the largest."""
+    products = codes.astype(np.float64) @ references.astype(np.float64).T
+    return np.stack([products[:, places == place].max(1) for place in range(places.max() + 1)], axis=1)
+
+
+def layouts(n: int) -> dict[str, npt.NDArray[np.int64]]:
+    return {
+        "one image each": np.arange(n),
+        "one image each, in another order": np.random.default_rng(3).permutation(n),
+        "traverses": np.tile(np.arange(n // 2), 2),
+        "neighbours": np.arange(n) // 4,
+        "unevenly": np.sort(np.append(np.arange(7), np.random.default_rng(4).integers(0, 7, n - 7)))[::-1].copy(),
+        "all of one place": np.zeros(n, np.int64),
+    }
+
+
+# Exact
+
+
+@pytest.mark.parametrize("n_queries", [0, 1, 2, 300])
+@pytest.mark.parametrize("layout", layouts(8))
+def test_exact_scores_are_those_of_float64(layout: str, n_queries: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "_TOGETHER", 130)
+    monkeypatch.setattr(search, "_CELLS", 130 * 70)  # 70 queries together
+    references, _ = clustered(600, 20)
+    codes, places = unit(np.random.default_rng(1).standard_normal((300, 20)))[:n_queries], layouts(600)[layout]
+    scores = Search(references, places).scores(codes)
+    assert (scores.dtype, scores.shape) == (np.float32, (n_queries, places.max() + 1))
+    np.testing.assert_allclose(scores, oracle(codes, references, places), atol=1e-6)
+
+
+def test_exact_search_imports_no_faiss() -> None:
+    code = (
+        "import sys, numpy as np; from vprbench.api.search import Search; "
+        "Search(np.eye(3, dtype=np.float32), np.arange(3)).scores(np.eye(3, dtype=np.float32)); "
+        "sys.exit('faiss' in sys.modules or 'torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_references_are_not_copied() -> None:
+    references, _ = clustered()
+    assert np.shares_memory(Search(references, np.arange(N_IMAGES)).references, references)
+
+
+def test_references_may_lie_in_a_file(tmp_path: Any) -> None:
+    references, codes = clustered()
+    np.save(tmp_path / "references.npy", references)
+    mapped = np.load(tmp_path / "references.npy", mmap_mode="r")
+    places = np.arange(N_IMAGES)
+    for kind in ("exact", *APPROXIMATE):
+        assert np.array_equal(
+            Search(mapped, places, kind).scores(codes), Search(references, places, kind).scores(codes)
+        )
+
+
+# Approximate
+
+
+@pytest.fixture(scope="module", params=APPROXIMATE)
+def approximate(request: pytest.FixtureRequest) -> Search:
+    return Search(clustered()[0], np.arange(N_IMAGES), request.param, neighbours=50)
+
+
+def test_an_approximate_index_finds_nine_in_ten_of_the_exactly_best(approximate: Search) -> None:
+    references, codes = clustered()
+    exact = oracle(codes, references, np.arange(N_IMAGES))
+    assert (approximate.scores(codes).argmax(1) == exact.argmax(1)).mean() >= 0.9
+
+
+def test_scores_of_what_an_index_finds_are_about_the_inner_products(approximate: Search) -> None:
+    references, codes = clustered()
+    scores, exact = approximate.scores(codes), oracle(codes, references, np.arange(N_IMAGES))
+    found = np.isfinite(scores)
+    # hnsw holds the vectors; half a step of 8 bits is 1/510 of a dimension's extent; product codes are coarse
+    tolerance = {"hnsw": 1e-5, "sq8": 0.01, "ivfpq": 0.25}[approximate.kind]
+    assert np.abs(scores[found] - exact[found]).max() < tolerance
+
+
+def test_single_queries_and_batches_get_the_same(approximate: Search) -> None:
+    _, codes = clustered()
+    singles = np.concatenate([approximate.scores(codes[i : i + 1]) for i in range(40)])
+    together = approximate.scores(codes[:40])
+    assert np.array_equal(np.isfinite(singles), np.isfinite(together))
+    np.testing.assert_allclose(singles, together, atol=1e-5)
+
+
+def test_the_same_references_give_the_same_scores(approximate: Search) -> None:
+    references, codes = clustered()
+    again = Search(references.copy(), np.arange(N_IMAGES), approximate.kind, neighbours=50)
+    assert np.array_equal(again.scores(codes), approximate.scores(codes))
+
+
+@pytest.mark.parametrize("kind", RETRIEVING)
+def test_places_that_were_not_retrieved_are_no_candidates(kind: Kind) -> None:
+    references, codes = clustered()
+    scores = Search(references, np.arange(N_IMAGES), kind, neighbours=7).scores(codes)
+    assert set(np.isfinite(scores).sum(1)) == {7}
+    assert np.isneginf(scores[~np.isfinite(scores)]).all()
+
+
+@pytest.mark.parametrize("kind", RETRIEVING)
+def test_of_several_retrieved_images_of_a_place_the_best_counts(kind: Kind) -> None:
+    references, codes = clustered()
+    each = Search(references, np.arange(N_IMAGES), kind).scores(codes)
+    places = np.random.default_rng(5).permutation(np.arange(N_IMAGES) // 40)
+    best = np.stack([each[:, places == place].max(1) for place in range(places.max() + 1)], axis=1)
+    assert np.isfinite(best).sum() < np.isfinite(each).sum()  # so that some images share their place
+    assert np.array_equal(Search(references, places, kind).scores(codes), best)
+
+
+def test_eight_bits_score_every_place_and_of_several_images_the_best() -> None:
+    references, codes = clustered()
+    places = layouts(N_IMAGES)["unevenly"]
+    np.testing.assert_allclose(
+        Search(references, places, "sq8").scores(codes), oracle(codes, references, places), atol=0.01
+    )
+
+
+def test_eight_bits_are_decoded_as_faiss_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    import faiss
+
+    monkeypatch.setattr(search, "_CELLS", 77 * N_DIMENSIONS)  # 77 images at a time
+    references, codes = clustered()
+    theirs = faiss.IndexScalarQuantizer(N_DIMENSIONS, faiss.ScalarQuantizer.QT_8bit, faiss.METRIC_INNER_PRODUCT)
+    theirs.train(references)
+    theirs.add(references)
+    decoded = theirs.reconstruct_n(0, N_IMAGES)
+    found = Search(references, np.arange(N_IMAGES), "sq8").scores(codes)
+    np.testing.assert_allclose(found, codes @ decoded.T, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", RETRIEVING)
+def test_no_more_neighbours_are_retrieved_than_there_are(kind: Kind) -> None:
+    references, codes = clustered(300)
+    scores = Search(references, np.arange(300), kind, neighbours=1_000_000).scores(codes)
+    assert np.isfinite(scores).sum(1).max() <= 300
+
+
+@pytest.mark.parametrize("n_dimensions", [30, 62, 65, 2051])
+def test_product_codes_take_any_number_of_dimensions(n_dimensions: int) -> None:
+    references, codes = clustered(300, n_dimensions)
+    scores = Search(references, np.arange(300), "ivfpq").scores(codes)
+    exact = oracle(codes, references, np.arange(300))
+    assert (scores.argmax(1) == exact.argmax(1)).mean() >= 0.9
+
+
+@pytest.mark.parametrize("kind", ["hnsw", "sq8"])
+@pytest.mark.parametrize("n_images", [1, 2, 30])
+def test_few_references_are_enough(kind: Kind, n_images: int) -> None:
+    references, _ = clustered(30)
+    scores = Search(references[:n_images], np.arange(n_images), kind).scores(references)
+    np.testing.assert_allclose(scores, references @ references[:n_images].T, atol=0.01)
+
+
+def test_product_codes_say_how_many_references_they_need() -> None:
+    references, _ = clustered(256)
+    Search(references, np.arange(256), "ivfpq")
+    with pytest.raises(
+        ValueError, match="ivfpq needs at least 256 reference images, 255 came: take exact, hnsw or sq8"
+    ):
+        Search(references[:255], np.arange(255), "ivfpq")
+
+
+def test_training_product_codes_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    Search(clustered(300)[0], np.arange(300), "ivfpq")
+    assert capfd.readouterr() == ("", "")
+
+
+# What it refuses
+
+
+@pytest.mark.parametrize(
+    ("spoil", "wanted"),
+    [
+        (lambda given: {**given, "kind": "lsh"}, "lsh is unknown: give exact, hnsw, ivfpq, sq8"),
+        (lambda given: {**given, "neighbours": 0}, "0 neighbours: give at least 1"),
+        (lambda given: {**given, "places": np.arange(3)}, r"references \(300, 64\) came with places \(3,\)"),
+        (lambda given: {**given, "references": np.zeros((0, 4), np.float32)}, r"references \(0, 4\) came"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused(spoil: Callable[[dict[str, Any]], dict[str, Any]], wanted: str) -> None:
+    with pytest.raises(ValueError, match=wanted):
+        Search(**spoil({"references": clustered(300)[0], "places": np.arange(300)}))
+
+
+@pytest.mark.parametrize("kind", ["exact", *APPROXIMATE])
+def test_codes_of_another_length_are_refused(kind: Kind) -> None:
+    index = Search(clustered(300)[0], np.arange(300), kind)
+    with pytest.raises(ValueError, match=r"codes \(2, 63\) came; this map compares \(n_queries, 64\)"):
+        index.scores(np.zeros((2, 63), np.float32))
+
+
+# What it costs
+
+
+@pytest.mark.parametrize(
+    ("kind", "wanted"),
+    [
+        ("exact", 4 * 64),
+        ("hnsw", 4 * 64 + 4 * 64),  # twice 32 links on the lowest layer, few above
+        ("ivfpq", 16 + 8),  # a byte for every 4 numbers, and the number of the image; centroids on top
+        ("sq8", 64),
+    ],
+)
+def test_bytes_of_a_place_count_what_answers_need(kind: Kind, wanted: int) -> None:
+    references, _ = clustered(20_000)
+    one_each = Search(references, np.arange(20_000), kind).bytes_per_place
+    assert wanted <= one_each <= 1.1 * wanted + 10
+    two_each = Search(references, np.arange(20_000) // 2, kind).bytes_per_place
+    assert two_each == pytest.approx(2 * one_each, abs=2)
+
+
+@pytest.mark.parametrize("layout", ["one image each", "traverses", "one image each, in another order"])
+@pytest.mark.parametrize("kind", ["exact", "sq8"])
+def test_scoring_needs_little_more_memory_than_its_scores(kind: Kind, layout: str) -> None:
+    n_images = 300_000
+    references = np.random.default_rng(0).random((n_images, 16), np.float32)
+    index = Search(references, layouts(n_images)[layout], kind)
+    codes = references[:128].copy()
+    tracemalloc.start()
+    scores = index.scores(codes)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < scores.nbytes + 220_000_000  # three intermediate results of 64 MiB
+
+
+def test_eight_bits_are_made_floats_block_by_block() -> None:
+    references = np.random.default_rng(0).random((30_000, 2048), np.float32)
+    index = Search(references, np.arange(30_000), "sq8")
+    codes = references[:4].copy()
+    tracemalloc.start()
+    scores = index.scores(codes)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < scores.nbytes + 80_000_000 < references.nbytes
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_methods_import_faiss_when_they_need_it_and_with_the_threads_that_were_pinned(threads: int) -> None:
+    code = (
+        "import sys, vprbench.methods.anyloc, vprbench.methods.densevlad.method; assert 'faiss' not in sys.modules; "
+        f"from vprbench import environment, search; environment.pin_threads({threads}); "
+        "print(search.faiss_module().omp_get_max_threads())"
+    )
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
+    assert done.stdout == f"{threads}\n"
+
+
+@pytest.mark.parametrize("path", [*(ROOT / "methods").rglob("*.py"), ROOT / "vprbench" / "search.py"], ids=str)
+def test_faiss_is_imported_in_one_place(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("import faiss\n") == text.count("faiss.loader") == (path.name == "search.py")
+
+
+def test_an_index_made_after_threads_were_pinned_keeps_to_them() -> None:
+    code = (
+        "from vprbench import environment; environment.pin_threads(1); "
+        "import numpy as np; from vprbench.api.search import Search; "
+        "Search(np.eye(300, dtype=np.float32), np.arange(300), 'hnsw'); "
+        "import faiss; print(faiss.omp_get_max_threads())"
+    )
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
+
+
+def test_a_graph_is_made_by_one_thread_and_leaves_faiss_its_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of several threads the fastest would decide what is linked, another one each time.
+    import faiss
+
+    seen = []
+    add = faiss.IndexHNSWFlat.add
+
+    def watched(index: Any, vectors: Vectors) -> None:
+        seen.append(faiss.omp_get_max_threads())
+        add(index, vectors)
+
+    monkeypatch.setattr(faiss.IndexHNSWFlat, "add", watched)
+    before = faiss.omp_get_max_threads()
+    try:
+        faiss.omp_set_num_threads(3)
+        Search(clustered(300)[0], np.arange(300), "hnsw")
+        assert (seen, faiss.omp_get_max_threads()) == ([1], 3)
+    finally:
+        faiss.omp_set_num_threads(before)
+
+
+# How it is compared with exact search
+
+
+def test_what_both_hold_for_the_best_agrees() -> None:
+    generator = np.random.default_rng(0)
+    exact = generator.permuted(np.tile(np.linspace(-1, 1, 40, dtype=np.float32), (5, 1)), axis=1)
+    assert agreement(exact + np.float32(0.3), exact).tolist() == [[1, 1]] * 5
+
+
+def test_each_of_the_ten_best_that_is_missed_counts_a_tenth() -> None:
+    exact = np.linspace(1, 0, 20, dtype=np.float32)[None]  # the best are 0 to 9
+    scores = exact.copy()
+    scores[0, [0, 4, 7]] = -0.5
+    assert agreement(scores, exact).tolist() == [[0, 0.7]]
+
+
+def test_places_that_were_not_retrieved_are_not_found() -> None:
+    exact = np.linspace(1, 0, 20, dtype=np.float32)[None]
+    scores = np.where(np.arange(20) < 4, exact, -np.inf).astype(np.float32)
+    assert agreement(scores, exact).tolist() == [[1, 0.4]]
+    assert agreement(np.full_like(exact, -np.inf), exact).tolist() == [[0, 0]]
+
+
+def test_places_as_good_as_the_exactly_best_count_as_found() -> None:
+    exact = np.array([[1, 1, 0.5, 0, 0, 0, 0, 0, 0, 0, 0, 0]], np.float32)
+    scores = exact.copy()
+    scores[0, 0] = 0.9  # its equal is named first
+    assert agreement(scores, exact).tolist() == [[1, 1]]
+
+
+def test_of_fewer_than_ten_places_all_are_the_best() -> None:
+    assert agreement(np.array([[0.1, 0.2, -np.inf]], np.float32), np.array([[0.1, 0.2, 0.3]], np.float32)).tolist() == [
+        [0, 2 / 3]
+    ]

@@ -1,0 +1,519 @@
+"""The command line: what it prints, what it stores, and one clear line with exit code 2 for bad input."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from checkout import ROOT
+from PIL import Image as PillowImage
+
+from vprbench import cli
+from vprbench.cli import main
+from vprbench.plugins import registry
+from vprbench.run.processes import Ending
+
+QUICK = [
+    "dataset.places=12",
+    "dataset.first_query_place=0",
+    "timing.minimum_seconds=0",
+    "timing.sample=4",
+    "timing.minimum_queries=4",
+    "timing.batch_sizes=[1,4]",
+    "threads=1",
+]
+KEYS = {
+    *("recall_at_1", "recall_at_5", "recall_at_10", "recall_at_25", "recall_at_1_low", "recall_at_1_high"),
+    *("fit_seconds", "streaming_encode_hz", "streaming_match_hz", "streaming_total_hz"),
+    *("offline_encode_hz", "offline_match_hz", "offline_total_hz", "peak_memory_bytes", "from_store", "run_folder"),
+}
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run what must be refused; return the one line about it, after lines of progress."""
+    code = main(arguments)
+    captured = capsys.readouterr()
+    assert code == 2, captured.err
+    assert captured.out == ""
+    lines = captured.err.strip().splitlines()
+    assert [line[:10] for line in lines if line.startswith("vprbench: ")] == [lines[-1][:10]]
+    assert "Traceback" not in captured.err
+    assert not list(Path().rglob("run.json"))
+    assert not list(Path().rglob(".partial-*"))
+    return lines[-1]
+
+
+def frames(folder: Path, count: int, size: tuple[int, int] = (16, 12), mode: str = "RGB") -> Path:
+    folder.mkdir(parents=True)
+    generator = np.random.default_rng(len(str(folder)))
+    for number in range(count):
+        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
+        image.convert(mode).save(folder / f"{number}.png")
+    return folder
+
+
+def own_frames(references: Path, queries: Path) -> list[str]:
+    return ["dataset=folders", f"dataset.references=[{references}]", f"dataset.queries={queries}", *QUICK[2:]]
+
+
+@pytest.fixture
+def write_protected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no folder be made below `results`; root, who may run these tests, has every right."""
+    make = Path.mkdir
+
+    def refuse(path: Path, *arguments: object, **options: object) -> None:
+        if "results" in path.parts and not path.exists():
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        make(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+
+
+def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made(
+    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    main(["method=sad", *QUICK])
+    request.getfixturevalue("write_protected")
+    capsys.readouterr()
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is True
+    assert main(["method=sad", *QUICK, "seed=1"]) == 2
+    assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("run_apart", ["-m"], 1)])
+def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
+) -> None:
+    temporary = tmp_path / "temporary"
+    old = temporary / ".partial-0-vprbench"
+    old.mkdir(parents=True)
+    os.utime(old, (0, 0))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    seen: list[int] = []
+
+    def look(*_: object) -> int | Ending:
+        seen.append(len({*temporary.iterdir()} - {old}))
+        return Ending(0) if options else 0
+
+    monkeypatch.setattr(cli, one, look)
+    assert main([*options, "method=sad", *QUICK]) == 0
+    assert (seen, old.exists()) == ([n_folders], not n_folders)
+    assert {*temporary.iterdir()} <= {old}
+
+
+def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    row = json.loads(capsys.readouterr().out)
+    assert set(row) >= KEYS
+
+
+def test_a_repeated_run_answers_from_the_store(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = []
+    for _ in range(2):
+        main(["method=sad", *QUICK, "output=json"])
+        rows.append(json.loads(capsys.readouterr().out))
+    assert [row.pop("from_store") for row in rows] == [False, True]
+    assert rows[0] == rows[1]
+
+
+def test_force_runs_again_although_the_answer_is_stored(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    capsys.readouterr()
+    assert main(["method=sad", *QUICK, "output=json", "force=true"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is False
+
+
+def test_the_row_names_recall_interval_rates_memory_and_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    printed = capsys.readouterr().out
+    assert re.search(r"R@1 % \[95 %\]", printed)
+    assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed)
+    assert "streaming Hz enc/match/total" in printed
+    assert "offline Hz enc/match/total" in printed
+    assert "peak MB" in printed
+    assert "stored in results/synthetic/sad-" in printed
+
+
+def test_a_run_from_the_store_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    capsys.readouterr()
+    main(["method=sad", *QUICK])
+    assert "from the store: results/synthetic/sad-" in capsys.readouterr().out
+
+
+def test_progress_goes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", *QUICK])
+    assert "sad on synthetic: fit" in capsys.readouterr().err
+
+
+def test_nothing_but_the_results_folder_is_made() -> None:
+    main(["method=sad", *QUICK])
+    assert [path.name for path in Path().iterdir()] == ["results"]
+
+
+def test_a_sweep_runs_every_combination_and_survives_a_failing_cell() -> None:
+    options = [*QUICK, "method.patch=4,3"]
+    done = subprocess.run(
+        [sys.executable, "-m", "vprbench", "-m", "method=sad", *options],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(list(Path().rglob("run.json"))) == 1
+    (failure,) = Path().rglob("failure.json")
+    assert "method.patch=4" in json.loads(failure.read_text())["error"]
+
+
+def test_a_sweep_says_in_a_line_each_which_weights_are_missing_and_runs_the_rest() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "vprbench", "-m", "method=gcl,salad,sad", *QUICK],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1", "VPRBENCH_OFFLINE": "1"}
+        | {"VPRBENCH_WEIGHTS": str(Path("weights").absolute())},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2
+    (run,) = Path().rglob("run.json")
+    assert json.loads(run.read_text())["method"] == "sad"
+    complaints = [line for line in done.stderr.splitlines() if " needs " in line]
+    assert [re.split(r" which is not in", line)[0] for line in complaints] == [
+        "vprbench: GCL needs MSLS_resnet152_GeM_480_GCL.pth,",
+        "vprbench: SALAD needs dino_salad.ckpt,",
+    ]
+    assert "Traceback" not in done.stderr
+    assert len(list(Path().rglob("failure.json"))) == 2
+
+
+class Page(BaseHTTPRequestHandler):
+    """Serves the same bytes, no network, under every name."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000")
+        self.end_headers()
+        self.wfile.write(b"x" * 1000)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
+def test_a_download_shows_its_progress(
+    command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_OFFLINE", "0")
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", "weights")
+    with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            url = f"http://127.0.0.1:{server.server_port}/file"
+            main([*command, "method=salad", f"method.weights.url={url}", *QUICK])
+        finally:
+            server.shutdown()
+            thread.join()
+    assert Path("weights/dino_salad.ckpt").read_bytes() == b"x" * 1000
+    assert "downloading dino_salad.ckpt" in [
+        line.partition(": ")[2].removesuffix(" 100 %") for line in capsys.readouterr().err.splitlines()
+    ]
+
+
+def test_list_shows_methods_and_datasets_with_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 0
+    printed = capsys.readouterr().out
+    for group in ("method", "dataset"):
+        for name, entry in registry.entries(group).items():  # type: ignore[arg-type]
+            assert entry.description
+            assert re.search(rf"^  {name} +{re.escape(entry.description)}$", printed, re.MULTILINE)
+
+
+def test_list_shows_a_broken_method_with_its_reason(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "method").mkdir()
+    (tmp_path / "method" / "needy.yaml").write_text("# Needs something\n_target_: not_installed_library.Method\n")
+    known = registry.conf_folders()
+    monkeypatch.setattr(registry, "conf_folders", lambda: {**known, "needy": tmp_path})
+    assert main(["list"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"needy +BROKEN: .*not_installed_library", printed)
+    assert re.search(r"sad +Sum of", printed)
+
+
+def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "method=sad"]) == 0
+    assert "15 rules: 14 kept, 1 excepted, 0 broken" in capsys.readouterr().out
+
+
+def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert all(
+        f"vprbench {command}" in printed
+        for command in ("method=", "-m", "table", "list", "check", "bench", "gpu-check")
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
+        (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
+        (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad or salad?"),
+        (["method.pach=5"], "option method.pach is unknown to sad: did you mean patch?"),
+        (
+            ["method=vprtempo", "method.max_modul=5"],
+            "method.max_modul is unknown to vprtempo: did you mean max_module?",
+        ),
+        (["dataset.placs=5"], "option dataset.placs is unknown to synthetic: did you mean places"),
+        (["timing.minimum_second=5"], "option timing.minimum_second is unknown: did you mean minimum_seconds"),
+        (["thread=1"], "option thread is unknown: did you mean threads?"),
+        (["method.patch=seven"], "method.patch=seven: wanted an integer"),
+        (["method.patch=6.5"], "method.patch=6.5: wanted an integer"),
+        (["method.preprocessing=D"], "method.preprocessing=D: wanted 'A', 'B' or 'C'"),
+        (["method.patch=6", *QUICK], "method.patch=6: the window needs a centre"),
+        (["seed=x"], "seed=x: wanted an integer"),
+        (["force=perhaps"], "force=perhaps: wanted a boolean"),
+        (["output=xml"], "output=xml: wanted 'row' or 'json'"),
+        (["device=tpu"], "device=tpu is unknown: give cpu, cuda or cuda:1"),
+        (["threads=9999"], "threads=9999: this process may use 1 to"),
+        (["save=a.safetensors", "load=b.safetensors"], "save=a.safetensors and load=b.safetensors: what is loaded"),
+        (["save=a.pth", *QUICK], "SAD keeps no network that could be stored: leave save= and load= out"),
+        (["load=a.safetensors", *QUICK], "load=a.safetensors is no file"),
+        (
+            ["load=network.bin", *QUICK],
+            "load=network.bin: give a stored network (.safetensors) or a published one (.pth)",
+        ),
+        (["depth=0"], "depth=0: keep at least the best place"),
+        (["timing.sample=0"], "timing.sample=0: all have to be at least 1"),
+        (["dataset=nordland"], "dataset.root is not set: nordland needs the folder that holds the seasons"),
+        (["dataset=nordland", "dataset.root=/nowhere"], "dataset.root=/nowhere is no folder"),
+        (["dataset.places=5"], "dataset.places=5"),
+        (["dataset.query_places=0"], "dataset.query_places=0"),
+        (["method=vprtempo", *QUICK], "12 places are fewer than one module of method.max_module=1100"),
+        (["seed=-1"], "seed=-1: give 0 or a larger number"),
+        (["+timing.foo=3"], "option timing.foo is unknown"),
+        (["timing=null"], "timing=None: set its options one by one"),
+        (["~seed"], "option seed is missing"),
+        (["+seeds=3"], "option seeds is unknown: did you mean seed?"),
+        (["method='sad'", "method.pach=5"], "option method.pach is unknown"),
+        (["check", "method=sad", "threads=x"], "threads=x: wanted an integer"),
+        (["method=vprtempo", "method.features_per_pixel=0.0", *QUICK, "method.max_module=12"], "give more than 0"),
+        (["method=vprtempo", "method.p_excitatory=2.0", *QUICK, "method.max_module=12"], "give a probability"),
+        (["method=vprtempo", "method.rate_min=-0.5", *QUICK, "method.max_module=12"], "method.rate_min=-0.5: give"),
+        (["dataset=nordland_64x32", "dataset.root=/nowhere"], "TimQuelch/seqslam"),
+        (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
+        (["dataset.references=spring"], "dataset.references=spring: wanted a list, as in [first,second]"),
+        (["dataset.name=../out", *QUICK], "dataset.name=../out: give letters"),
+        (["-m", "method=vprtempo,sad", "method.rules=paper"], "option method.rules is unknown to sad"),
+        (["lst"], "lst is no command: did you mean list?"),
+        (["gpu-chek"], "gpu-chek is no command: did you mean gpu-check"),
+        (["bench", "--cfg"], "option --cfg is unknown"),
+        (["table", "-m"], "-m is no option here"),
+        (["table", "timing.minimum_second=1"], "option timing.minimum_second is unknown"),
+        (["check"], "check needs method=NAME"),
+        (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),
+        (["list", "everything"], "list takes no options"),
+        (["table", "method=sad"], "method=sad: rows, methods, columns, seeds and devices say what the table holds"),
+        (["figures", "load=a.safetensors"], "load=a.safetensors: rows, methods, columns, seeds and devices say"),
+        (["table", "rows=[SAAD]"], "rows=SAAD is unknown: did you mean SAD?"),
+        (["report", "columns=[railwy]"], "columns=railwy is unknown: did you mean railway"),
+        (["table", "methods=[hogg]"], "methods=hogg is unknown: did you mean hog"),
+        (["table", "nordland=/nowhere"], "nordland=/nowhere is no folder"),
+        (["table", "seeds=0"], "seeds=0: give at least 1"),
+        (["table", "stored=true"], "results=results holds no run of these rows and columns: leave stored=true out"),
+        (["search", "dataset=nordland_64x32"], "nordland_64x32"),
+        (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
+        (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
+        (["results=~nobody_here/r"], "results=~nobody_here/r"),
+        ([f"results={'a' * 300}", *QUICK], "File name too long"),
+        (["save=~nobody_here/n.safetensors"], "save=~nobody_here/n.safetensors"),
+        (["load=~nobody_here/n.safetensors"], "load=~nobody_here/n.safetensors"),
+        (["dataset=nordland", "dataset.root=~nobody_here"], "dataset.root=~nobody_here"),
+        (["dataset=folders", "dataset.references=['~nobody_here']"], "dataset.references=~nobody_here"),
+        (["method=cosplace", "method.weights.path=~nobody_here/w"], "method.weights.path=~nobody_here/w"),
+        (["table", "nordland=~nobody_here"], "nordland=~nobody_here"),
+        (["search", "results=~nobody_here"], "results=~nobody_here"),
+        (["--resolve"], "--resolve"),
+        (["--colour", "method=sad"], "--colour"),
+        (["--cfg"], "--cfg"),
+        (["-m"], "-m: say what to run"),
+        (["-m", "--cfg", "job", "method=sad"], "--multirun"),
+        (["seed=1,2", "method=sad"], "seed=1,2: give -m too"),
+        (["seed=1,2", "-m", "dataset=nowhere"], "dataset=nowhere is unknown"),
+        (["method=s\nvprbench: done\x1b[2J"], r"method=s\nvprbench: done\x1b[2J is unknown: there are"),
+        (["dataset=nordland", "dataset.root=/q\nvprbench: \x1b[2Jx"], r"\x1b[2J"),
+        (["limit_minutes=0"], "limit_minutes=0"),
+        (["dataset=folders", "dataset.references=[~/north,~/süd]", "dataset.queries=b"], "~/north is no folder"),
+    ],
+    ids=lambda value: " ".join(value[:3]) if isinstance(value, list) else "",
+)
+def test_bad_options_get_one_clear_line(arguments: list[str], wanted: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert wanted in refused(arguments, capsys)
+
+
+def test_missing_frames_are_counted_and_the_first_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for season in ("spring", "fall", "summer"):
+        frames(Path(season), 2)
+        Path(season, "0.png").rename(Path(season, "images-00202.png"))
+    line = refused(["dataset=nordland", "dataset.root=."], capsys)
+    assert "images-07029.png is missing from summer (2700 of 2700 expected frames are missing" in line
+
+
+def test_a_truncated_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    whole = (queries / "2.png").read_bytes()
+    (queries / "2.png").write_bytes(whole[: len(whole) // 2])
+    assert "queries/2.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
+
+
+def test_a_file_that_is_no_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    (references / "1.png").write_text("not an image")
+    assert "references/1.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
+
+
+def test_queries_without_a_match_are_counted_and_the_first_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(own_frames(frames(Path("references"), 3), frames(Path("queries"), 5)), capsys)
+    assert "2 of 5 queries have no reference within 0 places (first: queries/3.png)" in line
+
+
+def test_images_of_differing_sizes_grey_or_with_alpha_are_accepted() -> None:
+    frames(Path("references"), 3)
+    frames(Path("more"), 2, (30, 20), "L")
+    frames(Path("alpha"), 1, (24, 24), "RGBA")
+    Path("more/0.png").rename("references/3.png")
+    Path("more/1.png").rename("references/4.png")
+    Path("alpha/0.png").rename("references/5.png")
+    assert main(own_frames(Path("references"), frames(Path("queries"), 6))) == 0
+
+
+def test_an_all_black_image_is_accepted(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    for folder in (references, queries):
+        PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
+    assert main([*own_frames(references, queries), "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["queries"] == 4
+
+
+def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("file").write_text("no folder")
+    assert "results=file/inside cannot be written" in refused(["results=file/inside", *QUICK], capsys)
+
+
+def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vprbench.run import runner
+
+    ran: list[object] = []
+    monkeypatch.setattr(runner, "run", lambda *_: ran.append(True))
+    Path("results").mkdir()
+    Path("results/synthetic").symlink_to("/nowhere/synthetic")
+    assert "results/synthetic cannot be written" in refused(["method=sad", *QUICK], capsys)
+    assert not ran
+
+
+def test_a_stored_run_that_can_be_neither_read_nor_replaced_is_named_before_the_run(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    main(["method=sad", *QUICK])
+    (stored,) = Path("results/synthetic").iterdir()
+    shutil.rmtree(stored)
+    stored.symlink_to("/nowhere/run")
+    capsys.readouterr()
+    assert f"{stored} cannot be written" in refused(["method=sad", *QUICK], capsys)
+
+
+def test_what_a_full_disk_refuses_is_still_shown(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    assert main(["method=sad", *QUICK, "output=json"]) == 2
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["run_folder"] is None
+    assert "could not be stored" in captured.err
+    assert "No space left on device" in captured.err
+    assert not list(Path("results").rglob("*.*"))
+
+
+def test_a_damaged_record_is_named_set_aside_and_run_again(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    main(["method=sad", *QUICK, "output=json"])
+    folder = Path(json.loads(capsys.readouterr().out)["run_folder"])
+    (folder / "arrays.npz").write_bytes(b"damaged")
+    assert main(["method=sad", *QUICK, "output=json"]) == 0
+    assert json.loads(capsys.readouterr().out)["from_store"] is False
+    assert f"{folder} cannot be used" in caplog.text
+    assert len(list(folder.parent.glob(f".damaged-{folder.name}-*"))) == 1
+
+
+def test_a_method_that_fails_ends_with_code_1_and_is_recorded(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from vprbench.methods.sad import SAD
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("the method's own trouble")
+
+    monkeypatch.setattr(SAD, "match", fail)
+    assert main(["method=sad", *QUICK]) == 1
+    assert "vprbench: sad failed: RuntimeError: the method's own trouble" in capsys.readouterr().err
+    (failure,) = Path("results").rglob("failure.json")
+    assert json.loads(failure.read_text())["error"] == "RuntimeError: the method's own trouble"
+
+
+def test_help_of_a_command_changes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["table", "--help"]) == 0
+    assert "python -m vprbench table" in capsys.readouterr().out
+    assert list(Path().iterdir()) == []
+
+
+def test_results_may_lie_in_a_folder_with_a_space_and_letters_from_abroad(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", *QUICK, "results=min m\u00e5ling", "output=json"]) == 0
+    assert Path(json.loads(capsys.readouterr().out)["run_folder"]).parts[0] == "min m\u00e5ling"
+
+
+def test_a_stored_run_is_shown_under_the_words_it_was_asked_with(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["method=sad", "method.patch=7", *QUICK])
+    assert "sad patch=7" in capsys.readouterr().out
+    main(["method=sad", *QUICK])
+    assert "patch=7" not in capsys.readouterr().out
+
+
+def test_a_stored_failure_does_not_name_a_persons_home(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError(f"{Path.home() / 'photos'} is strange")
+
+    monkeypatch.setattr("vprbench.methods.sad.SAD.match", fail)
+    assert main(["method=sad", *QUICK]) == 1
+    (failure,) = Path("results").rglob("failure.json")
+    assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"

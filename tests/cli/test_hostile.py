@@ -1,0 +1,131 @@
+"""Plug-ins that crash, leave, hang, print, fork and move: a run is stored once and said alone, or is a failure."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from checkout import ROOT
+
+from vprbench.cli import main
+from vprbench.errors import BadInput
+from vprbench.plugins import registry
+from vprbench.run.store import Store
+
+METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")
+QUICK = [
+    *("dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "threads=1", "frames=false"),
+    *("timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "timing.batch_sizes=[1]"),
+]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder of its own with the hostile methods plugged in, for other processes too."""
+    methods = {name: f"hostile.{name.capitalize()}" for name in METHODS} | {"dying": "dying.Method"}
+    plugin(tmp_path / "plugins", "hostile", "hostile", methods)
+    (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path / "plugins")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path / "plugins", ROOT / "tests", ROOT))))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def plugin(root: Path, package: str, point: str, methods: dict[str, str]) -> None:
+    """Install a package with these methods under the name of an entry point."""
+    folder = root / f"{package}_conf" / "method"
+    folder.mkdir(parents=True)
+    for name, target in methods.items():
+        (folder / f"{name}.yaml").write_text(f"# Of {package}\n_target_: {target}\n")
+    about = root / f"{package}-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(f"[vprbench.conf]\n{point} = {package}_conf\n")
+
+
+def asked(*options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "vprbench", *options, *QUICK]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.usefixtures("here")
+def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said_alone() -> None:
+    done = asked("-m", "method=crashing,dying,unruly", "output=json")
+    assert done.returncode == 1
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [(row["method"], "error" in row) for row in told] == [("crashing", True), ("dying", True), ("unruly", False)]
+    failures = {failure.method: failure.error for failure in Store(Path("results")).failures()}
+    assert set(failures) == {"crashing", "dying"}
+    assert "SIGSEGV" in failures["crashing"]
+    assert "importing dying.Method" in failures["dying"]
+    (run,) = Store(Path("results")).runs()
+    assert run.method == "unruly"
+    assert sum(line.startswith("vprbench: ") for line in done.stderr.splitlines()) == 2
+
+
+@pytest.mark.usefixtures("here")
+def test_a_run_that_hangs_ends_at_its_limit_and_is_a_failure_that_names_it() -> None:
+    done = asked("method=hanging", "limit_minutes=0.02")
+    assert (done.returncode, done.stdout) == (1, "")
+    (failure,) = Store(Path("results")).failures()
+    assert (failure.method, failure.config["limit_minutes"]) == ("hanging", 0.02)
+    assert "limit_minutes=0.02" in done.stderr.splitlines()[-1]
+
+
+def test_a_run_that_nobody_watches_is_stored(tmp_path: Path) -> None:
+    command = " ".join([sys.executable, "-m vprbench", *QUICK, ">&- 2>&- <&-"])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    assert subprocess.run(command, shell=True, cwd=tmp_path, env=environment, timeout=120, check=False).returncode == 0
+    assert len(list(Store(tmp_path / "results").runs())) == 1
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(("method", "code"), [("leaving", 1), ("silent", 2), ("colourful", 1), ("rootless", 1)])
+def test_whatever_a_method_raises_ends_in_one_line_that_no_terminal_obeys(
+    method: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([f"method={method}", *QUICK]) == code
+    printed = capsys.readouterr().err
+    assert [line[:10] for line in printed.splitlines() if line.startswith("vprbench")] == ["vprbench: "]
+    assert len(printed.splitlines()[-1]) > len("vprbench: ")
+    assert "\x1b" not in printed
+    assert len(list(Store(Path("results")).failures())) == (code == 1)
+
+
+def test_a_method_that_changes_the_folder_moves_nothing_that_is_stored(here: Path) -> None:
+    assert main(["method=moving", *QUICK, "save=net.safetensors"]) == 0
+    assert Path.cwd() == here
+    assert {path.name for path in here.iterdir()} == {"plugins", "results", "net.safetensors"}
+    (run,) = Store(here / "results").runs()
+    assert run.method == "moving"
+
+
+def test_of_plug_ins_that_share_a_name_none_is_used_all_are_named_and_the_built_ins_stay(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for package, point, method in [
+        ("usurper", "vprbench", "throne"),
+        *(("twin", "twins", "left"), ("gemini", "twins", "right")),
+        *(("north", "north", "pole"), ("south", "south", "pole")),
+        *(("shadow", "shadow", "sad"), ("leaver", "leaver", "gone")),
+    ]:
+        plugin(here / "plugins", package, point, {method: "leaving_at_import.Method"})
+    (here / "plugins" / "leaving_at_import.py").write_text("raise SystemExit\n")
+    shown = registry.entries("method")
+    assert {"sad", "hanging", "gone"} <= set(shown)
+    assert shown["sad"].provider == "vprbench"
+    assert not {"throne", "left", "right", "pole"} & set(shown)
+    reasons = [f"{name}: {reason}" for name, reason in registry.broken_plugins()]
+    for words in [("vprbench", "usurper"), ("twins", "twin", "gemini"), ("north", "south"), ("shadow", "sad")]:
+        assert any(all(word in reason for word in words) for reason in reasons), words
+    with pytest.raises(BadInput, match="SystemExit"):
+        shown["gone"].target()
+    for asked_for in ("method=pole", "method='pole'"):
+        assert main([asked_for, *QUICK]) == 2
+        printed = capsys.readouterr().err
+        assert "north" in printed
+        assert "south" in printed

@@ -1,0 +1,142 @@
+"""The entries of conf/fetch: complete, honest about where files come from, and fitting what they describe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from archive_files import zipped
+from checkout import SHARED
+
+from vprbench.data.fetch.entries import Download, downloads, read
+from vprbench.data.fetch.received import content_sha256, count_files
+from vprbench.errors import BadInput
+from vprbench.plugins import registry
+from vprbench.storage.unpack import unpack
+
+KNOWN = downloads()
+DATA = SHARED / "data"
+
+
+@pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
+def test_an_entry_says_what_a_person_has_to_know(entry: Download) -> None:
+    assert entry.description
+    assert entry.licence
+    assert entry.source.startswith("https://")
+    assert set(entry.datasets) <= set(registry.entries("dataset"))
+    for part in entry.parts.values():
+        assert part.urls
+        assert all(url.startswith("https://") for url in part.urls)
+        assert part.file == Path(part.file).name
+        assert part.holds
+        assert part.sha256 is None or len(part.sha256) == 64
+        assert part.about_bytes is None or part.size_bytes is None
+
+
+@pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
+def test_parts_of_an_entry_do_not_get_in_each_other_s_way(entry: Download) -> None:
+    files = [part.file for part in entry.parts.values()]
+    folders = [folder for part in entry.parts.values() for folder in part.holds]
+    assert len({*files}) == len(files)
+    assert len({*folders}) == len(folders)
+    assert not {"archives", "fetched.json"} & {Path(folder).parts[0] for folder in folders}
+
+
+def test_every_season_of_nordland_is_a_part() -> None:
+    entry = KNOWN["nordland"]
+    assert sorted(entry.parts) == ["fall", "spring", "summer", "winter"]
+    assert entry.default == ("spring", "fall", "summer")  # of the VPRTempo paper
+    assert {held.files for part in entry.parts.values() for held in part.holds.values()} == {35768}
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "inside", "outside"),
+    [
+        ("nordland", "spring", ["spring/images-00001.png", "images-00001.png"], ["spring/read.me"]),
+        (
+            "nordland_64x32",
+            "frames",
+            ["seqslam-38311ac/datasets/nordland_trimmed/summer/images-00010.png"],
+            ["seqslam-38311ac/datasets/other/summer/images-00010.png", "seqslam-38311ac/README.md"],
+        ),
+        (
+            "corridor",
+            "frames",
+            ["VPR-Bench-77ad30f/datasets/corridor/query/0000000.jpg"],
+            ["VPR-Bench-77ad30f/datasets/17places/query/0000000.jpg"],
+        ),
+        (
+            "oxford_robotcar",
+            "calibration",
+            ["robotcar-dataset-sdk-c5285aa/models/stereo_wide_left_distortion_lut.bin"],
+            ["robotcar-dataset-sdk-c5285aa/models/mono_left_distortion_lut.bin"],
+        ),
+        (
+            "oxford_robotcar",
+            "lists",
+            ["VPRSNN-d38f30c/dataset_imagenames/ORC_Sun_timestamps.csv"],
+            ["VPRSNN-d38f30c/dataset_imagenames/ORC_imageNames_Sun.txt"],
+        ),
+        ("pitts30k", "lists", ["datasets/pitts30k_test.mat"], ["datasets/read.me"]),
+        ("gardens_point", "frames", ["day_left/Image000.jpg"], ["day_left/Thumbs.db"]),
+    ],
+)
+def test_a_part_takes_its_files_out_of_an_archive(
+    tmp_path: Path, name: str, part: str, inside: list[str], outside: list[str]
+) -> None:
+    wanted, holds = KNOWN[name].parts[part].unpack, KNOWN[name].parts[part].holds
+    for path in inside:
+        archive, to = tmp_path / "archive.zip", tmp_path / path.replace("/", "-")
+        archive.write_bytes(zipped({path: b"frame", **dict.fromkeys(outside, b"other")}))
+        assert unpack(archive, to, wanted) == 1
+        folder = next(to / folder for folder in holds if (to / folder).exists())
+        assert (folder / Path(path).name).read_bytes() == b"frame"
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [("nordland_64x32", "summer"), ("nordland_64x32", "winter"), ("corridor", "query"), ("corridor", "ref")],
+)
+def test_the_stated_hash_is_that_of_the_frames(name: str, folder: str) -> None:
+    frames = DATA / name / folder
+    if not frames.is_dir():
+        pytest.skip(f"{name} is not beside the checkout")
+    held = KNOWN[name].parts["frames"].holds[folder]
+    assert (count_files(frames), content_sha256(frames)) == (held.files, held.sha256)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "little.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+HEAD = "# A little journey\nlicence: CC BY 4.0\nsource: https://example.org\ndatasets: []\n"
+PART = """\
+parts:
+  all: {file: all.zip, urls: ["https://example.org/all.zip"], unpack: {unpacked_bytes: 9}, holds: {spring: {}}}
+"""
+
+
+def test_an_entry_is_named_and_described_by_its_file(tmp_path: Path) -> None:
+    entry = read(written(tmp_path, HEAD + PART))
+    assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
+    assert entry.parts["all"].unpack.strip == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD, "little.yaml has neither parts nor register"),
+        (HEAD + PART + "seasons: 4\n", "little.yaml=.*nexpected"),
+        (HEAD + PART.replace("holds: {spring: {}}", "hold: 1"), "little.yaml=.*"),
+        (HEAD + PART + "default: [some]\n", "default names some, which is none of its parts"),
+        (HEAD.replace("licence", "license") + PART, "little.yaml=.*"),
+        ("- a list\n", "little.yaml holds no entry"),
+        ("a: [\n", "little.yaml is no yaml"),
+    ],
+)
+def test_a_broken_entry_is_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(BadInput, match=message) as caught:
+        read(written(tmp_path, text))
+    assert "\n" not in str(caught.value)

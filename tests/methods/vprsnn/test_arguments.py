@@ -1,0 +1,247 @@
+"""VPRSNN's arguments: the published numbers, what each of them changes, and which are refused."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+from checkout import ROOT
+from little_vprsnn import WORLD, fitted, images, layers
+
+from vprbench.errors import BadInput
+from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
+from vprbench.methods.vprsnn.method import VPRSNN
+
+CONFIGURATIONS = ROOT / "conf" / "method"
+QUERIES = images(WORLD.queries)
+
+# --- arguments --------------------------------------------------------------------------------------------------
+
+# The numbers of QVPR/VPRSNN. Its neurons spike above theta - 20 mV - 52 mV.
+PUBLISHED: dict[str, Any] = {
+    "preprocessing": "A",
+    "height": 28,
+    "width": 28,
+    "patch": 7,
+    "places_per_module": 25,
+    "n_excitatory": 400,
+    "epochs": 30,
+    "recorded_presentations": 250,
+    "assignment": "standard",
+    "levels_per_hz": 4,
+    "time_step_ms": 0.1,
+    "first_rest_ms": 500,
+    "presentation_ms": 350,
+    "rest_ms": 150,
+    "input_delay_max_ms": 10,
+    "weight_scale": 0.3,
+    "weight_offset": 0.01,
+    "weight_sum": 78,
+    "weight_max": 1,
+    "excitatory_start_mv": -105,
+    "excitatory_rest_mv": -65,
+    "excitatory_reset_mv": -65,
+    "excitatory_threshold_mv": -20 - 52,
+    "excitatory_tau_ms": 100,
+    "excitatory_refractory_ms": 5,
+    "excitatory_minimum_interval_ms": 50,
+    "theta_start_mv": 20,
+    "theta_plus_mv": 0.05,
+    "theta_tau_ms": 1e7,
+    "inhibitory_start_mv": -100,
+    "inhibitory_rest_mv": -60,
+    "inhibitory_reset_mv": -45,
+    "inhibitory_threshold_mv": -40,
+    "inhibitory_tau_ms": 10,
+    "inhibitory_refractory_ms": 2,
+    "excitation_reversal_mv": 0,
+    "excitatory_inhibition_reversal_mv": -100,
+    "excitation_tau_ms": 1,
+    "inhibition_tau_ms": 0.5,
+    "excitatory_to_inhibitory_weight": 10.4,
+    "inhibitory_to_excitatory_weight": 17,
+    "pre_trace_tau_ms": 20,
+    "post_trace_tau_ms": 20,
+    "slow_post_trace_tau_ms": 40,
+    "pre_rate": 1e-4,
+    "post_rate": 0.01,
+}
+# What is no number of theirs: how the simulation runs, or which of their variants.
+CHOICES: dict[str, Any] = {
+    "module_order": "contiguous",
+    "calibration_places": 0,
+    "probabilities": False,
+    "hyperactive_threshold": None,
+    "hyperactive_candidates": [0, 5, 10, 20, *range(40, 301, 20)],
+    "fast": False,
+    "carried_potentials": False,
+    "delays_at_query": "new",
+    "published_weights": None,
+    "engine": None,
+    "seed": 0,
+    "device": "cpu",
+}
+
+
+def defaults(kind: type[VPRSNN]) -> dict[str, Any]:
+    found = {}
+    for each in fields(kind):
+        if each.init:
+            found[each.name] = each.default if each.default_factory is MISSING else each.default_factory()
+    return found
+
+
+def test_the_defaults_are_the_published_numbers() -> None:
+    assert defaults(VPRSNN) == {**PUBLISHED, **CHOICES}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "differs"),
+    [("vprsnn", VPRSNN, {}), ("vprsnn_fast", VPRSNN, {"fast": True}), ("vprsnn_ensemble", VPRSNNEnsemble, {})],
+)
+def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPRSNN], differs: dict[str, Any]) -> None:
+    configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
+    assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
+    assert configured == {**defaults(kind), **differs, "seed": "${seed}", "device": "${device}"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({name: 0} for name in ("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "height")),
+        *({name: 0.0} for name in ("levels_per_hz", "time_step_ms", "presentation_ms", "weight_sum", "weight_max")),
+        *({name: -1.0} for name in ("rest_ms", "input_delay_max_ms", "excitatory_refractory_ms", "first_rest_ms")),
+        {"theta_start_mv": float("nan")},
+        {"weight_scale": float("inf")},
+        {"excitatory_tau_ms": 0.0},
+        {"inhibition_tau_ms": 0.1},  # no longer than a step
+        {"levels_per_hz": 0.0255},  # a white pixel in every step
+        {"input_delay_max_ms": 151.0},  # longer than the rest
+        {"first_rest_ms": 49.0},  # shorter than the interval
+        {"weight_offset": -0.1},
+        {"inhibitory_to_excitatory_weight": -1.0},
+        {"theta_start_mv": 7.0},  # a threshold of -65 mV, the rest
+        {"inhibitory_threshold_mv": -60.0},
+        {"module_order": "random"},
+        {"engine": "brian2"},
+        {"patch": 4},
+        {"calibration_places": -1},
+        {"hyperactive_threshold": -1},
+        {"hyperactive_candidates": []},
+        {"hyperactive_candidates": [0, -5]},
+        {"published_weights": "no such folder"},
+    ],
+    ids=str,
+)
+def test_an_argument_without_a_network_is_refused_by_name(change: dict[str, Any]) -> None:
+    with pytest.raises(BadInput) as error:
+        fitted(**change)
+    (name,) = change
+    assert name == "published_weights" or f"method.{name}=" in str(error.value)
+    assert str(next(iter(change.values()))) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (VPRSNN, {"time_step_ms": 0.0}),
+        (VPRSNN, {"excitatory_tau_ms": 0.0}),
+        (VPRSNNEnsemble, {"member_epochs": [1]}),
+        (VPRSNNEnsemble, {"member_thresholds": [1, 2]}),
+    ],
+    ids=lambda value: "" if isinstance(value, type) else str(value),
+)
+def test_whether_it_calibrates_can_be_asked_before_its_arguments_are_checked(
+    kind: type[VPRSNN], change: dict[str, Any]
+) -> None:
+    assert kind(**change).calibrates in (True, False)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": -1},
+        {"seed": 2**32, "module_order": "shuffled"},
+        {"presentation_ms": 0.04},  # less than half a step
+        {"input_delay_max_ms": 4000.0, "rest_ms": 4000.0},  # more steps than a delay can count
+    ],
+    ids=str,
+)
+def test_an_argument_beyond_what_can_be_counted_is_refused_by_name(change: dict[str, Any]) -> None:
+    with pytest.raises(BadInput, match=next(iter(change))):
+        fitted(**change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"preprocessing": "C"},
+        {"patch": 5},
+        {"places_per_module": 4},
+        {"n_excitatory": 23},
+        {"epochs": 5},
+        {"levels_per_hz": 5.0},
+        {"time_step_ms": 0.2},
+        {"presentation_ms": 300.0},
+        {"rest_ms": 100.0},
+        {"first_rest_ms": 50.0},
+        {"input_delay_max_ms": 5.0},
+        {"weight_scale": 0.2},
+        {"weight_offset": 0.1},
+        {"weight_sum": 60.0},
+        {"weight_max": 0.7},
+        {"excitatory_start_mv": -95.0, "first_rest_ms": 50.0},
+        {"excitatory_rest_mv": -66.0},
+        {"excitatory_reset_mv": -64.0},
+        {"excitatory_threshold_mv": -70.0},
+        {"excitatory_tau_ms": 80.0},
+        {"excitatory_refractory_ms": 6.0},
+        {"excitatory_minimum_interval_ms": 40.0},
+        {"theta_start_mv": 22.0},
+        {"theta_plus_mv": 0.1},
+        {"theta_tau_ms": 1e5},
+        {"inhibitory_rest_mv": -70.0},
+        {"inhibitory_threshold_mv": -30.0},
+        {"inhibitory_tau_ms": 8.0},
+        {"inhibitory_refractory_ms": 0.0, "excitatory_to_inhibitory_weight": 30.0},
+        {"excitation_reversal_mv": 5.0},
+        {"excitatory_inhibition_reversal_mv": -110.0},
+        {"excitation_tau_ms": 1.2},
+        {"inhibition_tau_ms": 0.8},
+        {"excitatory_to_inhibitory_weight": 8.0},
+        {"inhibitory_to_excitatory_weight": 12.0},
+        {"pre_trace_tau_ms": 30.0},
+        {"post_trace_tau_ms": 30.0},
+        {"slow_post_trace_tau_ms": 60.0},
+        {"pre_rate": 2e-4},
+        {"post_rate": 0.02},
+        {"fast": True},
+        {"seed": 1},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_every_argument_of_the_training_changes_what_is_learnt(change: dict[str, Any]) -> None:
+    one, other = usual(), fitted(**{"epochs": 2, **change}).state()["weights"]
+    assert one.shape != other.shape or not np.array_equal(one, other)
+
+
+@cache
+def usual() -> npt.NDArray[np.float64]:
+    return fitted(epochs=2).state()["weights"]
+
+
+def test_an_inhibitory_neuron_resets_to_its_reset_potential_before_it_fires_again() -> None:
+    # After its refractory period of 2 ms the conductance is 30 * 0.9**20 = 3.6 and moves it by less than
+    # 3.6 * 1 ms / 10 ms = 36 % of what is left to 0 mV: from -45 mV past -40 mV, from -80 mV to -51 mV at most.
+    codes = fitted().encode(QUERIES)
+    often, once = (
+        layers(fitted(inhibitory_reset_mv=mv, excitatory_to_inhibitory_weight=30.0), codes) for mv in (-45.0, -80.0)
+    )
+    assert often["inhibitory"].sum() > 1.8 * often["excitatory"].sum() > 0
+    assert 0 < once["inhibitory"].sum() <= once["excitatory"].sum()

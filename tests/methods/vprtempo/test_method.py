@@ -1,0 +1,456 @@
+"""VPRTempo as a method: its query against a slow oracle, its arguments, its seeds and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+import vprtempo_oracle as oracle
+import yaml
+from checkout import ROOT
+
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
+from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
+from vprbench.methods.vprtempo.layer import Layer, draw_layer
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.methods.vprtempo.network import Network
+from vprbench.methods.vprtempo.query import Query, asking
+from vprbench.methods.vprtempo.rules import (
+    PAPER,
+    REFERENCE,
+    RULES,
+    V1,
+    QueryRule,
+    Rules,
+    RuleSet,
+    ThresholdRule,
+)
+from vprbench.plugins.conformance import Journey
+
+Floats = npt.NDArray[np.float64]
+
+N_PLACES = 20
+SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}  # modules of 8, 8 and 4 places
+WORLD = Journey.draw(0)
+YAML = ROOT / "conf" / "method" / "vprtempo.yaml"
+
+
+def images(arrays: Sequence[npt.NDArray[np.uint8]]) -> Images:
+    return Images.from_arrays(list(arrays))
+
+
+def fitted(**arguments: Any) -> VPRTempo:
+    return VPRTempo(**{**SMALL, **arguments}).fit(images(WORLD.references), WORLD.places)
+
+
+def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
+    return fitted(**arguments).query(images(WORLD.queries))
+
+
+# --- the query --------------------------------------------------------------------------------------------------
+
+SIZES = [6, 6, 3]
+
+
+@dataclass
+class Untrained:
+    """A network of initial weights in which features spike and outputs, too, and inputs to show it."""
+
+    features: Layer
+    outputs: Layer
+    query: Query
+    spikes: torch.Tensor  # (n_queries, 40)
+
+    @classmethod
+    def draw(cls, rules: Rules) -> Untrained:
+        """Draw three modules of 80 features; more excitation than Table I's, so that not all is silent."""
+        generators = [torch.Generator().manual_seed(seed) for seed in range(3)]
+        features = draw_layer(generators, [80] * 3, 40, (0.5, 0.5), 0.1, rules.constant_input, rules)
+        features.excitation *= 2
+        outputs = draw_layer(generators, SIZES, 80, (1.0, 1.0), 0.05, 0.0, rules)
+        outputs.excitation *= 1.1
+        levels = np.random.default_rng(0).integers(0, 256, (7, 40))
+        spikes = torch.from_numpy((levels / 255).astype(np.float32))
+        return cls(features, outputs, asking([Network.of(features, outputs, SIZES)], rules), spikes)
+
+    def expected_spiking(self) -> Floats:
+        """Return the oracle's answers, place by place of module by module."""
+        rows = [
+            np.concatenate([self._module(module, size, x) for module, size in enumerate(SIZES)])
+            for x in self.spikes.numpy().astype(np.float64)
+        ]
+        return np.array(rows)
+
+    def _module(self, module: int, size: int, x: Floats) -> Floats:
+        f, o = self.features, self.outputs
+        parts = (f.excitation, f.inhibition, f.constant, f.thresholds)
+        of_features = [part[module].numpy().astype(np.float64) for part in parts]
+        of_outputs = [part[module, :size].numpy().astype(np.float64) for part in (o.excitation, o.inhibition)]
+        thresholds = o.thresholds[module, :size].numpy().astype(np.float64)
+        return oracle.query_spiking(*of_features, *of_outputs, thresholds, x, 0.9)
+
+    def expected_linear(self) -> Floats:
+        """Return the oracle's W_o W_f x, place by place of module by module."""
+        W_f, W_o = self.features.weights.numpy(), self.outputs.weights.numpy()
+        rows = [
+            np.concatenate([oracle.query_reference(W_f[m], W_o[m, :size], x) for m, size in enumerate(SIZES)])
+            for x in self.spikes.numpy().astype(np.float64)
+        ]
+        return np.array(rows)
+
+
+def test_a_reference_query_is_the_product_of_both_weight_matrices() -> None:
+    case = Untrained.draw(REFERENCE)
+    assert case.query.scores(case.spikes.numpy()) == pytest.approx(case.expected_linear(), abs=1e-6)
+
+
+@pytest.mark.parametrize("rules", [PAPER, V1], ids=["paper", "v1"])
+def test_a_spiking_query_passes_constant_thresholds_and_clip(rules: Rules) -> None:
+    case = Untrained.draw(rules)
+    expected = case.expected_spiking()
+    assert 0.2 < np.mean(expected > 0) < 0.98  # neither silent nor all above their thresholds
+    assert case.query.scores(case.spikes.numpy()) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_spiking_query_is_clipped_at_0_9() -> None:
+    case = Untrained.draw(PAPER)
+    case.outputs.excitation *= 100
+    query = asking([Network.of(case.features, case.outputs, SIZES)], PAPER)
+    assert float(query.scores(case.spikes.numpy()).max()) == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["reference", "paper", "v1"])
+def test_one_query_scores_as_in_a_batch(rules: Rules) -> None:
+    case = Untrained.draw(rules)
+    batch = case.query.scores(case.spikes.numpy())
+    singles = np.concatenate([case.query.scores(one[None].numpy()) for one in case.spikes])
+    assert batch == pytest.approx(singles, abs=1e-6)
+
+
+def test_more_queries_than_a_block_score_as_one_by_one() -> None:
+    case = Untrained.draw(PAPER)
+    many = case.spikes.repeat(100, 1)  # 700
+    assert case.query.scores(many.numpy())[693:] == pytest.approx(case.expected_spiking(), abs=1e-6)
+
+
+@pytest.mark.parametrize("query_rule", get_args(QueryRule))
+def test_places_come_module_by_module_and_without_the_padding_of_the_last(query_rule: QueryRule) -> None:
+    # One pixel, one feature neuron; the weight of place p is (p + 1) / 10, the padded neuron's 0.9.
+    rest = (torch.zeros(2, 3), torch.zeros(2, 3))
+    features = Layer(torch.ones(2, 1, 1), torch.zeros(2, 1, 1), None, None, torch.zeros(2, 1), torch.zeros(2, 1))
+    excitation = torch.tensor([[[0.1], [0.2], [0.3]], [[0.4], [0.5], [0.9]]])
+    outputs = Layer(excitation, torch.zeros(2, 3, 1), None, None, *rest)
+    query = asking([Network.of(features, outputs, [3, 2])], replace(PAPER, query_rule=query_rule))
+    found = query.scores(np.array([[0.5]], np.float32))[0].tolist()
+    assert found == pytest.approx([0.05, 0.1, 0.15, 0.2, 0.25])
+
+
+def inhibited(rules: Rules) -> Query:
+    """Two modules of two places and of one, which only the second of two pixels excites."""
+    # Under 0.5 on the first pixel module 0 has net inputs -0.15, -0.05 and, less its thresholds, -0.15 and -0.35;
+    # place 2, in module 1, has -0.005.
+    network = Network(
+        features=torch.eye(2).repeat(2, 1, 1),
+        constant=torch.zeros(2, 2),
+        feature_thresholds=torch.zeros(2, 2),
+        outputs=(torch.tensor([[-0.3, -0.1], [0.0, 0.0]]), torch.tensor([[-0.01], [1.0]])),
+        output_thresholds=(torch.tensor([0.0, 0.3]), torch.tensor([0.0])),
+    )
+    return asking([network], rules)
+
+
+def test_v1_lets_the_least_inhibited_place_of_module_0_answer_with_a_half_where_all_are_silent() -> None:
+    assert inhibited(V1).scores(np.array([[0.5, 0.0]], np.float32)).tolist() == [[0.5, 0.0, 0.0]]
+
+
+def test_v1_leaves_queries_alone_that_some_place_answers() -> None:
+    scores = inhibited(V1).scores(np.array([[0.0, 0.2], [0.5, 0.0]], np.float32))
+    assert scores[0].tolist() == pytest.approx([0.0, 0.0, 0.2])
+
+
+def test_paper_leaves_a_silent_query_silent() -> None:
+    assert not inhibited(PAPER).scores(np.array([[0.5, 0.0]], np.float32)).any()
+
+
+# --- seeds and modules ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_references_are_mostly_recognised(rules: RuleSet) -> None:
+    scores = fitted(rules=rules).query(images(WORLD.references[:N_PLACES]))
+    assert np.mean(scores.argmax(1) == np.arange(N_PLACES)) > 0.5
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_the_same_seed_gives_the_same_scores(rules: RuleSet) -> None:
+    assert np.array_equal(scores_of(rules=rules, seed=1), scores_of(rules=rules, seed=1))
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_another_seed_gives_other_scores(rules: RuleSet) -> None:
+    assert not np.allclose(scores_of(rules=rules, seed=0), scores_of(rules=rules, seed=1), rtol=0.01)
+
+
+def test_fit_leaves_the_global_generator_alone() -> None:
+    before = torch.random.get_rng_state()
+    fitted()
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_the_first_module_learns_the_same_whether_or_not_others_follow() -> None:
+    first = np.flatnonzero(WORLD.places < 8)
+    alone = VPRTempo(**SMALL).fit(images([WORLD.references[i] for i in first]), WORLD.places[first])
+    queries = images(WORLD.queries)
+    assert fitted().query(queries)[:, :8] == pytest.approx(alone.query(queries), abs=1e-6)
+
+
+def test_modules_draw_differently() -> None:
+    # The same references in both modules: equal draws would give equal scores.
+    half = WORLD.references[:8]
+    twice = VPRTempo(**SMALL).fit(images([*half, *half]), np.arange(16))
+    scores = twice.query(images(WORLD.queries))
+    assert not np.allclose(scores[:, :8], scores[:, 8:], rtol=0.01)
+
+
+# --- arguments --------------------------------------------------------------------------------------------------
+
+CHOICES = [field.name for field in fields(Rules)]
+
+
+def another_value(name: str) -> Any:
+    """Return a value that the paper's rules do not have."""
+    said = getattr(PAPER, name)
+    if isinstance(said, bool):
+        return not said
+    if isinstance(said, str):
+        options = get_args(ThresholdRule if name == "threshold_rule" else QueryRule)
+        return next(option for option in options if option != said)
+    return said + 1
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_arguments_of_none_leave_the_rules_as_they_are(rules: RuleSet) -> None:
+    assert VPRTempo(rules=rules).chosen_rules() == RULES[rules]
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_an_argument_replaces_the_one_choice_of_its_name(name: str) -> None:
+    value = another_value(name)
+    assert VPRTempo(rules="paper", **{name: value}).chosen_rules() == replace(PAPER, **{name: value})
+
+
+def test_the_arguments_of_one_version_turn_the_paper_into_it() -> None:
+    choices = {name: getattr(V1, name) for name in CHOICES}
+    assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"preprocessing": "A"},
+        {"height": 13},
+        {"width": 13},
+        {"patch": 5},
+        {"max_module": 10},
+        {"features_per_pixel": 1.5},
+        {"epochs": 3},
+        {"stdp_rate": 0.004},
+        {"itp_rate": 0.1},
+        {"threshold_max": 0.4},
+        {"rate_min": 0.3},
+        {"rate_max": 0.8},
+        {"p_excitatory": 0.2},
+        {"p_inhibitory": 0.4},
+        # No query here is silent: silent_winner has tests of its own above.
+        *({name: another_value(name)} for name in CHOICES if name not in ("silent_winner", "clip")),
+        {"clip": 0.1},
+    ],
+    ids=lambda arguments: next(iter(arguments)),
+)
+def test_every_argument_changes_the_scores(arguments: dict[str, Any]) -> None:
+    # The modules train for 64 steps, so that annealing every 100 would never act.
+    usual = {"annealing_interval": 10}
+    assert not np.allclose(scores_of(**{**usual, **arguments}), scores_of(**usual), rtol=1e-3)
+
+
+def test_the_configuration_names_every_argument_and_no_other() -> None:
+    configured = set(yaml.safe_load(YAML.read_text())) - {"_target_"}
+    assert configured == {field.name for field in fields(VPRTempo) if not field.name.startswith("_")}
+
+
+@pytest.mark.parametrize(
+    "name", [f.name for f in fields(VPRTempo) if not f.name.startswith("_") and f.name not in ("seed", "device")]
+)
+def test_the_configuration_has_the_defaults_of_the_class(name: str) -> None:
+    default = next(field.default for field in fields(VPRTempo) if field.name == name)
+    assert default is not MISSING
+    assert yaml.safe_load(YAML.read_text())[name] == default
+
+
+def test_the_defaults_are_those_of_table_1() -> None:
+    method = VPRTempo()
+    table = (method.threshold_max, method.stdp_rate, method.itp_rate, method.rate_min, method.rate_max)
+    assert (*table, method.p_excitatory, method.p_inhibitory) == (0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5)
+
+
+@pytest.mark.parametrize("rules", [PAPER, V1], ids=["paper", "v1"])
+def test_the_constant_input_is_that_of_table_1(rules: Rules) -> None:
+    assert rules.constant_input == 0.1
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+def test_fewer_places_than_one_module_are_refused() -> None:
+    with pytest.raises(BadInput, match=r"20 places .* method\.max_module=21.* pass method\.max_module=20"):
+        fitted(max_module=21)
+
+
+def test_exactly_one_module_of_places_is_accepted() -> None:
+    assert scores_of(max_module=20).shape == (len(WORLD.queries), 20)
+
+
+@pytest.mark.parametrize("name", ["epochs", "max_module"])
+def test_an_argument_below_1_is_refused_by_name(name: str) -> None:
+    with pytest.raises(BadInput, match=rf"method\.{name}=0"):
+        fitted(**{name: 0})
+
+
+def test_a_query_before_fit_is_refused() -> None:
+    with pytest.raises(NotFittedError, match="fit"):
+        VPRTempo(**SMALL).query(images(WORLD.queries))
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_absurd_learning_rates_raise_a_diverged_training(rules: RuleSet) -> None:
+    with pytest.raises(TrainingDivergedError, match="training diverged"):
+        fitted(rules=rules, stdp_rate=50.0)
+
+
+@pytest.mark.parametrize(("size", "n_alike"), [((48, 64), 11), ((48, 64), 20), ((1, 1), 20)])
+def test_references_that_show_nothing_are_called_so_and_no_diverged_training(
+    size: tuple[int, int], n_alike: int
+) -> None:
+    empty = [np.zeros((*size, 3), np.uint8)] * n_alike
+    with pytest.raises(BadInput, match=f"{n_alike} of 20 images.* same input"):
+        VPRTempo(**SMALL).fit(images([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
+
+
+def test_a_diverged_training_leaves_the_method_unfitted() -> None:
+    method = fitted()
+    method.stdp_rate = 50.0
+    with pytest.raises(TrainingDivergedError):
+        method.fit(images(WORLD.references), WORLD.places)
+    with pytest.raises(NotFittedError):
+        method.query(images(WORLD.queries))
+
+
+# --- inputs -----------------------------------------------------------------------------------------------------
+
+
+def test_fit_changes_neither_images_nor_places() -> None:
+    world, untouched = Journey.draw(0), Journey.draw(0)
+    VPRTempo(**SMALL).fit(images(world.references), world.places)
+    assert np.array_equal(np.stack(world.references), np.stack(untouched.references))
+    assert np.array_equal(world.places, untouched.places)
+
+
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_match_changes_no_codes(rules: RuleSet) -> None:
+    method = fitted(rules=rules)
+    codes = method.encode(images(WORLD.queries))
+    before = codes.copy()
+    method.match(codes)
+    assert np.array_equal(codes, before)
+
+
+@pytest.fixture
+def torch_warns_every_time() -> Iterator[None]:
+    """PyTorch warns of an array that cannot be written to only once in a process."""
+    before = torch.is_warn_always_enabled()
+    torch.set_warn_always(True)
+    yield
+    torch.set_warn_always(before)
+
+
+@pytest.mark.usefixtures("torch_warns_every_time")
+def test_fit_takes_places_that_cannot_be_written_to() -> None:
+    # as the harness gives them
+    places = WORLD.places.copy()
+    places.flags.writeable = False
+    VPRTempo(**SMALL).fit(images(WORLD.references), places)
+
+
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_spikes_of_variants_a_and_b_are_the_levels_over_255(variant: Any) -> None:
+    levels = PatchNormalisation(variant, 12, 12, 7)(images(WORLD.queries))
+    found = VPRTempo(preprocessing=variant, height=12, width=12).encode(images(WORLD.queries))
+    assert found == pytest.approx(levels / 255, abs=1e-7)
+
+
+def test_the_8_bit_step_of_variant_c_changes_nothing_where_the_maximum_is_255() -> None:
+    levels = PatchNormalisation("C", 12, 12, 7)(images(WORLD.queries))
+    assert (levels.max(1) == 255).all()
+    found = VPRTempo(preprocessing="C", height=12, width=12).encode(images(WORLD.queries))
+    assert np.abs(found - levels.astype(np.float32) / 255).max() <= 6e-8  # the spacing of float32 below 1
+
+
+def test_the_8_bit_step_of_variant_c_rounds_to_255ths_of_the_maximum() -> None:
+    # One dark pixel: in its window all others are alike and only somewhat above the mean, so no level is 255.
+    # The step rounds a level of k to the next of 0, M / 255, 2 M / 255 ... M, M the image's largest level.
+    image = np.full((12, 12, 3), 150, np.uint8)
+    image[3, 3] = 100
+    levels = PatchNormalisation("C", 12, 12, 7)(images([image])).astype(np.float64)[0]
+    largest = levels.max()
+    assert 127 < largest < 255
+    expected = np.round(levels * 255 / largest) * largest / 255 / 255
+    found = VPRTempo(preprocessing="C", height=12, width=12).encode(images([image]))[0]
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_spikes_are_float32_between_0_and_1() -> None:
+    found = VPRTempo(height=12, width=12).encode(images(WORLD.queries))
+    assert found.dtype == np.float32
+    assert (found.min(), found.max()) == pytest.approx((0.0, 1.0))
+
+
+# --- another device ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
+@pytest.mark.parametrize("rules", get_args(RuleSet))
+def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules: RuleSet) -> None:
+    # The CPU learns module after module, a GPU all of them at once; what rounding parts is no difference in rank.
+    on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
+    in_order_of_cuda = np.take_along_axis(on_cpu, on_cuda.argsort(1), axis=1)
+    assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
+
+
+# --- initial output weights -------------------------------------------------------------------------------------
+
+
+def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for() -> None:
+    # Nothing is learnt at rate 0, so equal weights of both signs cancel and leave no score at all; drawn ones scale.
+    still = {"stdp_rate": 0.0, "itp_rate": 0.0, "rules": "paper", "query_rule": "linear"}
+    unit, double = (untested(**still, output_norm=norm).state()["outputs_0"] for norm in (1.0, 2.0))
+    assert double == pytest.approx(2 * unit, rel=1e-5, abs=2.1e-6)  # the smallest weight is 1e-6
+    assert np.abs(unit).sum(1).max() <= 2.0
+    assert not untested(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()
+
+
+def untested(**arguments: Any) -> VPRTempo:
+    """Train without asking whether the result can be trusted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
+        return fitted(**arguments)
+
+
+def test_equal_output_weights_need_two_weights_a_synapse() -> None:
+    with pytest.raises(BadInput, match="equal_output_weights"):
+        fitted(rules="reference", equal_output_weights=True)

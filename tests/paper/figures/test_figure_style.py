@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from vprbench.errors import BadInput
+from vprbench.paper.figures.log_axis import plain, plain_log
+from vprbench.paper.figures.measured_on import listed
+from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, Look, looks, new, pdf, png, styled, write
+
+PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
+OTHERS = [f"method {i}" for i in range(10)]
+
+
+def lightness(colour: str) -> float:
+    """Return CIE L*, 0 to 100, of an sRGB colour."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)]
+    luminance = float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+    return 116 * float(np.cbrt(luminance)) - 16
+
+
+def differ_in_grey(one: Look, other: Look) -> bool:
+    return abs(lightness(one.colour) - lightness(other.colour)) > 12 or (one.marker, one.dash) != (
+        other.marker,
+        other.dash,
+    )
+
+
+@styled
+def drawing() -> Drawn:
+    figure, (axes,) = new(SINGLE_MM, 60)
+    axes.plot([1, 2, 3], [4, 6, 5], label="ünïcode")
+    axes.bar([1, 2], [1, 2], hatch="//")
+    axes.set(xlabel="Places", ylabel="Recall")
+    axes.legend()
+    return Drawn(figure, "Three points of a made-up method, with “quotes”.")
+
+
+def test_any_two_methods_of_a_figure_differ_in_grey() -> None:
+    for one, other in itertools.combinations(looks(PAPER + OTHERS).values(), 2):
+        assert differ_in_grey(one, other)
+
+
+def test_any_two_rows_of_the_paper_differ_in_their_marker_and_in_their_dash() -> None:
+    rows = looks(PAPER).values()
+    assert len({look.marker for look in rows}) == len({look.dash for look in rows}) == len(PAPER)
+    assert len({look.hatch for look in rows}) == len(PAPER)
+
+
+def test_neighbouring_rows_of_the_paper_differ_in_their_lightness_too() -> None:
+    light = [lightness(look.colour) for look in looks(PAPER).values()]
+    assert min(abs(one - other) for one, other in itertools.pairwise(light)) > 12
+
+
+def test_a_line_of_any_colour_stands_out_from_white_paper() -> None:
+    assert max(lightness(look.colour) for look in looks(PAPER + OTHERS).values()) < 80
+
+
+def test_a_row_of_the_paper_looks_the_same_whatever_else_is_drawn() -> None:
+    assert looks(["mixvpr", "VPRTempo"])["VPRTempo"] == looks(PAPER)["VPRTempo"]
+
+
+def test_another_method_keeps_its_look_when_rows_of_the_paper_come_or_go() -> None:
+    assert looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == looks(["cosplace", "mixvpr"])["mixvpr"]
+
+
+def test_a_hundred_and_twenty_other_methods_all_look_different() -> None:
+    many = looks([f"method {i}" for i in range(120)]).values()
+    assert len({(look.colour, look.marker, look.dash) for look in many}) == 120
+
+
+def test_a_figure_has_the_asked_width_in_both_formats_whatever_it_holds(tmp_path: Path) -> None:
+    paths = write(drawing(), tmp_path / "new" / "folder", "three")
+    assert [path.name for path in paths] == ["three.pdf", "three.png"]
+    with Image.open(paths[1]) as picture:
+        assert picture.width == pytest.approx(88 / 25.4 * 200, abs=1)
+    box = paths[0].read_bytes().split(b"/MediaBox [")[1].split(b"]")[0].split()
+    assert float(box[2]) == pytest.approx(88 / 25.4 * 72, abs=1)
+    assert DOUBLE_MM == 180
+
+
+def test_nothing_but_the_two_files_is_left_in_the_folder(tmp_path: Path) -> None:
+    write(drawing(), tmp_path, "three")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["three.pdf", "three.png"]
+
+
+def test_the_same_drawing_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from test_figure_style import drawing\n"
+        "from vprbench.paper.figures.style import write; write(drawing(), Path(sys.argv[1]), 'three')"
+    )
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": path}
+        subprocess.run([sys.executable, "-c", script, str(tmp_path / seed)], check=True, env=environment)
+    for name in ("three.pdf", "three.png"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+def test_no_file_holds_a_date() -> None:
+    assert b"Date" not in pdf(drawing())
+    assert b"tIME" not in png(drawing())
+
+
+def test_the_caption_travels_in_the_picture(tmp_path: Path) -> None:
+    _, path = write(drawing(), tmp_path, "three")
+    with Image.open(path) as picture:
+        assert picture.info["Description"] == drawing().caption
+
+
+def test_a_reader_s_own_settings_of_matplotlib_change_nothing() -> None:
+    before = png(drawing())
+    with matplotlib.rc_context({"font.size": 20, "axes.facecolor": "black", "savefig.dpi": 50}):
+        assert png(drawing()) == before
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_as_they_were() -> None:
+    before = dict(matplotlib.rcParams)
+    png(drawing())
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_file_that_cannot_be_replaced_is_named_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "three.pdf").mkdir()
+    with pytest.raises(BadInput, match="figure three could not be written"):
+        write(drawing(), tmp_path, "three")
+    assert [path.name for path in tmp_path.iterdir()] == ["three.pdf"]
+
+
+@pytest.mark.parametrize("highest", [1e3, 1e5, 3e6])
+def test_numbers_at_a_logarithmic_axis_never_touch(highest: float) -> None:
+    figure, (axes,) = new(SINGLE_MM, 60)
+    plain_log(axes, "x", [0.01, highest])
+    figure.draw_without_rendering()
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels() if label.get_text()]
+    shown = [box for box in boxes if axes.bbox.x0 <= (box.x0 + box.x1) / 2 <= axes.bbox.x1]
+    assert len(shown) >= 3
+    assert all(one.x1 < other.x0 for one, other in itertools.pairwise(shown))
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(BadInput, match=r"figure three could not be written to .*file"):
+        write(drawing(), tmp_path / "file", "three")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(15120, "15,120"), (353, "353"), (99.96, "100"), (0.5, "0.5"), (1.666, "1.67"), (0.00123, "0.00123"), (20, "20")],
+)
+def test_numbers_are_written_to_three_digits_without_powers_of_ten(value: float, text: str) -> None:
+    assert plain(value) == text
+
+
+@pytest.mark.parametrize("values", [[3.0, 3.1], [1.0, 27000.0], [0.02, 0.9]])
+def test_a_logarithmic_axis_holds_its_values_and_names_at_least_two_numbers(values: list[float]) -> None:
+    _, (axes,) = new(SINGLE_MM, 60)
+    plain_log(axes, "x", values)
+    low, high = axes.get_xlim()
+    assert low < min(values) <= max(values) < high
+    named = [tick for tick in axes.xaxis.get_majorticklocs() if low <= tick <= high]
+    assert len(named) >= 2
+
+
+def test_a_list_of_names_keeps_names_with_a_comma_apart() -> None:
+    assert listed(["SAD"]) == "SAD"
+    assert listed(["SAD", "GCL", "SAD", "NetVLAD"]) == "SAD, GCL and NetVLAD"
+    assert listed(["VPRTempo", "VPRTempo, public code"]) == "VPRTempo and VPRTempo, public code"
+    assert listed(["SAD", "VPRTempo, public code", "GCL"]) == "SAD; VPRTempo, public code; and GCL"
+    assert listed(["input 784", "feature 1,568", "output 450"]) == "input 784, feature 1,568 and output 450"

@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import figure_runs
+import pytest
+from checkout import ROOT
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+
+from vprbench.errors import BadInput
+from vprbench.paper.figures.speed import query_rate, training_time
+from vprbench.paper.figures.style import Drawn, looks, png
+from vprbench.paper.plan import Quantity, Row, read_plan
+from vprbench.paper.series import Series
+
+PLAN = read_plan(ROOT / "conf" / "table.yaml")
+ROWS = list(PLAN.rows.values())
+NORDLAND, STREET, SMALLER = (PLAN.columns[name] for name in ("nordland", "street", "railway_225"))
+
+
+def tempo(*runs_of_seeds: float, device: str = "cpu") -> Series:
+    """Return VPRTempo with a run for each number of minutes of training; the n-th matches in n ms and encodes in 1."""
+    runs = [
+        figure_runs.run("vprtempo", seed=i, fit_seconds=60 * minutes, match_seconds=0.001 * (i + 1), device=device)
+        for i, minutes in enumerate(runs_of_seeds)
+    ]
+    return figure_runs.series("VPRTempo", *runs, spiking=True)
+
+
+def bars(axes: Axes, hatched: bool) -> dict[int, float]:
+    """Return the number at the end of each bar, by the row at which it stands."""
+    found = [bar for bar in axes.patches if bool(bar.get_hatch()) == hatched]
+    return {round(bar.get_y() + bar.get_height() / 2): bar.get_x() + bar.get_width() for bar in found}
+
+
+def words(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+def keys(drawn: Drawn) -> list[str]:
+    return [text.get_text() for legend in drawn.figure.legends for text in legend.get_texts()]
+
+
+def black_lines(axes: Axes) -> list[tuple[Sequence[float], Sequence[float]]]:
+    return [(list(line.get_xdata()), list(line.get_ydata())) for line in axes.lines if line.get_color() == "black"]
+
+
+def test_training_bars_end_at_the_measured_and_the_published_minutes() -> None:
+    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
+    assert bars(axes, hatched=False) == {4: pytest.approx(3.0)}
+    assert bars(axes, hatched=True) == {1: pytest.approx(15120), 2: pytest.approx(360), 3: pytest.approx(360), 4: 60}
+
+
+def test_several_seeds_of_a_training_give_the_median_and_a_line_from_lowest_to_highest() -> None:
+    drawn = training_time([tempo(3.0, 2.0, 7.0)], (), ROWS, NORDLAND, {})
+    (axes,) = drawn.figure.axes
+    assert bars(axes, hatched=False)[4] == pytest.approx(3.0)
+    assert black_lines(axes)[0][0] == pytest.approx([2.0, 7.0])
+    assert "VPRTempo (3 seeds): the bar is the median" in drawn.caption
+
+
+def test_a_single_training_has_no_line_for_a_spread_that_nobody_saw() -> None:
+    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
+    assert [x[0] == x[1] for x, _ in black_lines(axes)] == [True]  # the tick alone
+
+
+def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> None:
+    runs = [
+        figure_runs.run("vprtempo", seed=i, fit_seconds=wall, fit_compute_seconds=own)
+        for i, (wall, own) in enumerate([(600.0, 60.0), (660.0, 120.0), (900.0, 240.0)])
+    ]
+    drawn = training_time([figure_runs.series("VPRTempo", *runs)], (), ROWS, NORDLAND, {})
+    (axes,) = drawn.figure.axes
+    assert bars(axes, hatched=False)[4] == pytest.approx(2.0)
+    assert [list(x) for x, _ in black_lines(axes)] == [pytest.approx([1, 4]), pytest.approx([11, 11])]
+    assert "with reading the images" in keys(drawn)
+    assert (
+        "bars are without waiting for the images to be read, upright ticks and numbers in brackets with it."
+        in drawn.caption
+    )
+    drawn.figure.draw_without_rendering()
+    (number,) = (text for text in axes.texts if text.get_text() == "2 (11)")
+    assert number.get_window_extent().x0 > axes.transData.transform((11, 0))[0]
+
+
+def test_rates_end_at_the_row_s_own_boundary_and_their_tick_at_encode_and_match() -> None:
+    netvlad = figure_runs.series("NetVLAD", figure_runs.run("netvlad", encode_seconds=0.5, match_seconds=0.1))
+    sad = figure_runs.series("SAD", figure_runs.run("sad", encode_seconds=0.001, match_seconds=0.004))
+    (axes,) = query_rate([sad, netvlad], (), ROWS, NORDLAND, {}).figure.axes
+    assert bars(axes, hatched=False) == {0: pytest.approx(250), 1: pytest.approx(2)}
+    ticks = [x[0] for x, y in black_lines(axes) if x[0] == x[1]]
+    assert ticks == pytest.approx([200, 1 / 0.6])
+
+
+def test_published_rates_are_those_of_the_paper_for_the_column_s_dataset() -> None:
+    for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (STREET, [185, 0.5, 0.4, 2, 1670])):
+        (axes,) = query_rate([tempo(1.0)], (), ROWS, column, {}).figure.axes
+        assert [bars(axes, hatched=True)[i] for i in range(5)] == pytest.approx(rates)
+
+
+def test_several_seeds_of_a_rate_give_their_mean() -> None:
+    drawn = query_rate([tempo(1.0, 1.0)], (), ROWS, NORDLAND, {})  # match 1000 and 500 Hz
+    (axes,) = drawn.figure.axes
+    assert bars(axes, hatched=False)[4] == pytest.approx(750)
+    assert black_lines(axes)[0][0] == pytest.approx([500, 1000])
+    assert "VPRTempo (2 seeds): the bar is the mean" in drawn.caption
+
+
+def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None:
+    run = figure_runs.run("vprtempo", match_seconds=0.001, spread=0.2)
+    (axes,) = query_rate([figure_runs.series("VPRTempo", run)], (), ROWS, NORDLAND, {}).figure.axes
+    laps = sorted(run.timing.streaming.match_seconds)  # 101 laps: the quantiles 0.1 and 0.9 are laps 11 and 91
+    assert black_lines(axes)[0][0] == pytest.approx([1 / laps[90], 1 / laps[10]])
+
+
+def test_a_row_without_a_measured_training_says_why() -> None:
+    loaded = figure_runs.series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
+    marks: dict[tuple[str, Quantity], str] = {("VPRSNN", "train_cpu"): "not run", ("VPRTempo", "train_cpu"): "failed"}
+    (axes,) = training_time([loaded], (), ROWS, SMALLER, marks).figure.axes
+    assert words(axes) == ["no training", "comes trained", "comes trained", "network loaded", "failed"]
+
+
+def test_a_row_without_a_bar_has_the_word_of_the_table_for_its_device() -> None:
+    marks: dict[tuple[str, Quantity], str] = {
+        ("SAD", "query_cpu"): "failed",
+        ("NetVLAD", "query_cpu"): "not there",
+        ("GCL", "query_cpu"): "left out",
+        ("GCL", "query_gpu"): "unfinished",
+        ("VPRTempo", "query_cpu"): "measured",
+    }
+    drawn = query_rate([tempo(1.0)], [tempo(1.0, device="cuda")], ROWS, SMALLER, marks)
+    cpu, gpu = drawn.figure.axes
+    assert words(cpu)[:4] == ["failed", "not there", "left out", "not run"]
+    assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
+
+
+def test_a_fit_of_a_method_that_comes_trained_is_no_training() -> None:
+    netvlad = figure_runs.series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))
+    (axes,) = training_time([netvlad], (), ROWS, NORDLAND, {}).figure.axes
+    assert bars(axes, hatched=False) == {}
+
+
+def test_quoted_training_times_have_a_hatch_of_their_own_and_are_said_to_be_quoted() -> None:
+    drawn = training_time([tempo(3.0)], (), ROWS, NORDLAND, {})
+    hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in drawn.figure.axes[0].patches if bar.get_hatch()}
+    assert hatches[1] == hatches[2] != hatches[3] == hatches[4]
+    assert keys(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
+    assert "NetVLAD and GCL come trained: the paper quotes these times and does not measure them." in drawn.caption
+
+
+def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
+    drawn = query_rate([tempo(3.0)], [tempo(0.1, device="cuda")], ROWS, NORDLAND, {})
+    cpu, gpu = drawn.figure.axes
+    assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
+    assert cpu.get_xlim() == gpu.get_xlim()
+    assert bars(gpu, hatched=True)[4] == pytest.approx(1634)
+    assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
+    assert "Loom 7" in drawn.caption
+
+
+def test_runs_on_a_gpu_alone_get_one_panel() -> None:
+    (axes,) = training_time((), [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
+    assert axes.get_title(loc="left") == "GPU"
+
+
+def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> None:
+    drawn = query_rate([tempo(3.0)], (), ROWS, SMALLER, {})
+    assert bars(drawn.figure.axes[0], hatched=True) == {}
+    assert keys(drawn) == ["measured here", "encode and match"]
+    assert "paper for" not in drawn.caption
+
+
+def test_a_caption_says_that_rendered_frames_stand_in_for_the_published_ones() -> None:
+    assert "City street (rendered) only stands in for it" in query_rate([tempo(3.0)], (), ROWS, STREET, {}).caption
+    assert "stands in" not in query_rate([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
+
+
+def test_a_caption_names_dataset_queries_places_machine_and_what_the_rates_cover() -> None:
+    caption = query_rate([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
+    assert "railway (40 queries, 50 places)" in caption
+    assert "Measured on Abacus 9" in caption
+    assert "Bars cover encode alone of NetVLAD and GCL; match alone of SAD, VPRSNN and VPRTempo." in caption
+    assert "The paper timed the same step of SAD, NetVLAD, GCL, VPRSNN and VPRTempo." in caption
+
+
+def test_of_a_row_outside_the_paper_the_bar_is_encode_and_match_and_no_word_of_the_paper_is_said() -> None:
+    run = figure_runs.run("cosplace", encode_seconds=0.03, match_seconds=0.02)
+    rows = [Row("CosPlace", "cosplace")]
+    drawn = query_rate([figure_runs.series("CosPlace", run)], (), rows, SMALLER, {})
+    (axes,) = drawn.figure.axes
+    assert bars(axes, hatched=False) == {0: pytest.approx(20)}
+    assert keys(drawn) == ["measured here"]
+    assert "Bars cover encode and match of CosPlace." in drawn.caption
+    assert "paper" not in drawn.caption
+    assert "tick" not in drawn.caption
+
+
+def test_disturbed_measurements_are_named() -> None:
+    noisy = replace(tempo(3.0).runs[0], notes=("noisy: two carts passed",))
+    assert (
+        "while VPRTempo ran" in training_time([figure_runs.series("VPRTempo", noisy)], (), ROWS, NORDLAND, {}).caption
+    )
+    assert "disturbed" not in training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
+
+
+def test_bars_wear_the_colours_of_their_rows() -> None:
+    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
+    (measured,) = (bar for bar in axes.patches if not bar.get_hatch())
+    assert to_hex(measured.get_facecolor()) == looks(["VPRTempo"])["VPRTempo"].colour.lower()
+
+
+@pytest.mark.parametrize("n_rows", [1, 5])
+def test_every_number_stands_inside_the_panel_and_covers_no_other(n_rows: int) -> None:
+    drawn = query_rate(figure_runs.five_rows(), figure_runs.five_rows("cuda"), ROWS[-n_rows:], STREET, {})
+    drawn.figure.draw_without_rendering()
+    for axes in drawn.figure.axes:
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert all(box.x1 <= axes.bbox.x1 for box in boxes)
+        assert not any(one.overlaps(other) for i, one in enumerate(boxes) for other in boxes[:i])
+
+
+def test_nothing_stored_is_an_error_that_names_the_column() -> None:
+    with pytest.raises(BadInput, match="no run on Nordland is stored"):
+        training_time((), (), ROWS, NORDLAND, {})
+
+
+def test_the_same_runs_give_the_same_picture() -> None:
+    first, second = (png(query_rate([tempo(3.0)], (), ROWS, NORDLAND, {})) for _ in range(2))
+    assert first == second

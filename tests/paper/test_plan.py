@@ -1,0 +1,265 @@
+"""The plan of the table names what there is, and the published numbers are those of the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from checkout import ROOT
+
+from vprbench.errors import BadInput
+from vprbench.paper.gather import Asked, Chosen, choose, wanted
+from vprbench.paper.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
+from vprbench.plugins import registry
+from vprbench.run import compose
+
+PLAN = ROOT / "conf" / "table.yaml"
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return read_plan(PLAN)
+
+
+@pytest.fixture
+def content() -> Any:
+    return yaml.safe_load(PLAN.read_text(encoding="utf-8"))
+
+
+def written(content: Any, folder: Path) -> Path:
+    path = folder / "table.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def chosen(**asked: Any) -> Chosen:
+    return choose(Asked(**asked), lambda options: compose.composed(list(options)))
+
+
+def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:
+    assert list(plan.rows) == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
+    assert [row.spiking for row in plan.rows.values()] == [False, False, False, True, True]
+    assert [row.training for row in plan.rows.values()] == ["none", "pretrained", "pretrained", "own", "own"]
+
+
+def test_rates_cover_what_the_paper_timed(plan: Plan) -> None:
+    # feature extraction for the networks, matching for the others
+    assert {name for name, row in plan.rows.items() if row.boundary == "encode"} == {"NetVLAD", "GCL"}
+
+
+def test_every_row_and_dataset_of_the_paper_has_five_published_numbers(plan: Plan) -> None:
+    printed = published()
+    assert {row for row, _ in printed} == set(plan.rows)
+    assert all(tuple(cells) == QUANTITIES for cells in printed.values())
+    assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
+
+
+@pytest.mark.parametrize(
+    ("row", "dataset", "numbers"),
+    [
+        ("VPRTempo", "Nordland", [56, 60, 353, 1, 1634]),
+        ("VPRTempo", "Oxford RobotCar", [37, 3, 1670, 0.3, 1955]),
+        ("SAD", "Oxford RobotCar", [37, None, 185, None, 126]),
+        ("VPRSNN", "Nordland", [53, 360, 2, None, None]),
+        ("GCL", "Oxford RobotCar", [33, 360, 0.4, 360, 75]),
+    ],
+)
+def test_published_numbers_are_those_of_table_two(row: str, dataset: str, numbers: list[float | None]) -> None:
+    assert list(published()[row, dataset].values()) == numbers
+
+
+def test_columns_of_the_paper_name_a_dataset_that_it_has(plan: Plan) -> None:
+    datasets = {dataset for _, dataset in published()}
+    assert {column.published for column in plan.columns.values()} - {None} == datasets
+
+
+def test_a_stand_in_stands_for_a_column_that_stands_for_none(plan: Plan) -> None:
+    for column in plan.columns.values():
+        if column.stand_in_for is not None:
+            assert plan.columns[column.stand_in_for].stand_in_for is None
+
+
+def test_the_arguments_of_a_row_come_before_those_that_the_size_needs() -> None:
+    column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
+    assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
+    assert column.arguments(Row("B", "other")) == {}
+
+
+def test_a_row_on_request_has_a_name_of_its_own(plan: Plan) -> None:
+    assert plan.more_rows["vprtempo_public"].name == "VPRTempo (public code)"
+    names = [row.name for row in (*plan.rows.values(), *plan.more_rows.values())]
+    assert len(set(names)) == len(names)
+
+
+def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
+    methods = registry.entries("method")
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        assert len({*row.seeds}) == (3 if "seed" in methods[row.method].options else 1), row.name
+
+
+def test_networks_of_an_ensemble_are_in_no_two_runs_of_its_row(plan: Plan) -> None:
+    for name in ("vprtempo_ensemble", "vprtempo_tuned_ensemble"):  # members of seed s: s to s + 4
+        assert len({seed + member for seed in plan.more_rows[name].seeds for member in range(5)}) == 15
+
+
+@pytest.mark.parametrize(("method", "seeds", "training"), [("vprtempo_tuned", (0, 1, 2), "own"), ("hog", (0,), "map")])
+def test_a_method_outside_the_plan_trains_with_its_seeds_where_it_learns_from_one(
+    method: str, seeds: tuple[int, ...], training: str
+) -> None:
+    here = chosen(rows=["SAD"], methods=[method], columns=["nordland_64x32"], devices=["cpu"])
+    assert (here.rows[-1].seeds, here.rows[-1].training) == (seeds, training)
+    assert tuple(run.seed for run in wanted(here, here.columns[0], here.rows[-1:])) == seeds
+
+
+def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(plan: Plan) -> None:
+    calibrated = []
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        if "calibrated_scores" in registry.entries("method")[row.method].options:
+            asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
+            config = compose.composed([f"method={row.method}", *asked])["method"]
+            assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
+            calibrated += [row.method] * (config["calibrated_scores"] is True)
+    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
+
+
+def test_every_rendered_column_says_that_its_hardness_was_set_by_hand(plan: Plan) -> None:
+    rendered = [column for column in plan.columns.values() if column.stand_in_for]
+    assert [column.name for column in rendered if "set by hand" not in (column.remark or "")] == []
+
+
+@pytest.mark.parametrize("group", ["rows", "columns", "growth", "seeds"])
+def test_a_plan_without_a_part_is_refused_by_its_file(group: str, content: Any, tmp_path: Path) -> None:
+    del content[group]
+    with pytest.raises(BadInput, match=rf"table\.yaml is no plan of a table.*{group}"):
+        read_plan(written(content, tmp_path))
+
+
+def test_a_plan_without_any_seed_is_refused(content: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"table\.yaml is no plan of a table"):
+        read_plan(written({**content, "seeds": []}, tmp_path))
+
+
+def test_an_unknown_part_of_a_row_is_refused(content: Any, tmp_path: Path) -> None:
+    content["rows"]["SAD"]["colour"] = "red"
+    with pytest.raises(BadInput, match="colour"):
+        read_plan(written(content, tmp_path))
+
+
+@pytest.mark.parametrize("reference", ["smaller", "stand_in_for"])
+def test_a_column_that_names_one_that_is_none_is_refused(reference: str, content: Any, tmp_path: Path) -> None:
+    content["columns"]["railway"][reference] = "moon"
+    with pytest.raises(BadInput, match="column railway names moon, which is none"):
+        read_plan(written(content, tmp_path))
+
+
+def test_a_missing_plan_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"nowhere\.yaml is no plan"):
+        read_plan(tmp_path / "nowhere.yaml")
+
+
+def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(plan: Plan) -> None:
+    for size in plan.growth.sizes:
+        column = plan.growth.column(size)
+        asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
+        assert asked["dataset.places"] == size
+        assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
+
+
+@pytest.mark.parametrize(
+    ("part", "value"), [("boundary", "everything"), ("training", "somehow"), ("seeds", [])], ids=lambda v: str(v)
+)
+def test_a_row_that_means_nothing_is_refused_by_name(content: Any, tmp_path: Path, part: str, value: object) -> None:
+    content["rows"]["SAD"][part] = value
+    with pytest.raises(BadInput, match="row SAD"):
+        read_plan(written(content, tmp_path))
+
+
+def test_fewer_places_lower_an_argument_of_the_growth(plan: Plan) -> None:
+    vprtempo = plan.rows["VPRTempo"]
+    assert [plan.growth.column(n).arguments(vprtempo) for n in (100, 3000)] == [{"max_module": 100}, {}]
+
+
+def test_the_growth_asks_for_few_queries_and_never_for_more_than_there_are(plan: Plan) -> None:
+    options = [plan.growth.column(n).options[-1] for n in (100, 27_000)]
+    assert options == ["dataset.query_places=82", "dataset.query_places=300"]
+
+
+def test_rows_name_methods_and_arguments_that_there_are(plan: Plan) -> None:
+    methods = registry.entries("method")
+    for row in (*plan.rows.values(), *plan.more_rows.values()):
+        arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
+        assert arguments <= {*methods[row.method].options}, row.name
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("vprsnn", ["method=vprsnn"]),
+        ("vprsnn_fast", ["method=vprsnn_fast"]),
+        ("vprsnn_all_neurons", ["method=vprsnn", "method.hyperactive_threshold=0"]),
+        ("vprsnn_ensemble", ["method=vprsnn_ensemble"]),
+    ],
+)
+def test_a_row_of_vprsnn_is_a_run_a_seed_with_its_arguments(name: str, options: list[str]) -> None:
+    here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"])
+    runs = [*wanted(here, here.columns[0], here.rows[-1:])]
+    assert [run.seed for run in runs] == [0, 1, 2]
+    assert {option for run in runs for option in run.options() if option.startswith("method")} == {*options}
+
+
+def test_rows_of_vprsnn_run_at_225_places_unless_all_is_to_run_in_full() -> None:
+    rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
+    for full in (False, True):
+        here = chosen(**rows, columns=["railway", "street"], full=full)
+        railway, street = here.columns
+        assert [here.slow(railway, row) for row in here.rows] == [not full] * 4
+        assert [here.slow(street, row) for row in here.rows] == [not full] * 4
+        assert {name: smaller.dataset["places"] for name, smaller in here.smaller.items()} == {
+            "railway": 225,
+            "street": 225,
+        }
+
+
+@pytest.mark.parametrize(
+    ("given", "columns"),
+    [([], ["railway", "street"]), (["nordland", "robotcar"], ["nordland", "oxford_robotcar"])],
+    ids=["rendered", "real"],
+)
+def test_a_column_on_request_is_not_among_those_that_nobody_named(
+    given: list[str], columns: list[str], tmp_path: Path
+) -> None:
+    here = chosen(**dict.fromkeys(given, str(tmp_path)))
+    assert [column.planned.name for column in here.columns] == columns
+
+
+def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all_others() -> None:
+    (rendered,) = chosen(columns=["railway_vprsnn"]).columns
+    dataset = registry.make_dataset(rendered.dataset)
+    assert (dataset.n_places, len(dataset.references), len(dataset.queries)) == (2700, 2 * 2700, 2700)
+    assert dataset.held_out is not None
+    assert (dataset.held_out.n_places, dataset.held_out.in_map) == (600, False)
+
+
+def test_the_protocol_of_vprsnn_on_nordland_differs_from_its_stand_in_by_the_frames_alone(plan: Plan) -> None:
+    stand_in = plan.columns["railway_vprsnn"]
+    real = plan.columns[stand_in.stand_in_for or ""]
+    assert (stand_in.published, stand_in.fits, stand_in.options[1:]) == (real.published, real.fits, real.options[1:])
+
+
+def test_a_column_on_request_takes_the_folder_of_its_frames(tmp_path: Path) -> None:
+    (nordland,) = chosen(columns=["nordland_vprsnn"], nordland=str(tmp_path)).columns
+    assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
+
+
+def test_held_out_places_of_nordland_64x32_are_in_its_map_and_all_others_are_queried() -> None:
+    (column,) = chosen(columns=["nordland_64x32_held_out"]).columns
+    options = ("protocol", "places", "first_query_place", "query_places")
+    assert [column.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]
+
+
+def test_modules_of_vprtempo_are_of_one_size_wherever_vprsnn_is_compared_with_it(plan: Plan) -> None:
+    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_225", 225)):
+        for method in ("vprtempo", "vprtempo_ensemble"):
+            assert places % plan.columns[name].fits[method]["max_module"] == 0

@@ -1,0 +1,845 @@
+"""Stored networks: what is loaded answers as what was trained, and nothing else is ever loaded."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import json
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Self
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from checkout import ROOT
+from little import (
+    Lookup,
+    Prototypes,
+    destination,
+    journey,
+    pictures,
+    replace_network_and_die,
+    store_network_where_no_file_may_exceed,
+)
+from safetensors.numpy import save_file
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.cli import main
+from vprbench.errors import BadInput, NotFittedError
+from vprbench.plugins import networks
+from vprbench.run import rows
+from vprbench.run.store import Store
+
+WORLD = journey(8, 4)
+RUN = [
+    "method=prototypes",
+    "dataset.places=12",
+    "dataset.first_query_place=0",
+    "timing.minimum_seconds=0",
+    "timing.sample=4",
+    "timing.minimum_queries=4",
+    "timing.batch_sizes=[1,4]",
+    "threads=1",
+]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "nets" / "network.safetensors"
+
+
+def fitted(method: Method, dataset: Dataset = WORLD) -> Method:
+    return method.fit(dataset.references, dataset.places)
+
+
+def store(path: Path, method: Method, dataset: Dataset = WORLD, replace: bool = False) -> Method:
+    """Fit a method and store its network; returns the method."""
+    where = destination(path, method, dataset, replace)
+    networks.save(where, fitted(method, dataset), "0123", 12.34, 11.5)
+    return method
+
+
+def load(path: Path, method: Method, dataset: Dataset = WORLD, **arguments: Any) -> tuple[str, ...]:
+    given = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    return networks.load(path, method, networks.origin(method, {**given, **arguments}, dataset))
+
+
+def refusal(path: Path, method: Method | None = None, dataset: Dataset = WORLD, **arguments: Any) -> str:
+    """Return the one line that refuses a file, and see that the method was given nothing."""
+    method = method or Prototypes()
+    with pytest.raises(BadInput) as error:
+        load(path, method, dataset, **arguments)
+    with pytest.raises(NotFittedError):
+        method.state()
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value)
+    return str(error.value)
+
+
+# What is stored comes back
+
+
+@dataclass
+class Holding(Prototypes):
+    """Stores any arrays."""
+
+    arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+        return self.arrays
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+        self.arrays = state
+        return self
+
+
+ARRAYS = {
+    "float32": np.array([[-np.inf, 1e-45], [-0.0, 0.1]], np.float32),
+    "float64": np.array([np.nan, 1 / 3]),
+    "counts": np.arange(5),
+    "signs": np.array([True, False]),
+    "one number": np.array(7, np.int16),
+    "nothing": np.empty((0, 3), np.float32),
+    "every second column": np.arange(12, dtype=np.float32).reshape(3, 4)[:, ::2],
+    "turned": np.arange(6, dtype=np.uint8).reshape(2, 3).T,
+}
+
+
+ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)
+
+
+def back_from_disk(folder: Path, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    method = Holding(arrays={"only": array})
+    networks.save(networks.Destination(folder / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
+    networks.load(folder / "x.safetensors", method, ORIGIN)
+    return method.arrays["only"]
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_an_array_comes_back_bit_by_bit(tmp_path: Path, name: str) -> None:
+    back, given = back_from_disk(tmp_path, ARRAYS[name]), ARRAYS[name]
+    assert (back.dtype, back.shape, back.tobytes()) == (given.dtype, given.shape, given.tobytes())
+
+
+def test_big_endian_numbers_come_back_with_their_values(tmp_path: Path) -> None:
+    assert back_from_disk(tmp_path, np.array([1.5, -2], ">f4")).tolist() == [1.5, -2]
+
+
+def test_a_loaded_network_gives_the_scores_of_the_trained_one(path: Path) -> None:
+    trained, loaded = store(path, Prototypes(seed=3)), Prototypes(seed=3)
+    load(path, loaded)
+    assert np.array_equal(loaded.query(WORLD.queries), trained.query(WORLD.queries))
+
+
+def test_loading_tells_the_run_that_trained_and_how_long_it_took(path: Path) -> None:
+    store(path, Prototypes())
+    assert load(path, Prototypes()) == ("loaded network: run 0123 trained it in 12.3 s",)
+
+
+@pytest.mark.parametrize("other", [{"contrast": 2.0}, {"device": "cuda"}], ids=["contrast", "device"])
+def test_an_argument_that_no_training_sees_may_differ(path: Path, other: dict[str, Any]) -> None:
+    trained, loaded = store(path, Prototypes()), Prototypes(**other)
+    load(path, loaded)
+    assert np.array_equal(loaded.state()["means"], trained.state()["means"])
+
+
+def test_the_class_of_a_method_and_its_way_of_writing_numbers_are_no_difference(path: Path) -> None:
+    store(path, Prototypes())
+    load(path, Prototypes(), _target_="elsewhere.Prototypes")
+
+
+def test_a_method_may_load_what_another_of_the_same_kind_stored(path: Path) -> None:
+    class First(Prototypes):
+        stored_as: ClassVar[str] = "prototypes"
+
+    class Second(First):
+        pass
+
+    trained, loaded = store(path, First()), Second()
+    load(path, loaded)
+    assert np.array_equal(loaded.state()["means"], trained.state()["means"])
+
+
+def test_the_same_images_under_another_name_of_the_dataset_are_no_difference(path: Path) -> None:
+    store(path, Prototypes())
+    load(path, Prototypes(), replace(WORLD, name="voyage"))
+
+
+def test_a_file_holds_no_pickle(path: Path) -> None:
+    store(path, Prototypes())
+    with pytest.raises((pickle.UnpicklingError, EOFError, ValueError)):
+        pickle.loads(path.read_bytes())
+
+
+# Networks made for something else
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({"seed": 4}, "method.seed is 0 there and 4 here"),
+        ({"noise": 0.25}, "method.noise is 0.5 there and 0.25 here"),
+        ({"noise": None}, "method.noise is 0.5 there and null here"),
+        ({"noise": "low"}, "method.noise is 0.5 there and low here"),
+        ({"depth": 3}, "method.depth is unknown there and 3 here"),
+        ({"seed": True}, "method.seed is 0 there and true here"),
+    ],
+)
+def test_another_argument_is_named_with_both_values(path: Path, given: dict[str, Any], wanted: str) -> None:
+    store(path, Prototypes())
+    assert wanted in refusal(path, **given)
+
+
+def test_an_argument_that_only_the_stored_network_had_is_named(path: Path) -> None:
+    where = destination(path, Prototypes(), WORLD)
+    older = replace(where.origin, arguments={**where.origin.arguments, "epochs": 4})
+    networks.save(replace(where, origin=older), fitted(Prototypes()), "", 1.0, 1.0)
+    assert "method.epochs is 4 there and unknown here; give" in refusal(path)
+
+
+def test_every_difference_is_named(path: Path) -> None:
+    store(path, Prototypes())
+    line = refusal(path, Prototypes(noise=1.0, seed=2), journey(8, 5))
+    for part in (
+        "method.noise is 0.5 there and 1.0",
+        "method.seed is 0 there and 2",
+        "4 places there (dataset journey) and 5",
+    ):
+        assert part in line
+
+
+def test_the_network_of_another_method_is_named(path: Path) -> None:
+    store(path, Prototypes())
+
+    class Others(Prototypes):
+        pass
+
+    line = refusal(path, Others())
+    assert "it is one of Prototypes, not of Others" in line
+    assert "Others" in line
+
+
+@pytest.mark.parametrize(
+    "dataset",
+    [
+        replace(WORLD, references=pictures([0, 1, 2, 9])),
+        replace(WORLD, references=pictures([1, 0, 2, 3])),
+        replace(WORLD, places=np.array([0, 1, 3, 2])),
+    ],
+    ids=["another image", "another order", "other places"],
+)
+def test_a_network_of_other_reference_images_is_refused_with_both_datasets(path: Path, dataset: Dataset) -> None:
+    store(path, Prototypes())
+    line = refusal(path, dataset=replace(dataset, name="voyage"))
+    assert "other reference images or places (dataset journey there and voyage here)" in line
+
+
+# Files that are no stored network
+
+
+def test_a_flipped_bit_anywhere_is_noticed(path: Path) -> None:
+    store(path, Prototypes())
+    whole = path.read_bytes()
+    for position in range(len(whole)):
+        spoilt = bytearray(whole)
+        spoilt[position] ^= 1 << position % 8
+        path.write_bytes(spoilt)
+        refusal(path)
+
+
+@pytest.mark.parametrize("length", [0, 5, 100, -1])
+def test_a_file_that_was_cut_off_is_named(path: Path, length: int) -> None:
+    store(path, Prototypes())
+    path.write_bytes(path.read_bytes()[:length])
+    assert "cannot be read as a stored network" in refusal(path)
+
+
+def test_a_file_of_another_program_is_named(tmp_path: Path) -> None:
+    save_file({"means": np.zeros((4, 4), np.float32)}, tmp_path / "x.safetensors", {"format": "pt"})
+    assert "was not stored by vprbench" in refusal(tmp_path / "x.safetensors")
+
+
+def test_a_file_without_any_metadata_is_named(tmp_path: Path) -> None:
+    save_file({"means": np.zeros((4, 4), np.float32)}, tmp_path / "x.safetensors")
+    assert "was not stored by vprbench" in refusal(tmp_path / "x.safetensors")
+
+
+def test_another_layout_is_named_with_both_versions(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(networks, "FORMAT", 7)
+    store(path, Prototypes())
+    monkeypatch.undo()
+    assert "has layout 7, this program reads 1" in refusal(path)
+
+
+def test_a_pickle_under_the_name_of_a_stored_network_is_not_run(tmp_path: Path) -> None:
+    (tmp_path / "x.safetensors").write_bytes(pickle.dumps(Trap(tmp_path / "sprung")))
+    assert "cannot be read as a stored network" in refusal(tmp_path / "x.safetensors")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_a_file_that_changed_since_its_hash_was_taken_is_refused(path: Path) -> None:
+    store(path, Prototypes())
+    with pytest.raises(BadInput, match="changed while the run was prepared"):
+        networks.load(path, Prototypes(), networks.origin(Prototypes(), {}, WORLD), "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [("missing.safetensors", "is no file"), ("folder.safetensors", "is no file"), ("network.bin", "give a stored")],
+)
+def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path: Path, name: str, wanted: str) -> None:
+    (tmp_path / "folder.safetensors").mkdir()
+    (tmp_path / "network.bin").touch()
+    with pytest.raises(BadInput, match=wanted):
+        networks.chosen_files(None, str(tmp_path / name), False)
+
+
+def test_a_file_that_the_system_does_not_read_is_named(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    store(path, Prototypes())
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(BadInput, match=r"load=.*cannot be read \(Permission denied\)"):
+        networks.chosen_files(None, str(path), False)
+
+
+def test_a_tilde_is_the_home_folder(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store(path, Prototypes())
+    monkeypatch.setenv("HOME", str(path.parent))
+    files = networks.chosen_files("~/new.safetensors", f"~/{path.name}", False)
+    assert (files.save, files.load) == (path.parent / "new.safetensors", path)
+
+
+# Methods that keep no network
+
+
+@pytest.mark.parametrize("ask", [Lookup.state, lambda method: method.restore({})], ids=["state", "restore"])
+def test_a_method_that_keeps_no_network_says_what_to_do(ask: Callable[[Method], object]) -> None:
+    with pytest.raises(BadInput, match="Lookup keeps no network that could be stored: leave save= and load= out"):
+        ask(Lookup(np.ones((1, 1), np.float32)))
+
+
+def test_loading_into_a_method_that_keeps_no_network_is_refused(path: Path) -> None:
+    store(path, Prototypes())
+    with pytest.raises(BadInput, match="Lookup keeps no network"):
+        networks.load(path, Lookup(np.ones((1, 1), np.float32)), ORIGIN)
+
+
+# Before the training
+
+
+def test_a_method_that_keeps_no_network_is_refused_before_it_trains(path: Path) -> None:
+    with pytest.raises(BadInput, match="Lookup keeps no network"):
+        destination(path, Lookup(np.ones((1, 1), np.float32)), WORLD)
+
+
+@pytest.mark.parametrize("name", ["network", "network.pth", "network.safetensors.bak"])
+def test_another_ending_is_refused_before_the_training(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BadInput, match=r"give a file that ends in \.safetensors"):
+        destination(tmp_path / name, Prototypes(), WORLD)
+
+
+def test_a_file_that_is_there_is_refused_before_the_training(path: Path) -> None:
+    store(path, Prototypes())
+    with pytest.raises(BadInput, match=r"is there already.*\$\{seed\}.*force=true"):
+        destination(path, Prototypes(), WORLD)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_of_that_name_is_refused_before_the_training(path: Path, force: bool) -> None:
+    path.mkdir(parents=True)
+    with pytest.raises(BadInput, match="is a folder"):
+        destination(path, Prototypes(), WORLD, force)
+
+
+@pytest.mark.parametrize("name", ["file/x.safetensors", "file/deeper/x.safetensors", f"{'x' * 300}.safetensors"])
+def test_a_place_that_cannot_be_written_is_refused_before_the_training(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BadInput, match="cannot be written"):
+        destination(tmp_path / name, Prototypes(), WORLD)
+
+
+def test_a_folder_without_the_right_to_write_is_refused_before_the_training(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "touch", refuse)  # root, who may run these tests, has every right
+    with pytest.raises(BadInput, match=r"save=.*cannot be written \(Permission denied\)"):
+        destination(path, Prototypes(), WORLD)
+
+
+def test_a_folder_is_made_and_nothing_left_in_it_before_the_training(path: Path) -> None:
+    destination(path, Prototypes(), WORLD)
+    assert list(path.parent.iterdir()) == []
+
+
+def test_no_file_is_asked_for_where_none_is_to_be_saved() -> None:
+    assert networks.prepare(networks.Files(), Prototypes(), {}, WORLD) is None
+
+
+# Writing
+
+
+def only_file(path: Path) -> bool:
+    return [found.name for found in path.parent.iterdir()] == [path.name]
+
+
+def test_a_network_is_replaced_where_that_was_asked_for(path: Path) -> None:
+    store(path, Prototypes(seed=0))
+    trained = store(path, Prototypes(seed=1), replace=True)
+    load(path, loaded := Prototypes(seed=1))
+    assert np.array_equal(loaded.state()["means"], trained.state()["means"])
+    assert only_file(path)
+
+
+def test_a_file_that_appeared_during_the_training_stays(path: Path) -> None:
+    where = destination(path, Prototypes(seed=1), WORLD)
+    store(path, Prototypes())
+    before = path.read_bytes()
+    with pytest.raises(BadInput, match="is there already"):
+        networks.save(where, fitted(Prototypes(seed=1)), "of another run", 1.0, 1.0)
+    assert path.read_bytes() == before
+    assert only_file(path)
+
+
+def test_a_file_that_the_same_run_stored_elsewhere_during_the_training_is_replaced(path: Path) -> None:
+    where = destination(path, Prototypes(seed=1), WORLD)
+    store(path, Prototypes(seed=1))
+    networks.save(where, fitted(Prototypes(seed=1)), "0123", 1.0, 1.0)
+    assert only_file(path)
+
+
+def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path: Path) -> None:
+    path.parent.mkdir(parents=True)
+    old, new, other = (path.parent / f".partial-{i}-{name}" for i, name in enumerate([path.name, path.name, "notes"]))
+    for left in (old, new, other):
+        left.touch()
+    for left in (old, other):
+        os.utime(left, (0, 0))
+    destination(path, Prototypes(), WORLD)
+    assert sorted(path.parent.iterdir()) == [new, other]
+
+
+def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    store(path, Prototypes())
+    before = path.read_bytes()
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(BadInput, match=r"could not be stored.*No space left on device"):
+        store(path, Prototypes(seed=1), replace=True)
+    assert path.read_bytes() == before
+    assert only_file(path)
+
+
+@pytest.fixture(scope="module")
+def processes() -> multiprocessing.context.ForkServerContext:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["vprbench.plugins.networks"])
+    return context
+
+
+def test_a_network_that_the_system_cuts_off_leaves_the_old_one(path: Path, processes: Any) -> None:
+    store(path, Prototypes())
+    before = path.read_bytes()
+    with ProcessPoolExecutor(1, mp_context=processes) as pool:
+        assert "could not be stored" in pool.submit(store_network_where_no_file_may_exceed, path, 200).result()
+    assert path.read_bytes() == before
+    assert only_file(path)
+
+
+def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_new_one(
+    path: Path, processes: Any
+) -> None:
+    store(path, Prototypes())
+    found = []
+    for step in range(50):
+        writer = processes.Process(target=replace_network_and_die, args=(path, step), daemon=True)
+        writer.start()
+        writer.join()
+        found.append(networks.made_by(path))
+        if writer.exitcode == 0:
+            break
+    assert set(found) == {"0123", "new"}
+    assert len(found) > 2
+
+
+@pytest.mark.parametrize(
+    "value", [np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]], ids=lambda v: str(type(v))
+)
+def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path, value: Any) -> None:
+    where = destination(path, Prototypes(), WORLD)
+    with pytest.raises(TypeError, match=r"Holding\.state\(\) gave means as .*wanted numpy arrays of numbers"):
+        networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)
+
+
+def test_the_run_behind_a_file_is_known(path: Path) -> None:
+    store(path, Prototypes())
+    assert networks.made_by(path) == "0123"
+
+
+def test_no_run_is_behind_a_damaged_file(path: Path) -> None:
+    store(path, Prototypes())
+    path.write_bytes(path.read_bytes()[:-1])
+    assert networks.made_by(path) is None
+
+
+# Published networks
+
+
+class Trap:
+    """What makes a file when it is unpickled."""
+
+    def __init__(self, sprung: Path) -> None:
+        self.sprung = sprung
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.sprung),)
+
+
+def published(path: Path, content: Any, **options: Any) -> Path:
+    torch.save(content, path, **options)
+    return path
+
+
+class Reader(Holding):
+    """Takes whatever a file holds."""
+
+
+def read(path: Path) -> Mapping[str, npt.NDArray[Any]]:
+    networks.load(path, method := Reader(), ORIGIN)
+    return method.arrays
+
+
+LAYER = {"feature_layer.thr": torch.tensor([[0.5, 0.25]]), "feature_layer.w.weight": torch.eye(2)[:, :1]}
+
+
+@pytest.mark.parametrize("modern", [True, False], ids=["zip", "before torch 1.6"])
+def test_the_tensors_of_a_published_network_come_under_dotted_names(tmp_path: Path, modern: bool) -> None:
+    content = {"model_0": LAYER, "model_1": {"output_layer.thr": torch.tensor([[2.0]])}}
+    arrays = read(published(tmp_path / "x.pth", content, _use_new_zipfile_serialization=modern))
+    assert {name: array.tolist() for name, array in arrays.items()} == {
+        "model_0.feature_layer.thr": [[0.5, 0.25]],
+        "model_0.feature_layer.w.weight": [[1.0], [0.0]],
+        "model_1.output_layer.thr": [[2.0]],
+    }
+
+
+@pytest.mark.parametrize("kind", [torch.float64, torch.float16, torch.bfloat16, torch.int64])
+def test_published_numbers_become_float32(tmp_path: Path, kind: torch.dtype) -> None:
+    (array,) = read(published(tmp_path / "x.pth", {"model_0": {"thr": torch.tensor([1, 2], dtype=kind)}})).values()
+    assert (array.dtype, array.tolist()) == (np.float32, [1, 2])
+
+
+def test_parameters_and_state_dictionaries_of_a_module_can_be_read(tmp_path: Path) -> None:
+    layer = torch.nn.Linear(3, 2, bias=False)
+    arrays = read(published(tmp_path / "x.pth", {"model_0": layer.state_dict(), "model_1": {"w": layer.weight}}))
+    assert np.array_equal(arrays["model_0.weight"], arrays["model_1.w"])
+
+
+def test_a_published_network_is_said_to_be_unchecked(tmp_path: Path) -> None:
+    path = published(tmp_path / "x.pth", {"model_0": LAYER})
+    assert networks.load(path, Reader(), ORIGIN) == (
+        "published network: neither its arguments nor its training images could be checked",
+    )
+
+
+@pytest.mark.parametrize("write", [torch.save, lambda content, path: path.write_bytes(pickle.dumps(content))])
+@pytest.mark.parametrize("wrap", [lambda trap: trap, lambda trap: {"model_0": {"thr": trap}}], ids=["bare", "nested"])
+def test_a_file_with_code_in_it_is_refused_and_its_code_does_not_run(
+    tmp_path: Path, write: Callable[[Any, Path], object], wrap: Callable[[Trap], Any]
+) -> None:
+    write(wrap(Trap(tmp_path / "sprung")), tmp_path / "x.pth")
+    assert "would have to run code of its own" in refusal(tmp_path / "x.pth")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_the_trap_of_these_tests_springs_where_pickle_is_trusted(tmp_path: Path) -> None:
+    torch.load(published(tmp_path / "x.pth", Trap(tmp_path / "sprung")), weights_only=False)
+    assert (tmp_path / "sprung").exists()
+
+
+def test_a_whole_module_is_refused(tmp_path: Path) -> None:
+    assert "tensors alone" in refusal(published(tmp_path / "x.pth", torch.nn.Linear(2, 2)))
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted"),
+    [
+        ([torch.zeros(1)], "holds one list; wanted a dictionary of state dictionaries"),
+        (torch.zeros(1), "holds one Tensor; wanted"),
+        ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int; wanted plain tensors"),
+        ({"model_0": None}, "model_0 is of type NoneType"),
+        ({"model_0": {"deeper": {"thr": torch.zeros(1)}}}, "model_0.deeper is of type dict"),
+        (
+            {"model_0": {"thr": torch.zeros(2).to_sparse()}},
+            "model_0.thr is of type torch.sparse_coo of torch.float32",
+        ),
+        (
+            {"model_0": {"thr": torch.zeros(2, dtype=torch.complex64)}},
+            "model_0.thr is of type torch.strided of torch.complex64",
+        ),
+    ],
+    ids=["list", "tensor", "number", "nothing", "deeper", "sparse", "complex"],
+)
+def test_a_published_file_of_anything_but_state_dictionaries_is_refused(
+    tmp_path: Path, content: Any, wanted: str
+) -> None:
+    assert wanted in refusal(published(tmp_path / "x.pth", content))
+
+
+@pytest.mark.parametrize("content", [b"", b"hello there", b"\x80\x02"], ids=["empty", "text", "cut off"])
+def test_a_damaged_published_file_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.pth").write_bytes(content)
+    refusal(tmp_path / "x.pth")
+
+
+def test_a_published_file_that_was_cut_off_is_named(tmp_path: Path) -> None:
+    path = published(tmp_path / "x.pth", {"model_0": LAYER})
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "cannot be read as a file of torch" in refusal(path)
+
+
+def test_a_method_that_cannot_use_what_was_published_says_so_with_the_path(tmp_path: Path) -> None:
+    path = published(tmp_path / "x.pth", {"model_0": LAYER})
+    assert "model_0.feature_layer.thr, model_0.feature_layer.w.weight came; wanted means" in refusal(path)
+
+
+# The command line
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder of its own, with the little method plugged in, for other processes too."""
+    plugin = tmp_path / "plugin"
+    (plugin / "little_conf" / "method").mkdir(parents=True)
+    (plugin / "little_conf" / "method" / "prototypes.yaml").write_text(
+        "# Means of places\n_target_: little.Prototypes\nnoise: 0.5\ncontrast: 1.0\nseed: ${seed}\ndevice: ${device}\n"
+    )
+    (plugin / "little-1.dist-info").mkdir()
+    (plugin / "little-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: little\nVersion: 1\n")
+    (plugin / "little-1.dist-info" / "entry_points.txt").write_text("[vprbench.conf]\nlittle = little_conf\n")
+    monkeypatch.syspath_prepend(plugin)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (plugin, ROOT / "tests", ROOT))))
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+Ask = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def ask(here: Path, capsys: pytest.CaptureFixture[str]) -> Ask:
+    """Run with these options and return the JSON that is printed."""
+
+    def asked(*options: str) -> dict[str, Any]:
+        capsys.readouterr()
+        assert main([*RUN, "output=json", *options]) == 0, capsys.readouterr().err
+        return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+
+    return asked
+
+
+@pytest.fixture
+def refused(here: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    def line(*options: str) -> str:
+        capsys.readouterr()
+        assert main([*RUN, *options]) == 2
+        return capsys.readouterr().err.strip().splitlines()[-1]
+
+    return line
+
+
+@pytest.fixture
+def untrainable(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> NoReturn:
+        raise AssertionError("it was trained")
+
+    monkeypatch.setattr(Prototypes, "fit", fail)
+
+
+@pytest.fixture
+def stored(ask: Ask) -> dict[str, Any]:
+    """Train and store net.safetensors; returns what was printed."""
+    return ask("save=net.safetensors")
+
+
+ACCURACY = ("recall_at_1", "recall_at_5", "auc_pr_a", "average_precision_a", "queries")
+
+
+def test_a_run_that_loads_is_as_accurate_as_the_one_that_trained(stored: dict[str, Any], ask: Ask) -> None:
+    loaded = ask("load=net.safetensors")
+    assert [loaded[name] for name in ACCURACY] == [stored[name] for name in ACCURACY]
+
+
+def test_a_run_that_loads_gives_the_scores_of_the_one_that_trained(stored: dict[str, Any], ask: Ask) -> None:
+    ask("load=net.safetensors")
+    first, second = [run.scores for run in Store(Path("results")).runs()]
+    assert first is not None
+    assert second is not None
+    assert np.array_equal(first, second)
+
+
+def test_a_run_that_loads_trains_nothing(stored: dict[str, Any], untrainable: None, ask: Ask) -> None:
+    loaded = ask("load=net.safetensors")
+    assert (loaded["fit_seconds"], loaded["fit_compute_seconds"]) == (None, None)
+    assert 0 < loaded["load_seconds"] < 5
+
+
+def test_a_run_that_loads_names_its_network_and_where_that_came_from(stored: dict[str, Any], ask: Ask) -> None:
+    loaded = ask("load=net.safetensors")
+    assert (stored["network"], stored["load_seconds"]) == (None, None)
+    assert loaded["network"] == networks.chosen_files(None, "net.safetensors", False).sha256
+    key = Path(stored["run_folder"]).name.removeprefix("prototypes-")
+    assert any(note.startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
+
+
+def test_a_row_and_csv_of_a_loaded_run_say_so(
+    stored: dict[str, Any], here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*RUN, "load=net.safetensors"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = next(number for number, line in enumerate(lines) if line.startswith("method "))
+    head, row = lines[at : at + 2]
+    assert row[head.index("fit s") :].startswith("loaded ")
+    runs = list(Store(Path("results")).runs())
+    (loaded,) = [line for line in csv.DictReader(io.StringIO(rows.csv(runs))) if line["network"]]
+    assert (loaded["fit_seconds"], loaded["fit_compute_seconds"]) == ("", "")
+
+
+def test_a_loaded_run_is_answered_from_the_store_the_second_time(stored: dict[str, Any], ask: Ask) -> None:
+    assert [ask("load=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
+
+
+def test_a_trained_run_is_not_answered_with_a_loaded_one(stored: dict[str, Any], ask: Ask) -> None:
+    folders = {ask("load=net.safetensors")["run_folder"], ask()["run_folder"]}
+    assert len(folders) == 2
+    assert stored["run_folder"] in folders
+
+
+def test_another_network_in_the_same_file_is_another_run(stored: dict[str, Any], ask: Ask) -> None:
+    first = ask("load=net.safetensors")
+    ask("save=net.safetensors", "force=true")  # took another time to train
+    second = ask("load=net.safetensors")
+    assert second["from_store"] is False
+    assert second["network"] != first["network"]
+
+
+def test_a_network_of_another_seed_is_refused_by_name(stored: dict[str, Any], refused: Callable[..., str]) -> None:
+    assert "net.safetensors holds another network than this run needs: method.seed is 0 there and 1 here;" in refused(
+        "load=net.safetensors", "seed=1"
+    )
+
+
+def test_a_network_of_other_places_is_refused(stored: dict[str, Any], refused: Callable[..., str]) -> None:
+    assert "12 places there (dataset synthetic) and 13 here" in refused("load=net.safetensors", "dataset.places=13")
+
+
+def test_an_argument_of_the_query_may_be_chosen_anew(stored: dict[str, Any], ask: Ask) -> None:
+    assert ask("load=net.safetensors", "method.contrast=2.0")["recall_at_1"] == stored["recall_at_1"]
+
+
+def test_nothing_is_trained_for_a_file_that_cannot_be_written(untrainable: None, refused: Callable[..., str]) -> None:
+    Path("there.safetensors").write_text("mine")
+    for save, wanted in (("net.pth", "ends in .safetensors"), ("there.safetensors", "is there already")):
+        assert wanted in refused(f"save={save}")
+    assert Path("there.safetensors").read_text() == "mine"
+
+
+def test_a_run_in_the_store_is_made_again_for_its_network(ask: Ask, caplog: pytest.LogCaptureFixture) -> None:
+    ask()
+    caplog.set_level("INFO")
+    assert ask("save=net.safetensors")["from_store"] is False
+    assert caplog.messages == ["prototypes is stored without its network: running again for save=net.safetensors"]
+    assert Path("net.safetensors").exists()
+
+
+def test_a_run_whose_network_was_kept_is_answered_from_the_store(
+    stored: dict[str, Any], untrainable: None, ask: Ask
+) -> None:
+    before = Path("net.safetensors").read_bytes()
+    assert ask("save=net.safetensors")["from_store"] is True
+    assert Path("net.safetensors").read_bytes() == before
+
+
+def test_a_run_in_the_store_does_not_take_the_network_of_another_run_for_its_own(
+    stored: dict[str, Any], ask: Ask, refused: Callable[..., str]
+) -> None:
+    ask("seed=1")
+    assert "save=net.safetensors is there already" in refused("save=net.safetensors", "seed=1")
+
+
+def test_force_trains_again_and_replaces_the_network(stored: dict[str, Any], ask: Ask) -> None:
+    before = Path("net.safetensors").read_bytes()
+    assert ask("save=net.safetensors", "force=true")["from_store"] is False
+    assert Path("net.safetensors").read_bytes() != before
+
+
+def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> NoReturn:
+        raise RuntimeError("no scores today")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Prototypes, "match", fail)
+        assert main([*RUN, "save=net.safetensors"]) == 1
+    assert ask("load=net.safetensors")["queries"] > 0
+
+
+def test_the_command_of_a_run_that_was_killed_after_its_network_was_stored_is_given_again(
+    stored: dict[str, Any], ask: Ask
+) -> None:
+    Path(stored["run_folder"], "run.json").unlink()
+    assert ask("save=net.safetensors")["from_store"] is False
+    assert ask("save=net.safetensors")["from_store"] is True
+
+
+def test_a_training_that_fails_leaves_no_network(untrainable: None, here: Path) -> None:
+    assert main([*RUN, "save=nets/net.safetensors"]) == 1
+    assert list(Path("nets").iterdir()) == []
+
+
+def test_what_a_run_loaded_is_part_of_its_record(stored: dict[str, Any], ask: Ask) -> None:
+    record = json.loads(Path(ask("load=net.safetensors")["run_folder"], "run.json").read_text())
+    assert record["config"]["load"] == "net.safetensors"
+
+
+def sweep(*options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "vprbench", "-m", *RUN, "seed=0,1", *options],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+
+
+def test_the_cells_of_a_sweep_store_their_networks_under_their_own_names(here: Path) -> None:
+    done = sweep("save=nets/net-${seed}.safetensors")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
+
+
+def test_the_second_cell_of_a_sweep_does_not_replace_the_network_of_the_first(here: Path) -> None:
+    done = sweep("save=net.safetensors")
+    assert done.returncode == 2
+    assert "save=net.safetensors is there already: give another name (in a sweep one for each cell" in done.stderr
+    (record,) = Path("results").rglob("run.json")
+    assert record.parent.name == f"prototypes-{networks.made_by(Path('net.safetensors'))}"

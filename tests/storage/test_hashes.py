@@ -1,0 +1,406 @@
+"""Hashes of files are right whatever happens to the files or to the database, and computed once."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import sqlite3
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+import pytest
+from checkout import ROOT
+
+from vprbench.errors import BadInput
+from vprbench.progress import listening
+from vprbench.storage import hashes as file_hashes
+from vprbench.storage.hashes import FileHash, FileHashes
+
+SECOND = 1_000_000_000  # nanoseconds
+YEAR_2096 = 4_000_000_000 * SECOND
+EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"  # of the standard, FIPS 180-4
+ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
+    """How often each file was read, by name."""
+    counts: Counter[str] = Counter()
+    digest = file_hashes.file_digest
+
+    def counted(file: Any, kind: str) -> Any:
+        counts[Path(os.fsdecode(file.name)).name] += 1
+        return digest(file, kind)
+
+    monkeypatch.setattr(file_hashes, "file_digest", counted)
+    return counts
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "hashes"
+
+
+def later(folder: Path) -> FileHashes:
+    """Return the hashes in a folder as seen when no file has changed for long."""
+    return FileHashes(folder, lambda: YEAR_2096)
+
+
+def write(path: Path, content: bytes) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
+
+
+def files(tmp_path: Path, count: int) -> list[Path]:
+    return [write(tmp_path / "frames" / f"{i}.png", b"frame %d" % i) for i in range(count)]
+
+
+def expected(paths: list[Path]) -> list[FileHash]:
+    return [FileHash(len(path.read_bytes()), hashlib.sha256(path.read_bytes()).digest()) for path in paths]
+
+
+def refused(hashes: FileHashes, paths: list[Path]) -> str:
+    with pytest.raises(BadInput) as caught:
+        hashes.of(paths)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# Right
+
+
+@pytest.mark.parametrize(("content", "sha256"), [(b"", EMPTY), (b"abc", ABC)])
+def test_the_hash_of_a_file_is_its_sha256(tmp_path: Path, folder: Path, content: bytes, sha256: str) -> None:
+    (found,) = later(folder).of([write(tmp_path / "a.png", content)])
+    assert (found.size_bytes, found.sha256.hex()) == (len(content), sha256)
+
+
+def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_once(
+    tmp_path: Path, folder: Path, read: Counter[str]
+) -> None:
+    a, b, c = files(tmp_path, 3)
+    assert later(folder).of([c, a, c, b, a]) == expected([c, a, c, b, a])
+    assert set(read.values()) == {1}
+
+
+def test_no_files_have_no_hashes_and_leave_no_folder(folder: Path) -> None:
+    assert later(folder).of([]) == []
+    assert not folder.exists()
+
+
+def test_a_name_that_is_no_unicode_is_a_name(tmp_path: Path, folder: Path) -> None:
+    path = write(Path(os.fsdecode(os.fsencode(tmp_path) + b"/hiver-\xe9t\xe9.png")), b"abc")
+    for _ in range(2):
+        assert later(folder).of([path]) == expected([path])
+
+
+# Once
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["another program", "the same one"])
+def test_a_second_call_reads_nothing(tmp_path: Path, folder: Path, read: Counter[str], again: bool) -> None:
+    paths, first = files(tmp_path, 5), later(folder)
+    first.of(paths)
+    read.clear()
+    assert (first if again else later(folder)).of(paths) == expected(paths)
+    assert not read
+
+
+def test_files_that_came_since_are_read_alone(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
+    paths = files(tmp_path, 5)
+    later(folder).of(paths[:3])
+    read.clear()
+    assert later(folder).of(paths) == expected(paths)
+    assert read == {"3.png": 1, "4.png": 1}
+
+
+def test_a_file_is_known_by_its_relative_name_too(
+    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later(folder).of(files(tmp_path, 1))
+    monkeypatch.chdir(tmp_path / "frames")
+    assert later(folder).of([Path("0.png")]) == expected([Path("0.png")])
+    assert read == {"0.png": 1}
+
+
+def test_hashes_that_were_read_before_an_error_are_kept(
+    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(file_hashes, "_BATCH", 4)
+    paths, digest = files(tmp_path, 10), file_hashes.file_digest
+
+    def broken(file: Any, kind: str) -> Any:
+        if file.name.endswith("9.png"):
+            raise OSError(errno.EIO, "Input/output error")
+        return digest(file, kind)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(file_hashes, "file_digest", broken)
+        assert refused(later(folder), paths) == f"{paths[9]} cannot be read (Input/output error): restore the file"
+    read.clear()
+    assert later(folder).of(paths[:8]) == expected(paths[:8])
+    assert not read
+
+
+# Files that change
+
+
+def test_a_renamed_file_is_read_again(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
+    (path,) = files(tmp_path, 1)
+    later(folder).of([path])
+    renamed = path.rename(path.with_name("other.png"))
+    assert later(folder).of([renamed]) == expected([renamed])
+    assert read == {"0.png": 1, "other.png": 1}
+
+
+def test_a_touched_file_is_read_again_and_has_the_same_hash(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
+    (path,) = files(tmp_path, 1)
+    before = later(folder).of([path])
+    os.utime(path, ns=(0, 0))
+    assert later(folder).of([path]) == before
+    assert read == {"0.png": 2}
+
+
+def test_another_file_of_the_same_size_and_time_in_its_place_is_seen(tmp_path: Path, folder: Path) -> None:
+    old, new = write(tmp_path / "a.png", b"winter"), write(tmp_path / "b.png", b"summer")
+    for path in (old, new):
+        os.utime(path, ns=(0, 0))
+    later(folder).of([old])
+    new.replace(old)
+    assert later(folder).of([old])[0].sha256 == hashlib.sha256(b"summer").digest()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps no time of change that nobody can set back")
+def test_other_content_of_the_same_size_whose_time_was_set_back_is_seen(tmp_path: Path, folder: Path) -> None:
+    path = write(tmp_path / "a.png", b"winter")
+    os.utime(path, ns=(0, 0))
+    before = path.stat()
+    later(folder).of([path])
+    while path.stat().st_ctime_ns == before.st_ctime_ns:  # until the clock of the file system has gone on
+        path.write_bytes(b"summer")
+        os.utime(path, ns=(0, 0))
+    after = path.stat()
+    assert (after.st_size, after.st_mtime_ns, after.st_ino) == (before.st_size, before.st_mtime_ns, before.st_ino)
+    assert later(folder).of([path])[0].sha256 == hashlib.sha256(b"summer").digest()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "times_read"), [(0.0, 2), (1.9, 2), (2.1, 1), (-1.9, 2)], ids=["now", "just now", "before", "to come"]
+)
+def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(
+    tmp_path: Path, folder: Path, read: Counter[str], seconds: float, times_read: int
+) -> None:
+    (path,) = files(tmp_path, 1)
+    os.utime(path, ns=(0, 0))  # the change of its content is long ago, that of its times is not
+    now = path.stat().st_ctime_ns + int(seconds * SECOND)
+    hashes = FileHashes(folder, lambda: now)
+    assert [hashes.of([path]) for _ in range(2)] == [expected([path])] * 2
+    assert read == {"0.png": times_read}
+
+
+def test_a_file_that_is_being_written_is_read_until_it_is_whole(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, digest = write(tmp_path / "a.png", b"half"), file_hashes.file_digest
+    rest = [b" of it", b" and the end"]
+
+    def overtaken(file: Any, kind: str) -> Any:
+        found = digest(file, kind)
+        if rest:
+            with path.open("ab") as end:
+                end.write(rest.pop(0))
+        return found
+
+    monkeypatch.setattr(file_hashes, "file_digest", overtaken)
+    (found,) = later(folder).of([path])
+    assert found == FileHash(22, hashlib.sha256(b"half of it and the end").digest())
+
+
+def test_a_file_that_never_stops_changing_is_an_error_with_its_path(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, digest = write(tmp_path / "a.png", b""), file_hashes.file_digest
+
+    def overtaken(file: Any, kind: str) -> Any:
+        with path.open("ab") as end:
+            end.write(b"more")
+        return digest(file, kind)
+
+    monkeypatch.setattr(file_hashes, "file_digest", overtaken)
+    message = refused(later(folder), [path])
+    assert message == f"{path} changes while it is read: wait until it is written, then run again"
+
+
+@pytest.mark.parametrize("name", ["absent.png", "frames"])
+def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path: Path, folder: Path, name: str) -> None:
+    paths = [*files(tmp_path, 2), tmp_path / name]
+    assert f"{tmp_path / name} cannot be read (" in refused(later(folder), paths)
+
+
+# A database that is not as it was left
+
+
+def shorten(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def overwrite(path: Path) -> None:
+    path.write_bytes(b"this is no database, whatever it is " * 1000)
+
+
+def tear(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 :] = b"\xa5" * (len(content) - len(content) // 2)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [shorten, overwrite, tear])
+def test_a_damaged_database_is_begun_anew(
+    tmp_path: Path, folder: Path, read: Counter[str], caplog: pytest.LogCaptureFixture, damage: Any
+) -> None:
+    paths = files(tmp_path, 200)
+    later(folder).of(paths)
+    (database,) = folder.iterdir()
+    damage(database)
+    assert later(folder).of(paths) == expected(paths)
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith(f"{database} is damaged (")
+    read.clear()
+    assert later(folder).of(paths) == expected(paths)
+    assert not read
+
+
+@pytest.mark.parametrize("stored", [None, "text", b"short", 7])
+def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: Any) -> None:
+    paths = files(tmp_path, 2)
+    later(folder).of(paths)
+    (path,) = folder.iterdir()
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE files SET sha256 = ?", (stored,))
+    assert later(folder).of(paths) == expected(paths)
+
+
+def test_a_database_of_another_kind_is_left_alone(
+    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    paths = files(tmp_path, 2)
+    later(folder).of(paths)
+    (path,) = folder.iterdir()
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("DROP TABLE files")
+        database.execute("CREATE TABLE files (recipe TEXT)")
+        database.execute("INSERT INTO files VALUES ('soup')")
+    assert later(folder).of(paths) == expected(paths)
+    assert "no hashes of files are kept" in caplog.text
+    with closing(sqlite3.connect(path)) as database:
+        assert [*database.execute("SELECT recipe FROM files")] == [("soup",)]
+
+
+def test_a_locked_database_costs_one_line_and_never_the_hashes(
+    tmp_path: Path,
+    folder: Path,
+    read: Counter[str],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(file_hashes, "_PATIENCE_SECONDS", 0)
+    paths = files(tmp_path, 4)
+    later(folder).of(paths[:2])
+    (path,) = folder.iterdir()
+    hashes = later(folder)
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("PRAGMA locking_mode=EXCLUSIVE")
+        other.execute("BEGIN EXCLUSIVE")
+        assert hashes.of(paths[:2]) == expected(paths[:2])
+        assert hashes.of(paths) == expected(paths)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"no hashes of files are kept in {path} (database is locked): the next run reads them again"
+    ]
+    assert read == {"0.png": 2, "1.png": 2, "2.png": 1, "3.png": 1}  # what was read since is known without a database
+
+
+@pytest.mark.parametrize("hindrance", ["a file in place of the folder", "a folder in place of the database"])
+def test_where_no_database_can_be_made_the_hashes_are_right(
+    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture, hindrance: str
+) -> None:
+    if hindrance == "a file in place of the folder":
+        folder.write_bytes(b"")
+    else:
+        (folder / "files-1.sqlite3").mkdir(parents=True)
+    paths, hashes = files(tmp_path, 3), later(folder)
+    assert [hashes.of(paths), hashes.of(paths[:1])] == [expected(paths), expected(paths[:1])]
+    assert len(caplog.records) == 1
+
+
+# Several at once
+
+
+def test_several_threads_share_the_hashes(tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    paths, hashes = files(tmp_path, 40), later(folder)
+    with ThreadPoolExecutor(6) as threads:
+        found = [*threads.map(lambda i: hashes.of(paths[i:] + paths[:i]), range(12))]
+    assert found == [expected(paths[i:] + paths[:i]) for i in range(12)]
+    assert caplog.records == []
+
+
+OTHER_PROCESS = """
+import sys
+from pathlib import Path
+from vprbench import file_hashes
+file_hashes._BATCH = 5
+paths = sorted(Path(sys.argv[2]).iterdir())
+found = file_hashes.FileHashes(Path(sys.argv[1]), lambda: 4 * 10**18).of(paths)
+print(*(file.sha256.hex() for file in found))
+"""
+
+
+def test_several_processes_share_the_hashes(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
+    paths = sorted(files(tmp_path, 60))
+    command = [sys.executable, "-c", OTHER_PROCESS, str(folder), str(tmp_path / "frames")]
+    others = [
+        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(3)
+    ]
+    wanted = " ".join(file.sha256.hex() for file in expected(paths)) + "\n"
+    assert [other.communicate() for other in others] == [(wanted, "")] * 3
+    assert later(folder).of(paths) == expected(paths)
+    assert not read
+
+
+# Where they lie, and what is told
+
+
+def test_the_folder_is_the_chosen_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = files(tmp_path, 2)
+    monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "chosen"))
+    monkeypatch.setattr(file_hashes, "time_ns", lambda: YEAR_2096)
+    assert file_hashes.file_hashes(paths) == expected(paths)
+    assert [path.name for path in (tmp_path / "chosen").iterdir()] == ["files-1.sqlite3"]
+
+
+def test_the_folder_is_in_the_users_cache_where_none_was_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("VPRBENCH_HASHES")
+    monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
+    assert file_hashes.hashes_folder() == tmp_path / "vprbench" / "hashes"
+
+
+@pytest.mark.parametrize(("count", "shares"), [(9, [4 / 9, 8 / 9, 1.0]), (4, [])], ids=["many", "few"])
+def test_hashing_many_files_is_told_of(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, count: int, shares: list[float]
+) -> None:
+    monkeypatch.setattr(file_hashes, "_BATCH", 4)
+    paths, told = files(tmp_path, count), list[tuple[str, float]]()
+    with listening(lambda stage, done: told.append((stage, done))):
+        later(folder).of(paths)
+        later(folder).of(paths)
+    assert told == [("hashing frames", share) for share in shares]

@@ -1,0 +1,75 @@
+"""Folders of little images, and what is asked of every dataset that reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from checkout import ROOT
+from PIL import Image as PillowImage
+
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
+
+REAL = ROOT.parent / "shared" / "data"
+needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
+
+
+def fill(folder: Path, names: Iterable[str]) -> Path:
+    """Put images of one pixel into a folder; the red level of the n-th is n."""
+    for level, name in enumerate(names):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        PillowImage.new("RGB", (1, 1), (level, 0, 0)).save(path, "PNG")
+    return folder
+
+
+def numbered(count: int, suffix: str = ".jpg") -> list[str]:
+    return [f"{i}{suffix}" for i in range(count)]
+
+
+def reds(images: Iterable[Any]) -> list[int]:
+    return [int(image[0, 0, 0]) for image in images]
+
+
+def rights(dataset: Dataset) -> list[list[int]]:
+    return [right.tolist() for right in dataset.positives]
+
+
+def answer(make: Callable[..., Dataset], *arguments: Any, kind: type[BadInput] = BadInput, **options: Any) -> str:
+    """Return the one line that refuses these arguments."""
+    with pytest.raises(BadInput) as error:
+        make(*arguments, **options)
+    assert type(error.value) is kind
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def used(dataset: Dataset) -> list[Path]:
+    """Return every file that the dataset says it takes from its folders; each has to be there."""
+    files = [folder.path / name for folder in dataset.folders for name in folder.used]
+    assert all(path.is_file() for path in files)
+    return files
+
+
+def brute_force(references: Any, queries: Any, reach: int) -> list[list[int]]:
+    """Return the references within reach of each query, by whole numbers alone."""
+    return [
+        [
+            i
+            for i, reference in enumerate(references)
+            if sum((int(a) - int(b)) ** 2 for a, b in zip(reference, query, strict=True)) <= reach**2
+        ]
+        for query in queries
+    ]
+
+
+def lists(*rights_of: list[Any]) -> np.ndarray:
+    """Return the array of objects that VPR-Bench stores: a row [query, references] for each query."""
+    rows = np.empty((len(rights_of), 2), dtype=object)
+    for query, right in enumerate(rights_of):
+        rows[query, 0], rows[query, 1] = query, right
+    return rows

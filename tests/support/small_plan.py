@@ -1,0 +1,82 @@
+"""A plan of a table and figures small enough for tests, and its runs made inside the test's own process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vprbench import cli, ending
+from vprbench.paper import gather, missing_runs
+from vprbench.paper.plan import read_plan
+from vprbench.run.processes import IN_SWEEP, Ending
+
+PLAN = """
+seeds: [0, 1]
+rows:
+  SAD: {method: sad, boundary: match, training: none}
+  PCA: {method: pca, boundary: encode, training: pretrained, most_places: 15}
+  Nobody: {method: no_such_method, boundary: match, training: own}
+  VPRTempo: {method: vprtempo, boundary: match, training: own, spiking: true, seeds: [0, 1],
+             arguments: {height: 12, width: 12, epochs: 1}}
+more_rows:
+  big_patches: {name: SAD (big patches), method: sad, arguments: {patch: 9}, training: none}
+columns:
+  nordland: {title: Nordland, published: Nordland, options: [dataset=nordland]}
+  route:
+    title: Route
+    published: Nordland
+    stand_in_for: nordland
+    options: [dataset=synthetic, dataset.places=20, dataset.first_query_place=4]
+    smaller: route_12
+    fits: {vprtempo: {max_module: 10}}
+  route_12:
+    title: Route, 12 places
+    options: [dataset=synthetic, dataset.places=12, dataset.first_query_place=2]
+    fits: {vprtempo: {max_module: 12}}
+growth:
+  rows: [SAD]
+  options: [dataset=synthetic]
+  sizes: [10, 12, 14, 16]
+  queries: 6
+  at_most: {}
+"""
+RUN = [
+    "timing.minimum_seconds=0",
+    "timing.sample=4",
+    "timing.minimum_queries=4",
+    "timing.batch_sizes=[1,4]",
+    "threads=1",
+]
+
+
+class Apart:
+    """Stands in for processes of their own: the same command line, run here; remembers what was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[list[str]] = []
+
+    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
+        self.asked.append(list(options))
+        words: dict[str, Any] = {}
+        with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ending, "tell", lambda **told: words.update(told))
+            code = cli.main(options)
+        known = {name: words[name] for name in ("missing", "error", "recorded") if name in words}
+        return Ending(code, **known)
+
+
+def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> Apart:
+    """Let tables and figures follow `plan`, in `folder`; returns what stands in for processes."""
+    path = folder / "plan.yaml"
+    path.write_text(plan, encoding="utf-8")
+    apart = Apart()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv(IN_SWEEP, "1")
+    monkeypatch.setattr(missing_runs, "run_apart", apart)
+    monkeypatch.setattr(gather, "read_plan", lambda _: read_plan(path))
+    return apart

@@ -1,0 +1,185 @@
+"""Where may be searched: nowhere that a reported result queries, and what is checked is never what was searched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from checkout import ROOT
+from little import a_run, pictures
+
+from vprbench.api.dataset import Dataset
+from vprbench.errors import BadInput
+from vprbench.paper.plan import PlannedColumn, read_plan
+from vprbench.plugins import registry
+from vprbench.run.record import Run
+from vprbench.tuning.places import Searchable, cut, querying, searchable
+
+
+def config(name: str) -> dict[str, Any]:
+    return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
+
+
+def column(*options: str) -> PlannedColumn:
+    return PlannedColumn("a column", "A column", options)
+
+
+NORDLAND = config("nordland")
+ROBOTCAR = config("oxford_robotcar")
+
+
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_a_rendered_journey_is_another_one_than_every_reported_one(name: str) -> None:
+    reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]
+    allowed = searchable(name, {**config(name), "seed": 3}, 20, reported)
+    assert allowed.dataset["seed"] not in (3, 7)
+
+
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_a_rendered_journey_has_as_many_places_to_check_as_to_search_and_all_are_queried(name: str) -> None:
+    allowed = searchable(name, config(name), 20, [])
+    assert (allowed.searched, allowed.checked) == (range(20), range(20, 40))
+    dataset = registry.make_dataset(allowed.dataset)
+    assert [right.tolist() for right in dataset.positives] == [[place] for place in range(40)]
+
+
+@pytest.mark.parametrize("name", ["synthetic", "street"])
+def test_the_frames_of_the_other_journey_are_none_of_the_reported_one(name: str) -> None:
+    other = registry.make_dataset(searchable(name, config(name), 10, []).dataset)
+    reported = registry.make_dataset({**config(name), "places": 20})
+    for frame in (0, 1, 20, 21):  # of both traverses
+        assert not np.array_equal(other.references[frame], reported.references[frame])
+
+
+def test_of_nordland_only_the_600_places_that_the_paper_does_not_query_are_searched() -> None:
+    allowed = searchable("nordland", NORDLAND, 500, [column("dataset=nordland")])
+    assert (allowed.searched, allowed.checked) == (range(500), range(500, 600))
+
+
+def test_places_that_a_column_of_the_table_queries_are_left_out_too() -> None:
+    smaller = column(
+        "dataset=nordland", "dataset.places=450", "dataset.first_query_place=90", "dataset.query_places=360"
+    )
+    allowed = searchable("nordland", NORDLAND, 150, [smaller])
+    assert (allowed.searched, allowed.checked) == (range(450, 600), range(90))
+
+
+def test_a_column_on_request_takes_nothing_away() -> None:
+    asked_for = replace(column("dataset=nordland", "dataset.protocol=vprsnn"), on_request=True)
+    assert searchable("nordland", NORDLAND, 500, [asked_for]).searched == range(500)
+
+
+def test_columns_of_other_datasets_take_nothing_away() -> None:
+    other = column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset.query_places=500")
+    assert searchable("nordland", NORDLAND, 500, [other]).searched == range(500)
+
+
+def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked() -> None:
+    plan = read_plan(ROOT / "conf" / "table.yaml")
+    queried: set[int] = set(range(600, 3300))
+    for each in plan.columns.values():
+        if "dataset=nordland" in each.options and not each.on_request:
+            given = dict(option.removeprefix("dataset.").split("=") for option in each.options)
+            first, count = int(given.get("first_query_place", 600)), int(given.get("query_places", 2700))
+            queried |= set(range(first, first + count))
+    allowed = searchable("nordland", NORDLAND, 100, plan.columns.values())
+    assert len(allowed.searched) == 100
+    assert not queried & {*allowed.searched, *allowed.checked}
+    assert not {*allowed.searched} & {*allowed.checked}
+
+
+def test_a_recorded_dataset_is_configured_so_that_both_stretches_are_queried() -> None:
+    allowed = searchable("nordland", NORDLAND, 500, [])
+    assert (allowed.dataset["first_query_place"], allowed.dataset["query_places"]) == (0, 3300)
+    assert allowed.dataset["root"] == NORDLAND["root"]
+
+
+def test_of_robotcar_the_first_90_places_are_left() -> None:
+    assert searchable("oxford_robotcar", ROBOTCAR, 60, []) == Searchable(
+        {**ROBOTCAR, "first_query_place": 0, "query_places": 450}, range(60), range(60, 90)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "dataset", "places", "complaint"),
+    [
+        ("nordland_64x32", config("nordland_64x32"), 100, "query all of its 2761 places; search on dataset=synthetic"),
+        ("folders", config("folders"), 100, "dataset=folders: nothing says which of its places"),
+        ("oxford_robotcar", ROBOTCAR, 100, "places=100: of dataset=oxford_robotcar 90 places in a row"),
+        ("oxford_robotcar", ROBOTCAR, 85, "10 or more have to be left to check"),
+    ],
+)
+def test_what_has_no_free_places_is_refused_with_the_reason(
+    name: str, dataset: dict[str, Any], places: int, complaint: str
+) -> None:
+    with pytest.raises(BadInput, match=complaint):
+        searchable(name, dataset, places, [])
+
+
+def stored(dataset: dict[str, Any], *queried: int) -> Run:
+    """A run whose queries show these places."""
+    return a_run(
+        dataset=dataset["name"],
+        config={**a_run().config, "dataset": dataset},
+        positives=tuple(np.array([place]) for place in queried),
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "queried", "named"),
+    [
+        ({}, (3, 40), True),
+        ({"root": "/elsewhere"}, (599,), True),
+        ({}, (600, 601), False),
+        ({"name": "other"}, (3,), False),
+    ],
+)
+def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(
+    changed: dict[str, Any], queried: tuple[int, ...], named: bool
+) -> None:
+    run = stored({**NORDLAND, **changed}, *queried)
+    allowed = searchable("nordland", NORDLAND, 500, [])
+    assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
+
+
+def test_a_stored_run_of_another_journey_is_not_named() -> None:
+    rendered = config("synthetic")
+    allowed = searchable("synthetic", rendered, 20, [])
+    runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
+    assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
+
+
+def two_traverses(tolerance: int = 0) -> Dataset:
+    """Six places in two traverses; query i shows place i, the last none."""
+    rights = [np.arange(max(0, place - tolerance), min(6, place + tolerance + 1)) for place in range(6)]
+    return Dataset(
+        name="twice",
+        references=pictures([*range(6), *range(10, 16)]),
+        places=np.tile(np.arange(6), 2),
+        queries=pictures(range(20, 27)),
+        positives=(*rights, np.empty(0, np.int64)),
+        protocol={"query": "dusk"},
+    )
+
+
+def first_numbers(dataset: Dataset) -> tuple[list[str], list[str]]:
+    return list(dataset.references.names), list(dataset.queries.names)
+
+
+def test_a_stretch_has_its_own_references_queries_and_numbers() -> None:
+    part = cut(two_traverses(), range(2, 5))
+    assert first_numbers(part) == (
+        ["image 2", "image 3", "image 4", "image 8", "image 9", "image 10"],
+        ["image 2", "image 3", "image 4"],
+    )
+    assert part.places.tolist() == [0, 1, 2, 0, 1, 2]
+    assert [right.tolist() for right in part.positives] == [[0], [1], [2]]
+    assert part.protocol == {"query": "dusk", "stretch": [2, 4]}
+
+
+def test_a_query_with_a_right_place_in_another_stretch_belongs_to_neither() -> None:
+    parts = [cut(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
+    assert [first_numbers(part)[1] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]
