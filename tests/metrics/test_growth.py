@@ -12,6 +12,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.growth import LAWS, compare
 from vprbench.paper.growth import interval_of_median, samples
 from vprbench.paper.plan import Row
+from vprbench.run.note import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
 TEMPO = Row("VPRTempo", "vprtempo", boundary="match")
@@ -192,7 +193,10 @@ def test_training_is_timed_without_waiting_for_images() -> None:
 
 
 def test_disturbed_times_are_marked() -> None:
-    runs = [figure_runs.sized(100, 1.0, 0.001, notes=("noisy: a cart",)), figure_runs.sized(300, 1.0, 0.001)]
+    runs = [
+        figure_runs.sized(100, 1.0, 0.001, notes=(Note("noisy", "noisy: a cart"),)),
+        figure_runs.sized(300, 1.0, 0.001),
+    ]
     found = samples(TEMPO, runs, ())
     for times in (found.training, found.query, found.total):
         assert [sample.disturbed for sample in times] == [True, False]

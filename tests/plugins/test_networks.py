@@ -635,7 +635,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (plugin / "little-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: little\nVersion: 1\n")
     (plugin / "little-1.dist-info" / "entry_points.txt").write_text("[vprbench.conf]\nlittle = little_conf\n")
     monkeypatch.syspath_prepend(plugin)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (plugin, ROOT / "tests", ROOT))))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (plugin, ROOT / "tests" / "support", ROOT))))
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -708,7 +708,7 @@ def test_a_run_that_loads_names_its_network_and_where_that_came_from(stored: dic
     assert (stored["network"], stored["load_seconds"]) == (None, None)
     assert loaded["network"] == networks.chosen_files(None, "net.safetensors", False).sha256
     key = Path(stored["run_folder"]).name.removeprefix("prototypes-")
-    assert any(note.startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
+    assert any(note["text"].startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
 
 
 def test_a_row_and_csv_of_a_loaded_run_say_so(

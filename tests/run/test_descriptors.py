@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import journey, number_in
+from little_runs import kinds
 from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
@@ -96,7 +97,7 @@ def test_the_first_run_encodes_every_image_once_and_keeps_what_it_found(dataset:
     assert encoded_for_answers(method, found) == N_QUERIES + N_PLACES
     assert found.fit_seconds is not None
     assert len(list(tmp_path.glob("*.npy"))) == 2
-    assert not any("descriptors" in note for note in found.notes)
+    assert "described" not in kinds(found)
 
 
 def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dataset, tmp_path: Path) -> None:
@@ -106,7 +107,7 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dat
     assert encoded_for_answers(method, found) == 0
     assert found.fit_seconds is None
     assert found.load_seconds is not None
-    (note,) = [note for note in found.notes if "descriptors" in note]
+    (note,) = [note.text for note in found.notes if note.kind == "described"]
     assert note == (
         f"descriptors of {N_PLACES} references and {N_QUERIES} queries were kept from an earlier run: "
         "nothing was encoded but the timed sample"
@@ -177,7 +178,7 @@ def test_other_code_is_encoded_anew(dataset: Dataset, tmp_path: Path, monkeypatc
 
 def test_another_device_encodes_anew(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(Counting(), dataset, tmp_path)
-    monkeypatch.setattr(descriptors.environment, "device_class", lambda device: "another")
+    monkeypatch.setattr(descriptors.machine, "device_class", lambda device: "another")
     method = Counting()
     assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
 
@@ -206,7 +207,7 @@ def test_other_queries_of_the_same_map_are_all_that_is_encoded(dataset: Dataset,
     method = Counting()
     found = run(method, journey(40, N_PLACES, [[i] for i in range(40)]), tmp_path)
     assert encoded_for_answers(method, found) == 40
-    (note,) = [note for note in found.notes if "descriptors" in note]
+    (note,) = [note.text for note in found.notes if note.kind == "described"]
     assert note.startswith(f"descriptors of {N_PLACES} references were kept from an earlier run: none of these was")
 
 

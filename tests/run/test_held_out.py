@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
-from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
+from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import progress
@@ -25,6 +25,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run import runner
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 
 
@@ -137,7 +138,7 @@ def test_without_held_out_places_nothing_is_calibrated() -> None:
     method = Choosing(table(6, 4))
     run = run_of(method, journey(6, 4))
     assert method.given == []
-    assert not any("calibrated" in note for note in run.notes)
+    assert "calibrated" not in kinds(run)
 
 
 def test_a_method_sees_the_held_out_images_their_places_and_what_is_right() -> None:
@@ -171,7 +172,8 @@ def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
 
 
 def test_a_run_tells_on_how_many_queries_and_places_it_was_calibrated() -> None:
-    assert "calibrated on 3 held-out queries of 3 places" in run_of(Choosing(table(6, 4)), with_held_out()).notes
+    run = run_of(Choosing(table(6, 4)), with_held_out())
+    assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
 
 
 def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
@@ -187,14 +189,14 @@ def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
     for threshold in (None, 0.5):
         method = Settled(table(6, 4), threshold=threshold)
         run = run_of(method, with_held_out())
-        calls.append((method.calls.count("calibrate"), any("calibrated" in note for note in run.notes)))
+        calls.append((method.calls.count("calibrate"), "calibrated" in kinds(run)))
     assert calls == [(1, True), (0, False)]
     assert key(Settled(table(6, 4), threshold=0.5), held_out()) == key(Settled(table(6, 4), threshold=0.5), None)
 
 
 def test_a_method_that_chooses_nothing_is_not_said_to_be_calibrated() -> None:
     run = run_of(Lookup(table(6, 4)), with_held_out())
-    assert not any("calibrated" in note for note in run.notes)
+    assert "calibrated" not in kinds(run)
 
 
 def test_calibrating_is_a_stage_of_its_own() -> None:
@@ -252,7 +254,7 @@ def test_what_a_method_notes_stands_in_the_record_of_its_run() -> None:
         def notes(self) -> list[str]:
             return ["three neurons are silenced"]
 
-    assert "three neurons are silenced" in run_of(Noting(table(6, 4)), journey(6, 4)).notes
+    assert Note("method", "three neurons are silenced") in run_of(Noting(table(6, 4)), journey(6, 4)).notes
 
 
 # Stored networks
@@ -286,7 +288,7 @@ def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_p
     loaded = stored(path, method, with_held_out(), load=True)
     assert method.contrast == 3.0
     assert np.array_equal(loaded.top_scores, trained.top_scores)
-    assert not any("calibrated" in note for note in loaded.notes)
+    assert "calibrated" not in kinds(loaded)
 
 
 def test_a_network_whose_settings_were_chosen_by_other_places_is_refused(tmp_path: Path) -> None:
@@ -362,7 +364,7 @@ def test_what_an_interrupted_run_spent_counts_and_is_told(resuming: Resuming) ->
     interrupt(resuming, "fit")
     run = run_of(resuming, journey(6, 4))
     assert (run.fit_seconds, run.fit_compute_seconds) == (pytest.approx(572), pytest.approx(572))
-    assert RESUMED in run.notes
+    assert RESUMED in [note.text for note in run.notes]
 
 
 def test_what_an_interrupted_run_spent_is_no_time_of_the_run_itself(resuming: Resuming) -> None:
@@ -375,20 +377,22 @@ def test_what_an_interrupted_run_spent_is_no_time_of_the_run_itself(resuming: Re
 def test_a_fit_in_one_go_is_not_said_to_be_resumed(resuming: Resuming) -> None:
     run = run_of(resuming, journey(6, 4))
     assert run.fit_seconds == pytest.approx(572)
-    assert not any("resumed" in note for note in run.notes)
+    assert "resumed" not in kinds(run)
 
 
 def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -> None:
     interrupt(resuming, "match")
     assert kept_files(resuming)
     run = run_of(resuming, journey(6, 4))
-    assert RESUMED in run.notes
+    assert RESUMED in [note.text for note in run.notes]
     assert not kept_files(resuming)
 
 
 def test_the_table_tells_of_a_resumed_fit_beside_its_minutes_and_of_calibrating_beside_r_at_1() -> None:
     calibrated = "calibrated on 3 held-out queries of 3 places"
-    made = assembled.table([assembled.tempo(seed, notes=(RESUMED, calibrated)) for seed in range(3)])
+    made = assembled.table(
+        [assembled.tempo(seed, notes=(Note("resumed", RESUMED), Note("calibrated", calibrated))) for seed in range(3)]
+    )
     assert RESUMED in assembled.reasons(made, "VPRTempo", "train_cpu")
     assert calibrated not in assembled.reasons(made, "VPRTempo", "train_cpu")
     assert calibrated in assembled.reasons(made, "VPRTempo", "recall_at_1")

@@ -170,9 +170,9 @@ def test_other_code_and_what_else_the_time_depends_on_have_levels_of_their_own(
     if changed == "source_hash":
         monkeypatch.setattr(preprocessed, "source_hash", lambda _: "changed")
     elif changed == "processor":
-        monkeypatch.setattr(preprocessed.environment, "device_class", lambda _: "cpu Abacus 9")
+        monkeypatch.setattr(preprocessed.machine, "device_class", lambda _: "cpu Abacus 9")
     elif changed == "libraries":
-        monkeypatch.setattr(preprocessed.environment, "library_versions", lambda: {"pillow": "0.1"})
+        monkeypatch.setattr(preprocessed.machine, "library_versions", lambda: {"pillow": "0.1"})
     NORMALISE(Preprocessed(folder, 2 if changed == "threads" else 1).kept(Images.from_files(frames)))
     assert len(list(folder.glob("*.npy"))) == 2
 
@@ -380,7 +380,7 @@ def test_what_a_second_thread_computes_while_the_first_waits_for_images_is_compu
 
 
 def test_the_run_says_which_seconds_are_not_its_own(frames: list[Path], folder: Path, clock: Clock) -> None:
-    notes = [run(Matching(clock), dataset(frames), folder).notes for _ in range(2)]
+    notes = [[note.text for note in run(Matching(clock), dataset(frames), folder).notes] for _ in range(2)]
     assert not any("cache" in note for note in notes[0])
     (note,) = (note for note in notes[1] if "cache" in note)
     assert note == (
@@ -419,7 +419,7 @@ def test_the_command_line_keeps_frames_beside_its_runs_unless_told_not_to(
     notes = []
     for option in ("cache=false", "cache=true", "cache=true", "cache=false"):
         assert main([*asked, option]) == 0
-        notes.append(" ".join(json.loads(capsys.readouterr().out)["notes"]))
+        notes.append(" ".join(note["text"] for note in json.loads(capsys.readouterr().out)["notes"]))
         assert (results / "preprocessed").exists() == (len(notes) > 1)
     assert ["preprocessed frames were taken from the cache" in each for each in notes] == [False, False, True, False]
 

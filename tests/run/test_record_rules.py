@@ -120,7 +120,9 @@ def test_a_summary_that_cannot_be_is_left_out_by_name(
     assert left_out_by_name(store, forged, caplog)
 
 
-@pytest.mark.parametrize("changes", [{"notes": (5,)}, {"method": "a/b"}, {"protocol": {"tolerance_places": "0"}}])
+@pytest.mark.parametrize(
+    "changes", [{"notes": (Note("unheard", "of"),)}, {"method": "a/b"}, {"protocol": {"tolerance_places": "0"}}]
+)
 def test_a_run_that_would_not_be_believed_is_not_stored(store: Store, changes: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match=next(iter(changes))):
         store.save(a_run(key="b", **changes))

@@ -36,7 +36,7 @@ from little import (
 
 from vprbench.errors import BadInput
 from vprbench.run import record as records
-from vprbench.run.record import DamagedRunError, NewerLayoutError, Run, content_key, load
+from vprbench.run.record import SCHEMA, DamagedRunError, OtherLayoutError, Run, content_key, load
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 
@@ -234,7 +234,6 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "truncated arrays": lambda folder: _cut(folder / "arrays.npz"),
     "missing arrays": lambda folder: (folder / "arrays.npz").unlink(),
     "missing scores": lambda folder: (folder / "scores.npy").unlink(),
-    "layout of an earlier version": lambda folder: _change(folder, "schema", 1),
     "layout that is no number": lambda folder: _change(folder, "schema", None),
     "missing timing": lambda folder: _change(folder, "timing", {}),
     "checksums of another kind": lambda folder: _change(folder, "sha256", []),
@@ -349,11 +348,17 @@ def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
     assert store.find("journey", "little", KEY) is None
 
 
-def test_the_reason_of_another_layout_names_both_versions(store: Store) -> None:
+@pytest.mark.parametrize("layout", [SCHEMA - 1, SCHEMA + 1])
+def test_a_run_of_another_layout_is_left_as_it_is_and_named(
+    store: Store, layout: int, caplog: pytest.LogCaptureFixture
+) -> None:
     folder = store.save(a_run())
-    _change(folder, "schema", 7)
-    with pytest.raises(NewerLayoutError, match=r"version 7.*reads 1 to 6"):
+    _change(folder, "schema", layout)
+    with pytest.raises(OtherLayoutError, match=rf"version {layout}, this program reads {SCHEMA}"):
         load(folder)
+    assert [*store.runs()] == []
+    assert folder.is_dir()
+    assert str(folder) in caplog.text
 
 
 def test_a_flipped_bit_anywhere_in_the_summary_never_stops_the_reader(store: Store) -> None:

@@ -36,7 +36,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def notes_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK) -> str:
-    return "\n".join(run_of(method, dataset, protocol).notes)
+    return "\n".join(note.text for note in run_of(method, dataset, protocol).notes)
 
 
 @dataclass

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in
-from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
+from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
@@ -54,7 +54,7 @@ def test_candidates_stand_before_places_that_are_none() -> None:
 def test_places_that_are_no_candidates_pass_the_audit_and_give_plain_numbers(candidates: str, tmp_path: Path) -> None:
     scores = with_few_candidates() if candidates == "few" else np.full((12, 40), -np.inf, np.float32)
     run = run_of(Lookup(scores), journey(12, 40))
-    assert not any("audit" in note for note in run.notes)
+    assert "audit" not in kinds(run)
     json.dumps(rows.numbers(run), allow_nan=False)
     assert rows.readable_row(run)["R@1 % [95 %]"]
     stored = Store(tmp_path)
@@ -74,7 +74,7 @@ def test_an_answer_that_was_worse_when_scored_fails_the_audit_beside_places_that
             return np.where(np.isfinite(scores), -scores, scores) if len(codes) == 1 else scores
 
     run = run_of(Turned(with_few_candidates()), journey(12, 40), depth=6)
-    assert any("audit failed" in note for note in run.notes)
+    assert "audit" in kinds(run)
 
 
 @dataclass
@@ -109,7 +109,7 @@ def test_what_an_index_misses_is_recorded_and_said() -> None:
     assert run.search is not None
     assert run.search["recall_at_1"] > 0.9
     assert run.search["recall_at_10"] == pytest.approx(0.5, abs=0.02)  # 5 of the best 10
-    (note,) = (note for note in run.notes if note.startswith("index"))
+    (note,) = (note.text for note in run.notes if note.kind == "index")
     assert re.fullmatch(
         r"index hnsw: (100\.0|9\d\.\d) % of the exactly best places found, (50\.0|4\d\.\d) % of the best 10; "
         r"3\d\d bytes a place",
@@ -120,7 +120,7 @@ def test_what_an_index_misses_is_recorded_and_said() -> None:
 def test_exact_search_finds_everything_and_goes_without_saying() -> None:
     run = searching("exact")
     assert run.search == {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
-    assert not any(note.startswith("index") for note in run.notes)
+    assert "index" not in kinds(run)
 
 
 def test_a_method_that_searches_no_descriptors_records_no_search() -> None:

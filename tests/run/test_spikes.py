@@ -26,6 +26,7 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.conformance import Journey
 from vprbench.run import runner
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 from vprbench.run.spikes import LayerSpikes, summary
 from vprbench.run.stopwatch import Protocol
@@ -154,7 +155,7 @@ def test_spikes_that_cannot_be_counted_lose_no_run() -> None:
     run = run_of(Failing(np.eye(6, dtype=np.float32)), journey(6, 6))
     assert run.spikes is None
     assert run.outcome.above.tolist() == [0] * 6
-    assert "no spikes were counted (KeyError: 'the layer\\nis gone')" in run.notes
+    assert Note("spikes", "no spikes were counted (KeyError: 'the layer\\nis gone')") in run.notes
 
 
 def test_impossible_spikes_are_a_note_of_the_run() -> None:
@@ -162,7 +163,8 @@ def test_impossible_spikes_are_a_note_of_the_run() -> None:
         def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
             return [LayerSpikes("tick", -1.0 - codes[:, None])]
 
-    (note,) = [note for note in run_of(Negative(np.eye(6, dtype=np.float32)), journey(6, 6)).notes if "spikes" in note]
+    run = run_of(Negative(np.eye(6, dtype=np.float32)), journey(6, 6))
+    (note,) = [note.text for note in run.notes if note.kind == "spikes"]
     assert note == "no spikes were counted (BadInput: the spikes of layer tick are not all finite and 0 or more)"
 
 

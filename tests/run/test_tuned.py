@@ -5,14 +5,12 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from small_plan import RUN, install
 
 from vprbench.cli import main
-from vprbench.paper.gather import Asked, stored
 from vprbench.paper.page import words
 from vprbench.paper.series import Series
 from vprbench.plugins import registry
@@ -62,7 +60,7 @@ def only_run() -> Run:
 def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, asked: list[str]) -> None:
     assert f"note: {NOTE}" in printed(asked).splitlines()
     told = json.loads(printed([*asked, "output=json"]))
-    assert (told["notes"][0], told["from_store"]) == (NOTE, True)
+    assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": NOTE}, True)
     declared = {"dataset": "synthetic", "places": "every second place", "also_in": []}
     assert told["tuned_on"] == only_run().tuned_on == declared
     assert "tuned_on" not in only_run().config["method"]
@@ -70,7 +68,7 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, ask
 
 def test_a_run_of_a_method_that_declares_nothing_says_nothing(printed: Print) -> None:
     told = json.loads(printed(["method=sad", "output=json"]))
-    assert (told["tuned_on"], [note for note in told["notes"] if "tuned" in note]) == (None, [])
+    assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
 
 
 def test_a_run_that_was_stored_before_its_yaml_declared_it_is_told_when_it_is_asked_for(
@@ -119,13 +117,6 @@ def test_it_stands_in_every_format_of_the_table_and_on_the_page(printed: Print) 
     assert words.notes([("Route", Series("mine", False, (run,)))])[0] == ("Route: mine", NOTE)
     assert main(["report", "rows=[SAD]", "methods=[mine]", "columns=[route]", "name=told", "stored=true"]) == 0
     assert Path("results/report-told.html").read_text(encoding="utf-8").count(NOTE) >= 2  # of the table and of the run
-
-
-def test_an_older_run_is_told_what_todays_yaml_says(printed: Print) -> None:
-    printed(["method=mine"])
-    Store(Path("results")).save(replace(only_run(), tuned_on=None))
-    ((run,), _) = stored(Asked())
-    assert run.tuned_on == registry.entries("method")["mine"].tuned_on
 
 
 def test_the_tuned_settings_of_vprtempo_say_where_they_were_found() -> None:

@@ -23,6 +23,7 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.metrics.ranking import Outcome
 from vprbench.plugins import networks
 from vprbench.run import thumbnails
+from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 from vprbench.run.stopwatch import Laps, Protocol, Timing
 from vprbench.run.store import Store
@@ -163,7 +164,7 @@ def a_run(**changes: Any) -> Run:
             "load_average": [0.5, 0.25, 0.125],
             "git": None,
         },
-        notes=("noisy: two carts passed", "ünïcode"),
+        notes=(Note("noisy", "noisy: two carts passed"), Note("dataset", "ünïcode")),
         n_references=20,
         fit_seconds=12.34,
         fit_compute_seconds=11.5,

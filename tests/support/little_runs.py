@@ -48,9 +48,14 @@ def quiet_surroundings() -> Iterator[SimpleNamespace]:
     }
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
-        patch.setattr(runner, "environment", stand_in)
+        patch.setattr(runner, "machine", stand_in)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
         try:
             yield stand_in
         finally:
             gc.unfreeze()
+
+
+def kinds(run: Run) -> list[str]:
+    """Return the kinds of a run's notes."""
+    return [note.kind for note in run.notes]

@@ -13,6 +13,7 @@ from PIL import Image
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.page.page import Picture, Section, page
 from vprbench.paper.series import Series
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 
@@ -102,7 +103,7 @@ def journey_section(title: str = "Journey", thumbnails: Thumbnails | None = None
     return Section(
         title,
         (
-            Series("SAD", False, (journey_run(SAD_WRONG, notes=("noisy: two carts passed",)),)),
+            Series("SAD", False, (journey_run(SAD_WRONG, notes=(Note("noisy", "noisy: two carts passed"),)),)),
             Series("VPRTempo", True, (journey_run(TEMPO_WRONG, 0), journey_run({10: 0.125}, 1))),
         ),
         thumbnails,
@@ -133,6 +134,8 @@ def made_up_page(sections: Sequence[Section] | None = None) -> str:
 
 def hostile_section() -> Section:
     """Return a section where every name that comes from outside tries to be markup."""
-    run = journey_run(SAD_WRONG, notes=(HOSTILE,), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE})
+    run = journey_run(
+        SAD_WRONG, notes=(Note("dataset", HOSTILE),), dataset=HOSTILE, protocol={"query": HOSTILE, HOSTILE: HOSTILE}
+    )
     names = {"query_names": (HOSTILE,) * N_QUERIES, "reference_names": (HOSTILE,) * N_PLACES}
     return Section(HOSTILE, (Series(HOSTILE, False, (run,)),), journey_thumbnails(**names))

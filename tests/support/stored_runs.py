@@ -12,6 +12,7 @@ import numpy as np
 from vprbench.metrics.ranking import Outcome
 from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
 from vprbench.paper.selection import ColumnAsked
+from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
@@ -62,7 +63,7 @@ def run(
     encode_seconds: Sequence[float] = (0.010,) * 5,
     match_seconds: Sequence[float] = (0.0025,) * 5,
     n_places: int = 10,
-    notes: tuple[str, ...] = (),
+    notes: tuple[Note, ...] = (),
     config: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> Run:

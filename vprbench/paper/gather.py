@@ -155,18 +155,10 @@ def material(
 
 
 def stored(asked: Asked) -> tuple[list[Run], list[Failure]]:
-    """Return what the store holds, and those of other machines; what is in several is there once.
-
-    A run of a layout that did not hold yet on what its method was tuned is told it by today's yaml.
-    """
-    known = registry.entries("method")
+    """Return what the store holds, and those of other machines; what is in several is there once."""
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
-    told = [
-        replace(run, tuned_on=known[run.method].tuned_on) if run.tuned_on is None and run.method in known else run
-        for run in runs.values()
-    ]
-    return told, [failure for store in stores for failure in store.failures()]
+    return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
 def wanted(chosen: Chosen, column: ColumnAsked, rows: Sequence[Row]) -> Iterator[Wanted]:

@@ -140,7 +140,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
                 **rows.numbers(run),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
-                "notes": list(all_notes(run)),
+                "notes": [note._asdict() for note in all_notes(run)],
                 "from_store": from_store,
                 "run_folder": None if folder is None else str(folder),
             },
@@ -148,7 +148,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
         )
     lines = [rows.protocol_line(run), *rows.plain_row(rows.readable_row(run)).splitlines()]
     lines += filter(None, [rows.interval_line(run), rows.tolerance_line(run)])
-    lines += [f"note: {note}" for note in all_notes(run)]
+    lines += [f"note: {note.text}" for note in all_notes(run)]
     if from_store:
         lines.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:

@@ -17,6 +17,7 @@ from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run.descriptors import Described
+from vprbench.run.note import Note, noted
 from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.stopwatch import Stopwatch
 
@@ -30,7 +31,7 @@ class Learnt:
     load_seconds: float | None = None
     earlier_seconds: float = 0.0  # the part of a fit that earlier runs had done
     earlier_reading_seconds: float = 0.0  # of these, spent waiting for images
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     from_cache: bool = False  # the descriptors of the references
 
     @property
@@ -64,7 +65,7 @@ def learn(
         progress.report("load", 0.0)
         wanted = networks.origin(method, arguments, dataset)
         with stopwatch.lap() as load:
-            notes = networks.load(files.load, method, wanted, files.sha256)
+            notes = tuple(noted("loaded", networks.load(files.load, method, wanted, files.sha256)))
         return Learnt(load_seconds=load[0], notes=notes)
     destination = networks.prepare(files, method, arguments, dataset)
     given = calibration(method, dataset)
@@ -129,17 +130,20 @@ def _as_they_are(images: Images) -> Images:
     return images
 
 
-def _fit_notes(resumed_seconds: float, preprocessed: Preprocessed | None, held_out: HeldOut | None) -> Iterator[str]:
+def _fit_notes(resumed_seconds: float, preprocessed: Preprocessed | None, held_out: HeldOut | None) -> Iterator[Note]:
     """Yield what a reader of the training time and of the settings has to know."""
     if resumed_seconds:
-        yield f"fit was resumed: the {resumed_seconds:.1f} s that an interrupted run had spent on it are counted"
+        text = f"fit was resumed: the {resumed_seconds:.1f} s that an interrupted run had spent on it are counted"
+        yield Note("resumed", text)
     if preprocessed is not None and preprocessed.images:
-        yield (
+        yield Note(
+            "preprocessed",
             f"{preprocessed.images} preprocessed frames were taken from the cache: the {preprocessed.seconds:.1f} s "
-            "that reading and preprocessing them took when they were made are counted"
+            "that reading and preprocessing them took when they were made are counted",
         )
     if held_out is not None:
-        yield f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+        text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+        yield Note("calibrated", text)
 
 
 def _reading(total: int) -> Callable[[int], None]:

@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.metrics.ranking import Outcome
+from vprbench.run.note import Note
 from vprbench.run.record_rules import check_arrays, check_failure, check_summary
 from vprbench.run.stopwatch import Laps, Timing, plain
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 6
+SCHEMA = 7
 SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _LARGEST_SUMMARY = 1 << 26  # bytes
 
@@ -34,8 +35,8 @@ class UnreadableRunError(Exception):
     """The system refuses to read a run, which may be whole; the message says why."""
 
 
-class NewerLayoutError(Exception):
-    """A folder of the store holds a run of a later version of this program; the message names both."""
+class OtherLayoutError(Exception):
+    """A folder of the store holds a run of an earlier or later version of this program; the message names both."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Run:
     protocol: Mapping[str, Any]  # what the dataset selected and how
     fingerprint: str  # of the dataset's images
     environment: Mapping[str, Any]
-    notes: tuple[str, ...]  # what a reader of the numbers has to know: a noisy machine, an audit that failed
+    notes: tuple[Note, ...]  # what a reader of the numbers has to know
     n_references: int
     fit_seconds: float | None  # wall time, reading the images included; None: a network or descriptors were loaded
     fit_compute_seconds: float | None  # without the time that the method waited for images
@@ -67,8 +68,8 @@ class Run:
     scores: npt.NDArray[np.float32] | None  # (n_queries, n_places) where that is small enough to keep
     spikes: Mapping[str, Any] | None = None  # of a spiking network, over a sample of the queries
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
-    data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset); empty in older runs
-    tuned_on: Mapping[str, Any] | None = field(default_factory=dict)  # TunedOn; empty: nothing; None: older runs
+    data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset)
+    tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
 
     @property
     def training_seconds(self) -> float | None:
@@ -93,7 +94,7 @@ class Failure:
     dataset: str
     config: Mapping[str, Any]
     error: str
-    environment: Mapping[str, Any] = field(default_factory=dict)  # of the machine; empty in older records
+    environment: Mapping[str, Any] = field(default_factory=dict)  # of the machine
     missing: bool = False  # weights, frames or the method itself are not there: nothing was tried
 
 
@@ -104,10 +105,10 @@ def content_key(content: Mapping[str, Any]) -> str:
 
 
 def load(folder: Path) -> Run:
-    """Read a run of this or an earlier layout; what that did not hold yet is None, or empty.
+    """Read a run of this layout.
 
     Raises DamagedRunError where a part is missing, changed or cannot be, UnreadableRunError where the system does not
-    let it be read, NewerLayoutError for a layout that is not known yet.
+    let it be read, OtherLayoutError for any other layout.
     """
     try:
         summary = _summary(_content(folder / SUMMARY, _LARGEST_SUMMARY))
@@ -121,7 +122,7 @@ def load(folder: Path) -> Run:
             arrays["scores"] = np.load(folder / _SCORES, mmap_mode="r", allow_pickle=False)
         check_arrays(summary, arrays)
         return _from_parts(summary, arrays)
-    except (DamagedRunError, NewerLayoutError):
+    except (DamagedRunError, OtherLayoutError):
         raise
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DamagedRunError(f"{Path(error.filename).name} is missing") from error
@@ -132,18 +133,16 @@ def load(folder: Path) -> Run:
 
 
 def _summary(content: bytes) -> dict[str, Any]:
-    """Return what is no array of a run, checked, and in the words of this layout."""
+    """Return what is no array of a run, checked."""
     summary: dict[str, Any] = json.loads(content)
     layout = summary["schema"]
     if type(layout) is not int or layout < 1:
         raise DamagedRunError(f"its layout is {layout!r}")
-    if layout > SCHEMA:
-        raise NewerLayoutError(f"its layout is version {layout}, this program reads 1 to {SCHEMA}")
-    if (layout > 1 or "content_key" in summary) and summary.pop("content_key") != content_key(summary):
+    if layout != SCHEMA:
+        raise OtherLayoutError(f"its layout is version {layout}, this program reads {SCHEMA}: run it again")
+    if summary.pop("content_key") != content_key(summary):
         raise DamagedRunError(f"{SUMMARY} is not what was written")
-    summary = {**{name: empty for name, (first, empty) in _ADDED.items() if layout < first}, **summary}
     check_summary(summary)
-    _name_protocol(summary)
     return summary
 
 
@@ -169,30 +168,6 @@ _PLAIN = (
     "data",
     "tuned_on",
 )
-_WITH_PROTOCOLS = frozenset(  # datasets that came to have two
-    f"vprbench.datasets.{name}.{name}" for name in ("nordland", "oxford_robotcar", "street", "synthetic")
-)
-_ADDED: Mapping[str, tuple[int, Any]] = {  # the layout that first held it, and what stands for it in earlier ones
-    "load_seconds": (2, None),
-    "network": (2, None),
-    "search": (3, None),
-    "spikes": (4, None),
-    "data": (5, {}),
-    "tuned_on": (6, None),
-}
-
-
-def _name_protocol(content: dict[str, Any]) -> None:
-    """Name the protocol of a run or failure that was stored when its dataset had only one, VPRTempo's."""
-    dataset = content["config"].get("dataset", {})
-    if dataset.get("_target_") not in _WITH_PROTOCOLS or "protocol" in dataset:
-        return
-    content["config"] = {**content["config"], "dataset": {**dataset, "protocol": "vprtempo"}}
-    if "protocol" in content:
-        recorded = content["protocol"]
-        counts = {"reference_places": "places", "held_out_places": "first_query_place"}
-        follow = {name: recorded[same] for name, same in counts.items() if same in recorded}
-        content["protocol"] = {"protocol": "vprtempo", **recorded, **follow}
 
 
 def write(run: Run, folder: Path) -> None:
@@ -221,7 +196,7 @@ def write(run: Run, folder: Path) -> None:
     summary = {name: getattr(run, name) for name in _PLAIN}
     summary |= {
         "schema": SCHEMA,
-        "notes": list(run.notes),
+        "notes": [note._asdict() for note in run.notes],
         "n_places": run.outcome.n_places,
         "timing": plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
@@ -238,7 +213,7 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
     ends = np.cumsum(arrays["positives_per_query"])[:-1]
     return Run(
         **{name: summary[name] for name in _PLAIN},
-        notes=tuple(summary["notes"]),
+        notes=tuple(Note(**note) for note in summary["notes"]),
         timing=Timing(
             timing["first_query_seconds"],
             timing["warmup_queries"],
@@ -250,7 +225,7 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
             arrays["sample"],
             arrays["answers"],
             timing["repeated_seconds"],
-            timing.get("unseen_seconds", 0.0),  # the first runs lack it
+            timing["unseen_seconds"],
         ),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
         positives=tuple(np.split(arrays["positives"], ends)),
@@ -267,12 +242,11 @@ def write_failure(failure: Failure, folder: Path) -> None:
 
 
 def read_failure(folder: Path) -> Failure | None:
-    """Read a failure, of an earlier or later version too; None where there is none or, with a warning, none whole."""
+    """Read a failure; None where there is none or, with a warning, none whole."""
     path = folder / _FAILURE
     try:
         content = json.loads(_content(path, _LARGEST_SUMMARY))
         check_failure(content)
-        _name_protocol(content)
         return Failure(**{part.name: content[part.name] for part in fields(Failure) if part.name in content})
     except (FileNotFoundError, NotADirectoryError):
         return None

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from vprbench.run.note import NoteKind
+
 MOST_PLACES = 100_000_000  # of a map; one number of each fills 0.8 GB
 _SHOWN = 60  # characters of a value in a message
 
@@ -120,6 +122,13 @@ class _Tuned(_Part):
     also_in: list[str] = []
 
 
+class _Note(_Part):
+    model_config = ConfigDict(extra="forbid")
+
+    kind: NoteKind
+    text: str
+
+
 class _Batch(_Part):
     images_per_call: Annotated[int, Field(ge=1, le=1 << 53)]
     valid: bool
@@ -129,7 +138,7 @@ class _Timing(_Part):
     first_query_seconds: float  # NaN where no query warmed up
     warmup_queries: _Count
     repeated_seconds: _Seconds
-    unseen_seconds: _Seconds = 0.0
+    unseen_seconds: _Seconds
     streaming_valid: bool
     offline: Annotated[list[_Batch], Field(min_length=1)]
 
@@ -149,7 +158,7 @@ class _Summary(_Part):
     protocol: _Protocol
     fingerprint: str
     environment: _MachineOfRun
-    notes: list[str]
+    notes: list[_Note]
     n_references: _Places
     n_places: _Places
     fit_seconds: _Seconds | None
@@ -161,8 +170,8 @@ class _Summary(_Part):
     harness_seconds: _Number
     method_seconds: _Number
     spikes: _Spikes | None
-    data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]  # empty in older runs
-    tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)] | None
+    data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
+    tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
     timing: _Timing
     sha256: _Digests
 

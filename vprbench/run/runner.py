@@ -28,6 +28,7 @@ from vprbench.run.data_record import data_record
 from vprbench.run.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import learn
+from vprbench.run.note import Note, noted
 from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.record import Run, content_key
 from vprbench.run.sources import source_hash
@@ -168,9 +169,9 @@ def run(
             "device_memory_bytes": device_memory_bytes,
         },
         notes=(
-            *dataset.notes,
+            *noted("dataset", dataset.notes),
             *learnt.notes,
-            *method.notes(),
+            *noted("method", method.notes()),
             *_cache_notes(dataset, learnt.from_cache, from_cache),
             *_late_notes(timing, learnt.fit_seconds is not None),
             *_notes(slowdown, pressure, timing, answers),
@@ -323,36 +324,41 @@ def _answer_from_descriptors(
     return from_cache
 
 
-def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[str]:
+def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[Note]:
     """Yield what was not encoded because its descriptors were kept."""
     kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
     if kept:
         nothing = "nothing was encoded" if references and queries else "none of these was encoded"
-        yield f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
+        yield Note(
+            "described",
+            f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample",
+        )
 
 
-def _late_notes(timing: Timing, trained: bool) -> Iterator[str]:
+def _late_notes(timing: Timing, trained: bool) -> Iterator[Note]:
     """Yield what the first query did that later ones do not."""
     if timing.first_query_excess_seconds:
         use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
         seconds = timing.first_query_seconds
         times = seconds / float(np.median(timing.streaming.total_seconds))
-        yield f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}"
+        yield Note("late", f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}")
 
 
-def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[str]:
+def _notes(slowdown: float, pressure: float | None, timing: Timing, answers: _Answers) -> Iterator[Note]:
     """Yield what a reader of the numbers has to know."""
     if abs(slowdown - 1) > _NOISE:
-        yield f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before"
+        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
     if pressure is not None and pressure > _BUSY:
-        yield f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing"
+        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing")
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
-        yield "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
+        yield Note(
+            "invalid", "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
+        )
     if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
         share = 100 * timing.repeated_seconds / timing.unseen_seconds
-        yield f"caching: images seen before are answered in {share:.0f} % of the time of new ones"
+        yield Note("caching", f"caching: images seen before are answered in {share:.0f} % of the time of new ones")
     if not _same_answers(timing, answers):
-        yield "audit failed: the timed run gave other answers than the scored run"
+        yield Note("audit", "audit failed: the timed run gave other answers than the scored run")
 
 
 def _search(method: Method, audited: _Audited) -> dict[str, Any] | None:
@@ -368,16 +374,17 @@ def _index(method: Method) -> Search | None:
     return method.searched if isinstance(method, DescriptorMethod) else None
 
 
-def _search_notes(search: Mapping[str, Any] | None) -> Iterator[str]:
+def _search_notes(search: Mapping[str, Any] | None) -> Iterator[Note]:
     """Yield how good an approximate index is."""
     if search is not None and search["index"] != "exact":
-        yield (
+        yield Note(
+            "index",
             f"index {search['index']}: {100 * search['recall_at_1']:.1f} % of the exactly best places found, "
-            f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place"
+            f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place",
         )
 
 
-def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
     """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
     if type(method).spikes is Method.spikes:
         return None, ()
@@ -389,7 +396,7 @@ def _spikes(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tup
         return spikes.summary(method.spikes(codes)), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
-        return None, (f"no spikes were counted ({type(error).__name__}: {reason})",)
+        return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)
 
 
 def _same_answers(timing: Timing, answers: _Answers) -> bool:

@@ -18,7 +18,7 @@ from vprbench.run.record import (
     SUMMARY,
     DamagedRunError,
     Failure,
-    NewerLayoutError,
+    OtherLayoutError,
     Run,
     UnreadableRunError,
     content_key,
@@ -147,7 +147,7 @@ class Store:
                     if _identity(folder) == before:
                         self._set_aside(folder, str(error))
                         return None
-        except NewerLayoutError as error:
+        except OtherLayoutError as error:
             logger.warning("%s is left as it is: %s", folder, error)
         except UnreadableRunError as error:
             logger.warning("%s cannot be read (%s): it is left out, and left as it is", folder, error)
@@ -166,7 +166,7 @@ class Store:
     def _remove_leftovers(self) -> None:
         """Remove what was left unfinished, and return runs whose replacement never arrived to their places."""
         for folder in self.root.glob(f"{PARTIAL}*{REPLACED}*"):
-            with contextlib.suppress(NewerLayoutError, UnreadableRunError):  # it is left to whoever can read it
+            with contextlib.suppress(OtherLayoutError, UnreadableRunError):  # it is left to whoever can read it
                 self._put_back(folder)
         remove_leftovers(self.root)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from vprbench.run.note import Note, noted
 from vprbench.run.record import Run
 
 
 def tuned_here(run: Run) -> bool:
     """Tell whether a run's dataset shows the places on which the method's settings were chosen."""
-    declared = run.tuned_on or {}
+    declared = run.tuned_on
     return run.dataset in (declared.get("dataset"), *declared.get("also_in", ()))
 
 
@@ -19,6 +20,6 @@ def tuned_note(run: Run) -> str:
     return f"{words}, so in no contest on {run.dataset}" if tuned_here(run) else words
 
 
-def all_notes(run: Run) -> tuple[str, ...]:
+def all_notes(run: Run) -> tuple[Note, ...]:
     """Return the notes of a run, before them on what its method was tuned."""
-    return (*filter(None, [tuned_note(run)]), *run.notes)
+    return (*noted("tuned", filter(None, [tuned_note(run)])), *run.notes)

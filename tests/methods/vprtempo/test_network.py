@@ -408,7 +408,7 @@ def test_a_run_with_a_published_file_scores_as_its_matrices(folder: Path, capsys
     assert np.asarray(run.scores) == pytest.approx(expected, abs=2e-6)
     best = expected.argmax(1) == np.arange(N_PLACES)
     assert printed["recall_at_1"] == pytest.approx(np.mean(best))
-    assert any("published network" in note for note in printed["notes"])
+    assert "loaded" in [note["kind"] for note in printed["notes"]]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from vprbench.paper.figures.growth import growth
 from vprbench.paper.figures.style import png
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.plan import Row
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
@@ -155,7 +156,7 @@ def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median() 
 
 def test_disturbed_sizes_are_hollow_and_named() -> None:
     runs = [
-        replace(run, notes=("noisy: two carts passed",)) if run.outcome.n_places in (300, 9000) else run
+        replace(run, notes=(Note("noisy", "noisy: two carts passed"),)) if run.outcome.n_places in (300, 9000) else run
         for run in grown(TEMPO).runs
     ]
     drawn = growth([grown(TEMPO, runs)])

@@ -14,6 +14,7 @@ from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.style import Drawn, looks, png
 from vprbench.paper.plan import Quantity, Row, read_plan
 from vprbench.paper.series import Series
+from vprbench.run.note import Note
 
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
@@ -198,7 +199,7 @@ def test_of_a_row_outside_the_paper_the_bar_is_encode_and_match_and_no_word_of_t
 
 
 def test_disturbed_measurements_are_named() -> None:
-    noisy = replace(tempo(3.0).runs[0], notes=("noisy: two carts passed",))
+    noisy = replace(tempo(3.0).runs[0], notes=(Note("noisy", "noisy: two carts passed"),))
     assert (
         "while VPRTempo ran" in training_time([figure_runs.series("VPRTempo", noisy)], (), ROWS, NORDLAND, {}).caption
     )

@@ -35,6 +35,7 @@ from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.page.small_png import small_png
 from vprbench.paper.series import Series
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 
 
@@ -157,7 +158,7 @@ def test_hostile_names_are_text_everywhere() -> None:
 
 
 def test_a_name_that_is_no_text_does_not_keep_the_page_from_being_written() -> None:
-    run = journey_run(SAD_WRONG, notes=("folder caf\udce9",))
+    run = journey_run(SAD_WRONG, notes=(Note("dataset", "folder caf\udce9"),))
     text = report.page("", [], [Section("caf\udce9", (Series("SAD", False, (run,)),), None)])
     assert "folder caf?" in text
     text.encode()
@@ -356,7 +357,10 @@ def test_a_record_that_knows_little_of_its_machine_is_no_obstacle() -> None:
 
 
 def test_notes_name_their_run_and_its_seed_where_there_are_several() -> None:
-    runs = (journey_run({}, 0, notes=("audit failed",)), journey_run({}, 1, notes=("noisy", "caching")))
+    runs = (
+        journey_run({}, 0, notes=(Note("audit", "audit failed"),)),
+        journey_run({}, 1, notes=(Note("noisy", "noisy"), Note("caching", "caching"))),
+    )
     assert words.notes([("Journey", Series("VPRTempo", True, runs))]) == (
         ("Journey: VPRTempo, seed 0", "audit failed"),
         ("Journey: VPRTempo, seed 1", "noisy"),
@@ -366,7 +370,7 @@ def test_notes_name_their_run_and_its_seed_where_there_are_several() -> None:
 
 
 def test_machines_and_notes_are_of_everything_measured_not_only_of_what_is_browsed() -> None:
-    run = journey_run({}, notes=("the clock was not locked",))
+    run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
     measured = [("Journey", browsed.series[0]), ("Journey", Series("VPRTempo", True, (on_gpu,)))]

@@ -11,9 +11,10 @@ from stored_runs import ABACUS, run
 
 from vprbench.paper.plan import Boundary
 from vprbench.paper.table.best import Contestant, best_rate, best_recall, best_training, disturbed, machine
+from vprbench.run.note import Note
 from vprbench.run.record import Run
 
-NOISY = ("noisy: two carts passed",)
+NOISY = (Note("noisy", "two carts passed"),)
 
 
 def row(name: str, *runs: Run, boundary: Boundary = "match", finished: bool = True) -> Contestant:
@@ -159,8 +160,8 @@ def test_no_rate_is_best_on_a_busy_machine() -> None:
     assert best_rate([row("fast", timed(FAST)), row("slow", busy)]) is None
 
 
-@pytest.mark.parametrize("note", ["caching: images seen before", "audit failed: other answers"])
-def test_a_rate_that_an_audit_found_wanting_is_never_best_and_keeps_others_from_it(note: str) -> None:
+@pytest.mark.parametrize("note", [Note("caching", "seen before"), Note("audit", "other answers")])
+def test_a_rate_that_an_audit_found_wanting_is_never_best_and_keeps_others_from_it(note: Note) -> None:
     untrue = timed(FAST, notes=(note,))
     assert best_rate([row("untrue", untrue), row("slow", timed(SLOW))]) is None
     assert best_rate([row("untrue", timed(FAST), untrue), row("slow", timed(SLOW))]) is None
@@ -226,8 +227,8 @@ def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:
 
 
 def test_a_run_is_disturbed_by_noise_and_by_too_few_laps_alone() -> None:
-    notes = ["noisy: carts", "invalid rates: too few", "caching: seen before", "a noisy street"]
-    assert [disturbed(run(notes=(note,))) for note in notes] == [True, True, False, False]
+    kinds = {"noisy": True, "invalid": True, "caching": False, "dataset": False}
+    assert {kind: disturbed(run(notes=(Note(kind, "noisy: carts"),))) for kind in kinds} == kinds
 
 
 def test_a_machine_is_the_same_on_another_day() -> None:

@@ -114,7 +114,7 @@ def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]
     The device is named of runs that were not made on the CPU.
     """
     return tuple(
-        (f"{title}: {run_name(one, run)}{_elsewhere(run)}", note)
+        (f"{title}: {run_name(one, run)}{_elsewhere(run)}", note.text)
         for title, one in measured
         for run in one.runs
         for note in all_notes(run)

@@ -12,6 +12,7 @@ import numpy as np
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
+from vprbench.run.note import DISTURBED, FAILED_AUDITS
 from vprbench.run.recall_intervals import interval_between
 from vprbench.run.record import Run
 from vprbench.run.rows import machine_line
@@ -20,8 +21,6 @@ from vprbench.run.stopwatch import Seconds
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
 RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
-
-FAILED_AUDITS = ("caching", "audit failed")  # beginnings of the notes of a run whose rates are not to be trusted
 
 NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
 RULES = (
@@ -98,12 +97,12 @@ def rate(run: Run, stage: Stage) -> float:
 
 def disturbed(run: Run) -> bool:
     """Tell whether a run's times were taken while the machine did other things, or are too few."""
-    return any(note.startswith(("noisy", "invalid")) for note in run.notes)
+    return any(note.kind in DISTURBED for note in run.notes)
 
 
 def failed_audit(run: Run) -> bool:
     """Tell whether an audit found that a run's rates are not those of its answers, or not of images seen first."""
-    return any(note.startswith(FAILED_AUDITS) for note in run.notes)
+    return any(note.kind in FAILED_AUDITS for note in run.notes)
 
 
 def machine(run: Run) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import mean, median, stdev
 
@@ -17,13 +17,12 @@ from vprbench.paper.table.best import Contestant
 from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.paper.table.comparison import other_timing, reasons
 from vprbench.paper.table.entries import RATES, TRAINING, Entry
+from vprbench.run.note import DISTURBED, FAILED_AUDITS, NoteKind
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here, tuned_note
 
-_BUSY = ("noisy", "invalid")  # beginnings of notes that are told by a mark
-_RESUMED = "fit was resumed"
-_OF_TRAINING = ("descriptors of", _RESUMED)
+_APART: frozenset[NoteKind] = DISTURBED | {"described", "resumed"}  # told by a mark, or with the training alone
 
 
 def assemble(
@@ -220,8 +219,7 @@ def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Iterator[
     if quantity in TRAINING:
         if entry.row.training == "map":
             yield "the time to build the map from the references"
-        for note in (note for run in runs for note in run.notes if note.startswith(_RESUMED)):
-            yield one_sentence(note, sentences=False)
+        yield from _told(runs, lambda kind: kind == "resumed")
         return
     if quantity in RATES and entry.row.boundary is None:
         yield "encode and match together: the paper has no such row"
@@ -230,6 +228,8 @@ def _remarks(entry: Entry, quantity: Quantity, runs: Sequence[Run]) -> Iterator[
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
             yield f"scores tie: R@1 is {low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
-    for note in (note for run in runs for note in run.notes if not note.startswith((*_BUSY, *_OF_TRAINING))):
-        if note.startswith(contests.FAILED_AUDITS) == (quantity in RATES):
-            yield one_sentence(note, sentences=False)
+    yield from _told(runs, lambda kind: kind not in _APART and (kind in FAILED_AUDITS) == (quantity in RATES))
+
+
+def _told(runs: Sequence[Run], of: Callable[[NoteKind], bool]) -> Iterator[str]:
+    return (one_sentence(note.text, sentences=False) for run in runs for note in run.notes if of(note.kind))

@@ -1,0 +1,41 @@
+"""What a reader of a run's numbers has to know, told apart by its kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Literal, NamedTuple
+
+NoteKind = Literal[
+    "dataset",  # a sentence of the dataset
+    "method",  # a sentence of the method
+    "tuned",  # the places on which its settings were chosen
+    "loaded",  # the network that it did not train
+    "resumed",  # an interrupted fit that went on
+    "preprocessed",  # frames that a fit had from the cache
+    "calibrated",  # the held-out places that chose its settings
+    "described",  # descriptors that a run had from the cache
+    "late",  # work of the fit that the first query did
+    "noisy",  # a machine that did other things too
+    "invalid",  # too few laps
+    "caching",  # known images that are answered faster than new ones
+    "audit",  # other answers when it was timed
+    "index",  # an approximate search
+    "spikes",  # why no spikes were counted
+]
+
+#: Kinds of notes on a machine that was disturbed, or timed too shortly.
+DISTURBED: frozenset[NoteKind] = frozenset({"noisy", "invalid"})
+#: Kinds of notes on rates that an audit found wanting.
+FAILED_AUDITS: frozenset[NoteKind] = frozenset({"caching", "audit"})
+
+
+class Note(NamedTuple):
+    """One line, and what it is about."""
+
+    kind: NoteKind
+    text: str
+
+
+def noted(kind: NoteKind, texts: Iterable[str]) -> Iterator[Note]:
+    """Yield a note of one kind for each text."""
+    return (Note(kind, text) for text in texts)
