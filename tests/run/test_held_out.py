@@ -390,9 +390,8 @@ def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -
 
 def test_the_table_tells_of_a_resumed_fit_beside_its_minutes_and_of_calibrating_beside_r_at_1() -> None:
     calibrated = "calibrated on 3 held-out queries of 3 places"
-    made = assembled.table(
-        [assembled.tempo(seed, notes=(Note("resumed", RESUMED), Note("calibrated", calibrated))) for seed in range(3)]
-    )
+    notes = (Note("resumed", RESUMED), Note("calibrated", calibrated))
+    made = assembled.table([assembled.tempo(seed, notes=notes) for seed in range(3)])
     assert RESUMED in assembled.reasons(made, "VPRTempo", "train_cpu")
     assert calibrated not in assembled.reasons(made, "VPRTempo", "train_cpu")
     assert calibrated in assembled.reasons(made, "VPRTempo", "recall_at_1")

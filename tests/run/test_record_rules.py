@@ -14,6 +14,7 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.errors import BadInput
+from vprbench.run.note import Note
 from vprbench.run.record import content_key
 from vprbench.run.store import Store
 
