@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 def printable(text: str, but: str = "") -> str:
     r"""Return `text` with its control characters, line breaks among them, as \n and \x1b; those in `but` stay."""
     return "".join(c if c.isprintable() or c in but else c.encode("unicode_escape").decode() for c in text)
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """Return the part of an error message that names the known names nearest to `name`, or all if none is near."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3)
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"

@@ -1,116 +1,76 @@
 """The one face that methods, datasets and programs around them see: `from vprbench.api import Method, Images`.
 
-A name is imported when it is asked for: what needs no torch does not wait for it.
+A name is imported when a program asks for it, so a method without torch does not wait for torch.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from vprbench import progress
-    from vprbench.api import checkpoints
-    from vprbench.api.arrays import Image, Places, Scores
-    from vprbench.api.compiling import compiled
-    from vprbench.api.dataset import Dataset, FrameFolder, HeldOut
-    from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
-    from vprbench.api.image_formats import IMAGE_SUFFIXES, is_beside, is_folder_beside, is_image_name, open_image
-    from vprbench.api.images import Images, read_image
-    from vprbench.api.method import LayerSpikes, Method
-    from vprbench.api.neural import NeuralDescriptor
-    from vprbench.api.preprocess import PatchNormalisation, Variant
-    from vprbench.api.resize import Interpolation, Resize
-    from vprbench.api.search import Audit, Search, faiss_module
-    from vprbench.api.weights import (
-        Weights,
-        find_weights,
-        load_strictly,
-        read_tensor,
-        read_weights,
-        state_dict,
-        without_prefix,
+from vprbench.text import near
+
+if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `_homes`
+    from vprbench import progress as progress
+    from vprbench.api import checkpoints as checkpoints
+    from vprbench.api.arrays import Image as Image, Places as Places, Scores as Scores
+    from vprbench.api.compiling import compiled as compiled
+    from vprbench.api.dataset import Dataset as Dataset, FrameFolder as FrameFolder, HeldOut as HeldOut
+    from vprbench.api.descriptor import (
+        DescriptorMethod as DescriptorMethod,
+        best_image_of_place as best_image_of_place,
     )
-    from vprbench.errors import BadInput, NotFittedError, NotThere, TrainingDivergedError
-    from vprbench.storage.folders import checkout_folder, data_folder
-    from vprbench.storage.mat_files import MatFileError, read_mat
+    from vprbench.api.image_formats import (
+        IMAGE_SUFFIXES as IMAGE_SUFFIXES,
+        is_beside as is_beside,
+        is_folder_beside as is_folder_beside,
+        is_image_name as is_image_name,
+        open_image as open_image,
+    )
+    from vprbench.api.images import Images as Images, read_image as read_image
+    from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method
+    from vprbench.api.neural import NeuralDescriptor as NeuralDescriptor
+    from vprbench.api.preprocess import PatchNormalisation as PatchNormalisation, Variant as Variant
+    from vprbench.api.resize import Interpolation as Interpolation, Resize as Resize
+    from vprbench.api.search import Audit as Audit, Search as Search, faiss_module as faiss_module
+    from vprbench.api.weights import (
+        Weights as Weights,
+        find_weights as find_weights,
+        load_strictly as load_strictly,
+        read_tensor as read_tensor,
+        read_weights as read_weights,
+        state_dict as state_dict,
+        without_prefix as without_prefix,
+    )
+    from vprbench.errors import (
+        BadInput as BadInput,
+        NotFittedError as NotFittedError,
+        NotThere as NotThere,
+        TrainingDivergedError as TrainingDivergedError,
+    )
+    from vprbench.storage.folders import checkout_folder as checkout_folder, data_folder as data_folder
+    from vprbench.storage.mat_files import MatFileError as MatFileError, read_mat as read_mat
 
-#: The modules in which the names are at home.
-HOMES = {
-    **dict.fromkeys(("BadInput", "NotFittedError", "NotThere", "TrainingDivergedError"), "vprbench.errors"),
-    **dict.fromkeys(("Image", "Places", "Scores"), "vprbench.api.arrays"),
-    **dict.fromkeys(("compiled",), "vprbench.api.compiling"),
-    **dict.fromkeys(("Dataset", "FrameFolder", "HeldOut"), "vprbench.api.dataset"),
-    **dict.fromkeys(("DescriptorMethod", "best_image_of_place"), "vprbench.api.descriptor"),
-    **dict.fromkeys(
-        ("IMAGE_SUFFIXES", "is_beside", "is_folder_beside", "is_image_name", "open_image"), "vprbench.api.image_formats"
-    ),
-    **dict.fromkeys(("Images", "read_image"), "vprbench.api.images"),
-    **dict.fromkeys(("LayerSpikes", "Method"), "vprbench.api.method"),
-    **dict.fromkeys(("NeuralDescriptor",), "vprbench.api.neural"),
-    **dict.fromkeys(("PatchNormalisation", "Variant"), "vprbench.api.preprocess"),
-    **dict.fromkeys(("Interpolation", "Resize"), "vprbench.api.resize"),
-    **dict.fromkeys(("Audit", "Search", "faiss_module"), "vprbench.api.search"),
-    **dict.fromkeys(
-        ("Weights", "find_weights", "load_strictly", "read_tensor", "read_weights", "state_dict", "without_prefix"),
-        "vprbench.api.weights",
-    ),
-    **dict.fromkeys(("checkout_folder", "data_folder"), "vprbench.storage.folders"),
-    **dict.fromkeys(("MatFileError", "read_mat"), "vprbench.storage.mat_files"),
-}
-MODULES = {"checkpoints": "vprbench.api.checkpoints", "progress": "vprbench.progress"}
 
-__all__ = [
-    "IMAGE_SUFFIXES",
-    "Audit",
-    "BadInput",
-    "Dataset",
-    "DescriptorMethod",
-    "FrameFolder",
-    "HeldOut",
-    "Image",
-    "Images",
-    "Interpolation",
-    "LayerSpikes",
-    "MatFileError",
-    "Method",
-    "NeuralDescriptor",
-    "NotFittedError",
-    "NotThere",
-    "PatchNormalisation",
-    "Places",
-    "Resize",
-    "Scores",
-    "Search",
-    "TrainingDivergedError",
-    "Variant",
-    "Weights",
-    "best_image_of_place",
-    "checkout_folder",
-    "checkpoints",
-    "compiled",
-    "data_folder",
-    "faiss_module",
-    "find_weights",
-    "is_beside",
-    "is_folder_beside",
-    "is_image_name",
-    "load_strictly",
-    "open_image",
-    "progress",
-    "read_image",
-    "read_mat",
-    "read_tensor",
-    "read_weights",
-    "state_dict",
-    "without_prefix",
-]
+def _homes() -> dict[str, str]:
+    """Return for each name above the module that defines it, and for a module its own full name."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    imports = [node for block in tree.body if isinstance(block, ast.If) for node in block.body]
+    found = {
+        alias.name: str(node.module) for node in imports if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    return {name: f"{home}.{name}" if home in ("vprbench", __name__) else home for name, home in found.items()}
+
+
+HOMES = _homes()
+__all__ = [*HOMES]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for; raises AttributeError for a name that the face does not have."""
-    if name in MODULES:
-        return importlib.import_module(MODULES[name])
+    """Import the name that a program asks for; raises AttributeError, with the near names, for an unknown one."""
     if name not in HOMES:
-        raise AttributeError(f"vprbench.api has no {name}: there are {', '.join(__all__)}")
-    return getattr(importlib.import_module(HOMES[name]), name)
+        raise AttributeError(f"vprbench.api has no {name}: {near(name, HOMES)}")
+    home = importlib.import_module(HOMES[name])
+    return home if home.__name__.endswith(f".{name}") else getattr(home, name)

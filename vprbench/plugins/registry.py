@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import importlib.util
 import inspect
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -27,6 +26,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
 from vprbench.plugins.tuned_on import TunedOn
+from vprbench.text import near as near  # for the commands too
 
 Group = Literal["method", "dataset"]
 
@@ -192,15 +192,6 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     with disk_errors_told(str(config.get("name", ""))):
         dataset = _build("dataset", config)
     return insist_on_dataset(dataset, config["_target_"])
-
-
-def near(name: str, known: Iterable[str]) -> str:
-    """Return the part of an error message that says what is known, the nearest names first."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=3)
-    if close:
-        return f"did you mean {' or '.join(close)}?"
-    return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
 
 
 def register_search_path() -> None:
