@@ -6,6 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import hydra
@@ -44,10 +46,28 @@ def test_the_method_in_two_files_keeps_the_contract(checkout: Path) -> None:
     assert "0 broken" in done.stdout, done.stdout + done.stderr
 
 
-def test_the_files_it_names_exist() -> None:
-    named = re.findall(r"`((?:methods|tests|docs|conf|vprbench)/[\w./-]+)`|\]\(((?!http)[\w./-]+)\)", README)
-    missing = [path for pair in named for path in pair if path and not (ROOT / path).exists()]
-    assert missing == ["methods/darkness.py", "conf/method/darkness.yaml"]
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+NOT_OURS = {"methods/darkness.py", "conf/method/darkness.yaml", "vprbench/weights"}  # the example; a folder of a user
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_the_files_that_a_document_names_exist(document: str) -> None:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:methods|datasets|tests|docs|conf|vprbench)/[\w./-]+)`", text)) - NOT_OURS
+    linked = set(re.findall(r"\]\(((?!http)[\w./-]+)\)", text))
+    assert [path for path in sorted(named) if "NAME" not in path and not (ROOT / path).exists()] == []
+    assert [path for path in sorted(linked) if not (ROOT / document).parent.joinpath(path).exists()] == []
+
+
+def test_the_picture_of_the_rooms_shows_the_layers_that_are_held() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    floors = [{room.split(".")[1] for room in floor.split(" | ")} for floor in contracts[0]["layers"]]
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    arrows = re.findall(r"^  (\w+)(?:\[.*?\])? --> (\w+)", text, re.MULTILINE)
+    drawn = {tuple("__main__" if room == "main" else room for room in arrow) for arrow in arrows}
+    assert drawn == {(upper, lower) for above, below in pairwise(floors) for upper in above for lower in below}
 
 
 def test_every_target_of_the_makefile_is_explained() -> None:

@@ -17,6 +17,7 @@ import pytest
 from partial_worker import FOUR, WHAT, Interrupted, interrupt, interrupted, said
 
 from vprbench.api import checkpoints
+from vprbench.storage import tensors
 
 DAY = 86400.0
 
@@ -185,7 +186,7 @@ def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path: Path, monkeypat
 
     interrupt(tmp_path, part=FOUR)
     with monkeypatch.context() as patch, interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
-        patch.setattr(checkpoints, "safe_open", refuse)
+        patch.setattr(tensors, "safe_open", refuse)
         assert kept.get("part") is None
         raise Interrupted
     with checkpoints.training(WHAT, tmp_path) as kept:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import pickle
 import re
 import shlex
@@ -25,7 +24,6 @@ from vprbench.api import weights as module_under_test
 from vprbench.api.weights import (
     Stated,
     Weights,
-    content_hash,
     find_weights,
     load_strictly,
     read_tensor,
@@ -65,20 +63,6 @@ def downloads(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     monkeypatch.setattr(module_under_test, "fetch", fetch)
     return asked
-
-
-@pytest.fixture
-def hashed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of files whose content is read for a hash."""
-    names: list[str] = []
-    digest = hashlib.file_digest
-
-    def counted(file: Any, name: str) -> Any:
-        names.append(Path(file.name).name)
-        return digest(file, name)
-
-    monkeypatch.setattr(hashlib, "file_digest", counted)
-    return names
 
 
 def of_content(**stated: Any) -> Weights:
@@ -220,50 +204,6 @@ class TestFinding:
         monkeypatch.setattr(Path, "is_file", refuse)
         with pytest.raises(BadInput, match=r"cannot be read \(Permission denied\)"):
             find_weights(LINKED, "gcl")
-
-
-class TestHash:
-    def test_it_is_sha256_of_the_content(self, folder: Path) -> None:
-        (folder / "net.pth").write_bytes(CONTENT)
-        assert content_hash(folder / "net.pth") == SHA256
-
-    def test_a_file_of_the_folder_is_read_once_for_it(self, folder: Path, hashed: list[str]) -> None:
-        (folder / "net.pth").write_bytes(CONTENT)
-        for _ in range(3):
-            find_weights(of_content(sha256=SHA256), "gcl")
-        assert content_hash(folder / "net.pth") == SHA256
-        assert hashed == ["net.pth"]
-
-    def test_a_file_that_changed_is_read_anew(self, folder: Path) -> None:
-        path = folder / "net.pth"
-        path.write_bytes(CONTENT)
-        content_hash(path)
-        path.write_bytes(b"Published")
-        os.utime(path, ns=(1, 1))  # the clock of a file system may be coarse
-        assert content_hash(path) == hashlib.sha256(b"Published").hexdigest()
-
-    @pytest.mark.parametrize("memo", ["", "[]", "{", '{"size_bytes": 9}'])
-    def test_a_damaged_memory_of_it_is_ignored(self, folder: Path, memo: str) -> None:
-        (folder / "net.pth").write_bytes(CONTENT)
-        (folder / "net.pth.sha256.json").write_text(memo)
-        assert content_hash(folder / "net.pth") == SHA256
-
-    def test_nothing_is_written_beside_an_own_copy(self, tmp_path: Path) -> None:
-        (tmp_path / "own").mkdir()
-        own = tmp_path / "own" / "net.pth"
-        own.write_bytes(CONTENT)
-        assert content_hash(own) == SHA256
-        assert list(own.parent.iterdir()) == [own]
-
-    def test_a_folder_that_cannot_be_written_does_not_hinder(
-        self, folder: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        def refuse(*_: Any, **__: Any) -> None:
-            raise PermissionError(13, "Permission denied")
-
-        (folder / "net.pth").write_bytes(CONTENT)
-        monkeypatch.setattr(Path, "write_text", refuse)
-        assert content_hash(folder / "net.pth") == SHA256
 
 
 def write_torch(content: Any, path: Path, *, zipped: bool = True) -> Path:

@@ -20,7 +20,8 @@ from vprbench.api.method import LayerSpikes, Method
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.errors import NotFittedError
 from vprbench.plugins import registry
-from vprbench.plugins.conformance import RULES, Journey, check
+from vprbench.plugins.conformance import check
+from vprbench.plugins.rules import RULES, Journey
 
 ENTRIES = registry.entries("method")
 # Published networks need files that no test can have: tests/test_<name>.py writes one of random values for each.

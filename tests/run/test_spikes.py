@@ -24,7 +24,7 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.plugins.conformance import Journey
+from vprbench.plugins.rules import Journey
 from vprbench.run import runner
 from vprbench.run.note import Note
 from vprbench.run.record import Run

@@ -355,10 +355,10 @@ def test_several_threads_share_the_hashes(tmp_path: Path, folder: Path, caplog: 
 OTHER_PROCESS = """
 import sys
 from pathlib import Path
-from vprbench import file_hashes
-file_hashes._BATCH = 5
+from vprbench.storage import hashes
+hashes._BATCH = 5
 paths = sorted(Path(sys.argv[2]).iterdir())
-found = file_hashes.FileHashes(Path(sys.argv[1]), lambda: 4 * 10**18).of(paths)
+found = hashes.FileHashes(Path(sys.argv[1]), lambda: 4 * 10**18).of(paths)
 print(*(file.sha256.hex() for file in found))
 """
 

@@ -18,7 +18,7 @@ from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.module import Train
 from vprbench.methods.vprsnn.physics import physics_of, traces_of
 from vprbench.methods.vprsnn.recipe import Recipe
-from vprbench.plugins.conformance import Journey
+from vprbench.plugins.rules import Journey
 
 Floats = npt.NDArray[np.float64]
 Levels = npt.NDArray[np.uint8]  # (n_images, n_inputs)

@@ -14,24 +14,20 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from vprbench.storage.atomic import PARTIAL, remove_leftovers, replace_bytes
 from vprbench.storage.folders import cache_folder
+from vprbench.storage.tensors import Array, Arrays, Seal, plain
 
 logger = logging.getLogger(__name__)
 
 FORMAT = 1
 _FOLDER = "VPRBENCH_PARTIAL"  # environment variable
 _PART = ".safetensors"  # how the names of files end
-_SECONDS, _DIGEST = "seconds", "sha256"  # the keys of a file's metadata
+_SEAL = Seal("seconds", "sha256")  # the text about a part: how long it took
 _FORGOTTEN_SECONDS = 30 * 86400.0
 _ATTEMPTS = 5  # to write where another process removes the folder meanwhile
-
-Arrays = Mapping[str, npt.NDArray[Any]]
 
 
 class Partial:
@@ -65,7 +61,7 @@ class Partial:
         """The wall time that interrupted runs had spent on all that they left."""
         return sum(self._found.values())
 
-    def get(self, name: str) -> dict[str, npt.NDArray[Any]] | None:
+    def get(self, name: str) -> dict[str, Array] | None:
         """Return the arrays of a part; None where it is not there, or was damaged, and then is removed."""
         path = self._path(name)
         with self._one_at_a_time:
@@ -88,14 +84,14 @@ class Partial:
         (letters, digits, '_', '.' and '-') and TypeError for anything but numpy arrays of numbers.
         """
         path = self._path(name)
-        plain = {key: _plain(array, key) for key, array in arrays.items()}
+        numbers = {key: plain(array, key) for key, array in arrays.items()}
         with self._one_at_a_time:
             if self._refused:
                 return
             now = self._clock()
             own = self._own.get(name, 0.0) + now - self._last
             try:
-                _write(path, plain, self._taken.get(name, 0.0) + own)
+                _write(path, numbers, self._taken.get(name, 0.0) + own)
             except OSError as error:
                 self._refused = True
                 logger.warning(
@@ -219,7 +215,7 @@ def partial_folder() -> Path:
 
 def _write(path: Path, arrays: Arrays, seconds: float) -> None:
     stated = repr(seconds)
-    content = save(dict(arrays), {_SECONDS: stated, _DIGEST: _digest(stated, arrays)})
+    content = save(dict(arrays), _SEAL.metadata(stated, arrays))
     for attempt in range(_ATTEMPTS):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -230,43 +226,17 @@ def _write(path: Path, arrays: Arrays, seconds: float) -> None:
                 raise
 
 
-def _read(path: Path) -> tuple[dict[str, npt.NDArray[Any]], float]:
-    """Return the arrays of a file and the seconds spent on them; raises ValueError where it is damaged."""
-    try:
-        with safe_open(path, framework="np") as file:
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
-            metadata = file.metadata() or {}
-    except (SafetensorError, TypeError, AttributeError) as error:  # the last two: a type that numpy lacks
-        raise ValueError(str(error)) from error
-    stated = metadata.get(_SECONDS, "")
-    if metadata.get(_DIGEST) != _digest(stated, arrays):
+def _read(path: Path) -> tuple[dict[str, Array], float]:
+    """Return the arrays of a file and the seconds spent on them; raises ValueError if it is damaged."""
+    stated, arrays, whole = _SEAL.read(path)
+    if stated is None or not whole:
         raise ValueError("it is not what was written")
     return arrays, float(stated)
 
 
 def _seconds(path: Path) -> float:
-    """Return the seconds spent on the arrays of a file, unread; raises ValueError where it is damaged."""
-    try:
-        with safe_open(path, framework="np") as file:
-            return float((file.metadata() or {})[_SECONDS])
-    except (SafetensorError, KeyError) as error:
-        raise ValueError(str(error)) from error
-
-
-def _digest(stated: str, arrays: Arrays) -> str:
-    digest = hashlib.sha256(stated.encode())
-    for name, array in sorted(arrays.items()):
-        digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
-        digest.update(array.reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
-
-
-def _plain(array: npt.NDArray[Any], name: str) -> npt.NDArray[Any]:
-    """Return an array as safetensors writes it, byte after byte."""
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-        raise TypeError(f"{name} is {kind}; wanted a numpy array of numbers")
-    return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
+    """Return the seconds spent on the arrays of a file, unread; raises ValueError if it is damaged."""
+    return float(_SEAL.read_text(path) or "no seconds")
 
 
 def _remove_forgotten(root: Path, wanted: Path) -> None:

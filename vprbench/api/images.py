@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +19,7 @@ from vprbench.api.arrays import Image
 from vprbench.api.image_formats import open_image
 from vprbench.api.read_ahead import Window
 from vprbench.errors import BadInput
+from vprbench.storage.cores import core_count
 from vprbench.storage.hashes import FileHash, file_hashes
 
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
@@ -29,7 +29,7 @@ _UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
     *(OSError, SyntaxError, ValueError),
     *(PillowImage.DecompressionBombError, PillowImage.DecompressionBombWarning),
 )
-_READERS = min(64, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_READERS = min(64, core_count())
 
 
 class ReadingTime:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 import os
 import pickle
 import re
-import uuid
 import warnings
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +17,7 @@ from vprbench.errors import BadInput, NotThere
 from vprbench.storage import pickled_numpy
 from vprbench.storage.download import fetch
 from vprbench.storage.folders import cache_folder
+from vprbench.storage.hashes import content_hash
 
 if TYPE_CHECKING:
     import torch
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _FOLDER, _OFFLINE = "VPRBENCH_WEIGHTS", "VPRBENCH_OFFLINE"  # environment variables
-_MEMO = ".sha256.json"  # beside a file of the cache: its hash, with the size and time of change that it holds for
 _ZIP = b"PK\x03\x04"
 _COUNTER = "num_batches_tracked"  # of a BatchNorm; evaluation does not use it, older files lack it
 _SHOWN = 3  # names in one message
@@ -89,27 +86,6 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): mend that, or set {_FOLDER}=FOLDER") from error
     return path
-
-
-def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's content; for one in the folder of weights it is computed once and remembered."""
-    before = path.stat()
-    kept = path.absolute().parent == weights_folder().absolute()
-    holds_for = {"size_bytes": before.st_size, "changed_ns": before.st_mtime_ns}
-    memo = path.with_name(f"{path.name}{_MEMO}")
-    if kept:
-        try:
-            remembered = json.loads(memo.read_text(encoding="utf-8"))
-            if {name: remembered[name] for name in holds_for} == holds_for:
-                return str(remembered["sha256"])
-        except (OSError, ValueError, KeyError, TypeError):
-            pass  # none, or a damaged one: computed anew
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    after = path.stat()
-    if kept and (after.st_size, after.st_mtime_ns) == (before.st_size, before.st_mtime_ns):
-        _remember(memo, {**holds_for, "sha256": sha256})
-    return sha256
 
 
 def read_weights(path: Path) -> dict[str, Any]:
@@ -228,22 +204,13 @@ def _check(path: Path, stated: Stated, afterwards: str) -> None:
     size_bytes = path.stat().st_size
     if stated.size_bytes not in (None, size_bytes):
         difference = f"has {size_bytes} bytes, stated are {stated.size_bytes}"
-    elif stated.sha256 is not None and content_hash(path) != stated.sha256.lower():
-        difference = f"has SHA-256 {content_hash(path)}, stated is {stated.sha256}"
+    elif stated.sha256 is not None and (sha256 := content_hash(path)) != stated.sha256.lower():
+        difference = f"has SHA-256 {sha256}, stated is {stated.sha256}"
     else:
         return
     if stated.certain:
         raise BadInput(f"{path} {difference}: delete it, {afterwards}")
     logger.warning("%s %s (by a third party): its results may not be those of the published weights", path, difference)
-
-
-def _remember(memo: Path, content: Mapping[str, Any]) -> None:
-    partial = memo.with_name(f".{uuid.uuid4().hex[:8]}-{memo.name}")
-    try:
-        partial.write_text(json.dumps(content), encoding="utf-8")
-        partial.replace(memo)
-    except OSError:
-        partial.unlink(missing_ok=True)  # a folder that cannot be written: computed again next time
 
 
 def _content(path: Path) -> Any:

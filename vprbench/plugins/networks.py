@@ -14,23 +14,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import remove_leftovers, unfinished
+from vprbench.storage.tensors import Arrays, Seal, plain
 
 if TYPE_CHECKING:
     import torch
 
 FORMAT = 1
 _OURS, _PUBLISHED = ".safetensors", ".pth"
-_DESCRIPTION, _DIGEST = "vprbench", "vprbench_sha256"  # the keys of a file's metadata
+_SEAL = Seal("vprbench", "vprbench_sha256")  # the text about a network: how it came about, as JSON
 _UNCHECKED = "published network: neither its arguments nor its training images could be checked"
-
-State = Mapping[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -132,10 +131,10 @@ def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_
         "fit_compute_seconds": fit_compute_seconds,
     }
     text = json.dumps(description, sort_keys=True)
-    state = {name: _plain(array, name, method) for name, array in method.state().items()}
+    state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     partial = unfinished(to.path.parent, f"-{to.path.name}")
     try:
-        save_file(state, partial, {_DESCRIPTION: text, _DIGEST: _content_digest(text, state)})
+        save_file(state, partial, _SEAL.metadata(text, state))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         _refuse_to_replace(to.path, to.replace or made_by(to.path) == run_key)
@@ -205,20 +204,17 @@ def _shown(value: Any, missing: object) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], State]:
+def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
     """Return description and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
     try:
-        with safe_open(path, framework="np") as file:
-            metadata = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
-    except (OSError, SafetensorError, TypeError, AttributeError) as error:  # the last two: a type numpy lacks
+        text, state, whole = _SEAL.read(path)
+    except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise BadInput(
             f"{path} cannot be read as a stored network ({reason}): restore the file or train anew"
         ) from error
-    if _DESCRIPTION not in metadata:
+    if text is None:
         raise BadInput(f"{path} was not stored by vprbench: it does not say what its network was trained with")
-    text = metadata[_DESCRIPTION]
     try:
         description: dict[str, Any] = json.loads(text)
         layout = description["format"]
@@ -226,12 +222,12 @@ def _read(path: Path) -> tuple[dict[str, Any], State]:
         layout = FORMAT  # the digest tells that it is damaged
     if layout != FORMAT:
         raise BadInput(f"{path} has layout {layout}, this program reads {FORMAT}: train anew")
-    if metadata.get(_DIGEST) != _content_digest(text, state):
+    if not whole:
         raise BadInput(f"{path} is not what was written: restore the file or train anew")
     return description, state
 
 
-def _published(path: Path) -> State:
+def _published(path: Path) -> Arrays:
     """Return the tensors of a file in the authors' layout, a dictionary of state dictionaries, under dotted names.
 
     Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save.
@@ -274,15 +270,6 @@ def _is_plain(tensor: torch.Tensor) -> bool:
     return str(tensor.layout) == "torch.strided" and not tensor.is_quantized and not tensor.is_complex()
 
 
-def _content_digest(text: str, state: State) -> str:
-    """Return the hash of a description and of every array, its name, type and shape."""
-    digest = hashlib.sha256(text.encode())
-    for name, array in sorted(state.items()):
-        digest.update(f"\0{name}\0{array.dtype.str}{array.shape}\0".encode())
-        digest.update(array.reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
-
-
 def _file_digest(path: Path) -> str:
     if path.suffix not in (_OURS, _PUBLISHED):
         raise BadInput(f"load={path}: give a stored network ({_OURS}) or a published one ({_PUBLISHED})")
@@ -298,14 +285,6 @@ def _file_digest(path: Path) -> str:
 def _insist_on_a_network(method: Method) -> None:
     if not keeps_a_network(method):
         Method.state(method)  # which says so
-
-
-def _plain(array: npt.NDArray[Any], name: str, method: Method) -> npt.NDArray[Any]:
-    """Return an array as safetensors writes it, byte after byte; raises TypeError for anything but numbers."""
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-        raise TypeError(f"{type(method).__name__}.state() gave {name} as {kind}; wanted numpy arrays of numbers")
-    return array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
 
 
 def _refuse_to_replace(path: Path, replace: bool) -> None:

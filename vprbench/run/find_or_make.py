@@ -14,7 +14,6 @@ from typing import Any
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
-from vprbench.api.weights import content_hash
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
@@ -26,6 +25,7 @@ from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
+from vprbench.storage.hashes import content_hash
 from vprbench.text import printable
 
 

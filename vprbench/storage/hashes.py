@@ -17,6 +17,7 @@ from typing import TypeVar
 
 from vprbench import progress
 from vprbench.errors import BadInput
+from vprbench.storage.cores import core_count
 from vprbench.storage.folders import cache_folder
 
 logger = logging.getLogger(__name__)
@@ -32,7 +33,6 @@ _JUST_NOW_NS = 2_000_000_000  # the coarsest clock of a common file system, FAT'
 _ATTEMPTS = 3  # to read a file that does not change meanwhile
 _BATCH = 256  # files whose hashes are kept together
 _SHA256_BYTES = 32
-_CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 Answer = TypeVar("Answer")
 
 
@@ -104,7 +104,7 @@ class FileHashes:
     def _read(self, paths: Sequence[Path]) -> dict[Path, FileHash]:
         """Read files and keep their hashes, batch by batch."""
         found: dict[Path, FileHash] = {}
-        readers = ThreadPoolExecutor(_CORES)
+        readers = ThreadPoolExecutor(core_count())
         try:
             for start in range(0, len(paths), _BATCH):
                 batch = paths[start : start + _BATCH]
@@ -158,6 +158,11 @@ def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
     Raises BadInput where a file cannot be read, or changes while it is read.
     """
     return _shared(hashes_folder()).of(paths)
+
+
+def content_hash(path: Path) -> str:
+    """Return the SHA-256 of one file as hexadecimal digits; raises what `file_hashes` raises."""
+    return file_hashes([path])[0].sha256.hex()
 
 
 def hashes_folder() -> Path:

@@ -16,8 +16,9 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import Engine, VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
-from vprbench.plugins.conformance import RULES as CONFORMANCE
-from vprbench.plugins.conformance import Journey, check
+from vprbench.plugins.conformance import check
+from vprbench.plugins.rules import RULES as CONFORMANCE
+from vprbench.plugins.rules import Journey
 
 Arrays = Mapping[str, npt.NDArray[np.float32]]
 

@@ -30,8 +30,9 @@ from vprbench.methods.vprtempo.rules import PAPER, V1, Rules, RuleSet
 from vprbench.metrics import accuracy
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import networks
-from vprbench.plugins.conformance import RULES as CONFORMANCE
-from vprbench.plugins.conformance import Journey, check
+from vprbench.plugins.conformance import check
+from vprbench.plugins.rules import RULES as CONFORMANCE
+from vprbench.plugins.rules import Journey
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)

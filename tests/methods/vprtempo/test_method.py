@@ -31,7 +31,7 @@ from vprbench.methods.vprtempo.rules import (
     RuleSet,
     ThresholdRule,
 )
-from vprbench.plugins.conformance import Journey
+from vprbench.plugins.rules import Journey
 
 Floats = npt.NDArray[np.float64]
 

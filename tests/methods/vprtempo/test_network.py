@@ -19,7 +19,7 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.plugins import networks
-from vprbench.plugins.conformance import Journey
+from vprbench.plugins.rules import Journey
 from vprbench.run.store import Store
 
 Arrays = dict[str, npt.NDArray[np.float32]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
+from vprbench.storage.cores import core_count
 
 from .offsets import HEIGHT, WIDTH, Small
 
@@ -25,7 +25,7 @@ BLACK_MEAN = 16.0
 UNIFORM_STD = 3.0
 
 _GREY_STEP = 4  # every so many-th pixel tells whether a frame has colours
-_READERS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_READERS = min(8, core_count())
 
 
 @dataclass(frozen=True)

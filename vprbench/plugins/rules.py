@@ -1,0 +1,277 @@
+"""The rules of the contract, each a function that raises RuleBrokenError with what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, is_dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.api.arrays import Image, Places
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.api.method import Method
+from vprbench.errors import NotFittedError
+from vprbench.plugins import networks
+from vprbench.plugins.registry import checked
+
+N_PLACES = 20
+_RELATIVE = 1e-4  # difference in score, relative to the largest, that counts as rounding
+
+Make = Callable[[], Method]
+
+
+class RuleBrokenError(AssertionError):
+    """A method broke a rule; the message says what was seen."""
+
+
+@dataclass(frozen=True)
+class Journey:
+    """A small made-up world: 20 places, two reference traverses, and queries of six of the places."""
+
+    references: list[Image]
+    places: Places
+    queries: list[Image]
+    right: npt.NDArray[np.int64]
+
+    @classmethod
+    def draw(cls, seed: int) -> Journey:
+        """Draw another world for another seed."""
+        generator = np.random.default_rng(seed)
+        coarse = generator.integers(0, 256, (N_PLACES, 6, 8, 3), dtype=np.uint8)
+        scenes = [np.asarray(cv2.resize(scene, (64, 48), interpolation=cv2.INTER_CUBIC), np.uint8) for scene in coarse]
+
+        def seen(place: int) -> Image:
+            noise = generator.integers(-12, 13, scenes[place].shape)
+            return np.asarray(np.clip(scenes[place].astype(np.int64) + noise, 0, 255), np.uint8)
+
+        right = np.array([0, 3, 7, 12, 18, 19])
+        return cls(
+            [seen(place) for _ in range(2) for place in range(N_PLACES)],
+            np.tile(np.arange(N_PLACES), 2),
+            [seen(place) for place in right.tolist()],
+            right,
+        )
+
+
+def _constructor(make: Make, config: Mapping[str, Any]) -> None:
+    method = make()
+    for name, value in config.items():
+        stored = getattr(method, name, None)
+        wanted = checked(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
+        if name != "_target_" and stored != wanted:
+            _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
+
+
+def _returns_itself(make: Make, _: Mapping[str, Any]) -> None:
+    method, world = make(), Journey.draw(0)
+    if method.fit(Images.from_arrays(world.references), world.places) is not method:
+        _broken("fit returned something else")
+
+
+def _forgets(make: Make, _: Mapping[str, Any]) -> None:
+    first, second = Journey.draw(1), Journey.draw(2)
+    method = _fitted(make, first)
+    method.fit(Images.from_arrays(second.references), second.places)
+    _same(
+        _scores(method, second),
+        _scores(_fitted(make, second), second),
+        "after an earlier fit the scores differ",
+    )
+
+
+def _needs_fit(make: Make, _: Mapping[str, Any]) -> None:
+    try:
+        _scores(make(), Journey.draw(0))
+    except NotFittedError:
+        return
+    _broken("no NotFittedError was raised")
+
+
+def _inputs(make: Make, _: Mapping[str, Any]) -> None:
+    world, untouched = Journey.draw(0), Journey.draw(0)
+    method = _fitted(make, world)
+    codes = method.encode(Images.from_arrays(world.queries))
+    before = np.array(codes, copy=True)
+    method.match(codes)
+    if not np.array_equal(np.asarray(codes), before):
+        _broken("match changed the codes")
+    if not np.array_equal(world.places, untouched.places):
+        _broken("fit changed the place ids")
+    for seen, as_drawn in zip(world.references + world.queries, untouched.references + untouched.queries, strict=True):
+        if not np.array_equal(seen, as_drawn):
+            _broken("an image was changed")
+
+
+def _kept_apart(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
+    before = {"encode": np.array(given["encode"], copy=True)}
+    later = method.encode(Images.from_arrays(world.queries[3:]))
+    given["match"] = method.match(before["encode"])
+    before["match"] = np.array(given["match"], copy=True)
+    method.match(later)
+    for name, array in given.items():
+        if not np.array_equal(np.asarray(array), before[name]):
+            _broken(f"a later call changes what {name} returned: return an array of its own")
+
+
+def _repeatable(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    if not np.array_equal(_scores(_fitted(make, world), world), _scores(_fitted(make, world), world)):
+        _broken("two fits with the same arguments give different scores")
+
+
+def _batches(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
+    _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
+
+
+def _order(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    turned = method.query(Images.from_arrays(world.queries[::-1]))
+    _same(_scores(method, world), turned[::-1], "the order of the queries changes the scores")
+
+
+def _shape(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    scores = _scores(_fitted(make, world), world)
+    wanted = (len(world.queries), N_PLACES)
+    if not isinstance(scores, np.ndarray) or scores.shape != wanted or scores.dtype != np.float32:
+        _broken(f"{getattr(scores, 'shape', type(scores))} {getattr(scores, 'dtype', '')}; wanted {wanted} float32")
+    _only_numbers_or_no_candidates(scores, "scores are not finite")
+
+
+def _higher_is_alike(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    known = method.query(Images.from_arrays(world.references[:N_PLACES]))
+    right = np.count_nonzero(known.argmax(1) == np.arange(N_PLACES))
+    if right <= N_PLACES // 2:
+        _broken(f"only {right} of {N_PLACES} reference images score highest at their own place")
+
+
+def _names(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    scores = []
+    for word in ("place", "x"):
+        references = Images.from_arrays(world.references, [f"{word}-{p}" for p in world.places.tolist()])
+        queries = Images.from_arrays(
+            world.queries, [f"{word}-{p}" for p in world.right.tolist()][:: 1 if word == "x" else -1]
+        )
+        scores.append(make().fit(references, world.places).query(queries))
+    _same(scores[0], scores[1], "the names of the images change the scores")
+
+
+def _any_image(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    black = [np.zeros_like(world.references[0]), *world.references[1:]]
+    larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
+    scores = make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
+    _only_numbers_or_no_candidates(scores, "scores of a black image and one of another size are not finite")
+
+
+def _stored(make: Make, config: Mapping[str, Any]) -> None:
+    try:
+        make().state()
+    except NotFittedError:
+        pass
+    else:
+        _broken("state before fit raised no NotFittedError")
+    world = Journey.draw(0)
+    trained = _fitted(make, world)
+    answers = _scores(trained, world)
+    references = Images.from_arrays(world.references)
+    right = tuple(np.array([place]) for place in world.right.tolist())
+    dataset = Dataset("check", references, world.places, Images.from_arrays(world.queries), right, {})
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "network.safetensors"
+        destination = networks.prepare(networks.Files(save=path), trained, config, dataset)
+        assert destination is not None
+        networks.save(destination, trained, "", 0.0, 0.0)
+        if not np.array_equal(_scores(trained, world), answers):
+            _broken("storing a network changes its scores")
+        for restored, state in ((make(), "new"), (_fitted(make, Journey.draw(1)), "fitted elsewhere before")):
+            networks.load(path, restored, destination.origin)
+            if not np.array_equal(_scores(restored, world), answers):
+                _broken(f"restored into a method {state} it gives other scores")
+
+
+def _spikes(make: Make, _: Mapping[str, Any]) -> None:
+    world = Journey.draw(0)
+    method = _fitted(make, world)
+    answers = _scores(method, world)
+    codes = method.encode(Images.from_arrays(world.queries))
+    before = np.array(codes, copy=True)
+    layers = list(method.spikes(codes))
+    names = [layer.name for layer in layers]
+    if not all(names) or len(set(names)) < len(names):
+        _broken(f"layers named {names}; wanted a name each")
+    for layer in layers:
+        shape = np.shape(layer.values)
+        if len(shape) != 2 or shape[0] != len(world.queries):
+            _broken(f"layer {layer.name} has spikes of shape {shape}; wanted ({len(world.queries)}, n_neurons)")
+        if not np.isfinite(layer.values).all() or (layer.values < 0).any():
+            _broken(f"layer {layer.name} has spikes that are not finite or below 0")
+    if not np.array_equal(np.asarray(codes), before) or not np.array_equal(_scores(method, world), answers):
+        _broken("counting spikes changes codes or later scores")
+
+
+STORED_RULE = "a stored network answers as the trained one"
+
+RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
+    "the constructor only stores its arguments": _constructor,
+    "fit returns the method": _returns_itself,
+    "fit forgets an earlier fit": _forgets,
+    "query before fit raises NotFittedError": _needs_fit,
+    "inputs are never modified": _inputs,
+    "what was returned is never modified": _kept_apart,
+    "the same seed gives the same scores": _repeatable,
+    "a batch gives what its single images give": _batches,
+    "the order of queries does not matter": _order,
+    "scores are finite float32 of shape (n_queries, n_places)": _shape,
+    "higher scores mean more alike": _higher_is_alike,
+    "the names of images do not matter": _names,
+    "black images and images of other sizes are accepted": _any_image,
+    STORED_RULE: _stored,
+    "spikes are counts or amplitudes by layer and query": _spikes,
+}
+
+
+def _fitted(make: Make, world: Journey) -> Method:
+    return make().fit(Images.from_arrays(world.references), world.places)
+
+
+def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:
+    return method.query(Images.from_arrays(world.queries))
+
+
+def _only_numbers_or_no_candidates(scores: npt.NDArray[np.float32], complaint: str) -> None:
+    wrong = ~np.isfinite(scores) & ~np.isneginf(scores)
+    if wrong.any():
+        _broken(f"{np.count_nonzero(wrong)} {complaint}")
+    if np.isneginf(scores).all(axis=1).any():
+        _broken("a query has no candidate: all its scores are -inf")
+
+
+def _same(scores: npt.NDArray[np.float32], others: npt.NDArray[np.float32], complaint: str) -> None:
+    candidate = ~np.isneginf(scores)
+    if not np.array_equal(candidate, ~np.isneginf(others)):
+        _broken(f"{complaint}: other places are candidates")
+    difference = float(np.abs(scores[candidate] - others[candidate]).max(initial=0))
+    scale = float(np.abs(scores[candidate]).max(initial=0))
+    if not difference <= _RELATIVE * scale:
+        _broken(f"{complaint} (by {difference:.2g} where the largest score is {scale:.2g})")
+
+
+def _broken(message: str) -> None:
+    raise RuleBrokenError(message)
