@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 def printable(text: str, but: str = "") -> str:
@@ -18,3 +19,10 @@ def near(name: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
+
+
+def some_of(names: Iterable[Any]) -> str:
+    """Return the first three names as text, and how many more there are."""
+    names = [str(name) for name in names]
+    shown = ", ".join(names[:3])
+    return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown

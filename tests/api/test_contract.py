@@ -224,7 +224,7 @@ def by_hand(index, codes, references):
 
 @pytest.mark.parametrize("index", ["hnsw", "ivfpq", "sq8"])
 def test_an_audit_counts_what_an_index_finds_of_the_best(index, monkeypatch):
-    monkeypatch.setattr("vprbench.api.search._CELLS", 600 * 7)  # seven queries at a time
+    monkeypatch.setattr("vprbench.api.search.CELLS", 600 * 7)  # seven queries at a time
     method = Drawn(32, index=index, neighbours=20).fit(drawn(600), np.arange(600))
     codes = method.encode(Images.from_arrays([np.full((2, 2, 3), (i, 3, 3), np.uint8) for i in range(60)]))
     audit = method.audit(codes)

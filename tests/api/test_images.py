@@ -12,7 +12,8 @@ from PIL import Image as PillowImage
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images, read_ahead
-from vprbench.api.images import Images, read_image
+from vprbench.api.decoding import read_image
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
 
 PATIENCE = 120  # seconds for what takes none unless something is broken

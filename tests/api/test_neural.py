@@ -23,7 +23,8 @@ from vprbench.api import neural
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
-from vprbench.api.weights import Weights, load_strictly, state_dict
+from vprbench.api.weight_files import state_dict
+from vprbench.api.weights import Weights, load_strictly
 from vprbench.errors import BadInput
 from vprbench.plugins import conformance
 

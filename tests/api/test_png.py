@@ -13,8 +13,8 @@ import pytest
 from PIL import Image as PillowImage
 from PIL import PngImagePlugin
 
-from vprbench.api import images, png
-from vprbench.api.images import read_image
+from vprbench.api import decoding, png
+from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 
 Pixels = npt.NDArray[np.uint8]
@@ -131,7 +131,7 @@ def test_a_plain_png_is_decoded_without_pillow(tmp_path: Path, kind: str, monkey
     def never(*_: object) -> None:
         raise AssertionError("Pillow was asked")
 
-    monkeypatch.setattr(images.PillowImage, "open", never)
+    monkeypatch.setattr(decoding.PillowImage, "open", never)
     assert read_image(path).shape[2] == 3
 
 

@@ -21,17 +21,8 @@ from safetensors.torch import save_file
 from torch import nn
 
 from vprbench.api import weights as module_under_test
-from vprbench.api.weights import (
-    Stated,
-    Weights,
-    find_weights,
-    load_strictly,
-    read_tensor,
-    read_weights,
-    state_dict,
-    weights_folder,
-    without_prefix,
-)
+from vprbench.api.weight_files import read_tensor, read_weights, state_dict
+from vprbench.api.weights import Stated, Weights, find_weights, load_strictly, weights_folder, without_prefix
 from vprbench.errors import BadInput
 from vprbench.plugins.registry import checked
 

@@ -19,7 +19,8 @@ from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.api.search import Audit, Kind
+from vprbench.api.search import Audit
+from vprbench.api.search_indexes import Kind
 from vprbench.run import rows, runner
 from vprbench.run.descriptor_cache import DescriptorCache
 from vprbench.run.record import Run

@@ -14,7 +14,7 @@ import pytest
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images
-from vprbench.api.images import read_image
+from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
 from vprbench.run import preprocessed

@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench.api.arrays import Image as Image, Places as Places, Scores as Scores
     from vprbench.api.compiling import compiled as compiled
     from vprbench.api.dataset import Dataset as Dataset, FrameFolder as FrameFolder, HeldOut as HeldOut
+    from vprbench.api.decoding import read_image as read_image
     from vprbench.api.descriptor import (
         DescriptorMethod as DescriptorMethod,
         best_image_of_place as best_image_of_place,
@@ -29,19 +30,22 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         is_image_name as is_image_name,
         open_image as open_image,
     )
-    from vprbench.api.images import Images as Images, read_image as read_image
+    from vprbench.api.images import Images as Images
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method
     from vprbench.api.neural import NeuralDescriptor as NeuralDescriptor
     from vprbench.api.preprocess import PatchNormalisation as PatchNormalisation, Variant as Variant
     from vprbench.api.resize import Interpolation as Interpolation, Resize as Resize
-    from vprbench.api.search import Audit as Audit, Search as Search, faiss_module as faiss_module
+    from vprbench.api.search import Audit as Audit, Search as Search
+    from vprbench.api.search_indexes import faiss_module as faiss_module
+    from vprbench.api.weight_files import (
+        read_tensor as read_tensor,
+        read_weights as read_weights,
+        state_dict as state_dict,
+    )
     from vprbench.api.weights import (
         Weights as Weights,
         find_weights as find_weights,
         load_strictly as load_strictly,
-        read_tensor as read_tensor,
-        read_weights as read_weights,
-        state_dict as state_dict,
         without_prefix as without_prefix,
     )
     from vprbench.errors import (

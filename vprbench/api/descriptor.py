@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.method import Method
-from vprbench.api.search import Audit, Kind, Search, agreement, check_index
+from vprbench.api.search import Audit, Search, agreement, check_index
+from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput, NotFittedError
 
 if TYPE_CHECKING:

@@ -12,11 +12,9 @@ from typing import Any, Protocol, overload
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image as PillowImage
 
-from vprbench.api import png
 from vprbench.api.arrays import Image
-from vprbench.api.image_formats import open_image
+from vprbench.api.decoding import as_rgb, decoded_bytes, read_image
 from vprbench.api.read_ahead import Window
 from vprbench.errors import BadInput
 from vprbench.storage.cores import core_count
@@ -25,10 +23,6 @@ from vprbench.storage.hashes import FileHash, file_hashes
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
-_UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
-    *(OSError, SyntaxError, ValueError),
-    *(PillowImage.DecompressionBombError, PillowImage.DecompressionBombWarning),
-)
 _READERS = min(64, core_count())
 
 
@@ -104,7 +98,7 @@ class Images(Sequence[Image]):
     @classmethod
     def from_arrays(cls, arrays: Sequence[Image], names: Sequence[str] | None = None) -> Images:
         """Wrap decoded images, (height, width, 3) or grey (height, width), uint8."""
-        arrays = [_as_rgb(array) for array in arrays]
+        arrays = [as_rgb(array) for array in arrays]
         if names is not None and len(names) != len(arrays):
             raise BadInput(f"{len(arrays)} images came with {len(names)} names: give one for each")
         return cls(arrays.__getitem__, names or [f"image {i}" for i in range(len(arrays))], in_memory=True)
@@ -262,7 +256,7 @@ class Images(Sequence[Image]):
         """Return the bytes of a file's image once it is decoded; looking takes part of the reading."""
         assert self._files is not None
         started = time.perf_counter()
-        n_bytes = _decoded_bytes(self._files[number])
+        n_bytes = decoded_bytes(self._files[number])
         self.reading.seconds += time.perf_counter() - started
         return n_bytes
 
@@ -274,60 +268,3 @@ class Images(Sequence[Image]):
         images = chunk.result()
         self.reading.seconds += time.perf_counter() - started
         return images
-
-
-def read_image(path: Path) -> Image:
-    """Decode one image file to RGB uint8 (height, width, 3); grey is repeated, alpha dropped, 16 bit reduced to 8.
-
-    Raises BadInput with the path where the file is missing, truncated or no image, and, undecoded, where it has more
-    pixels than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets another number).
-    """
-    try:
-        if (pixels := _decoded_png(path)) is not None:
-            return pixels
-        with open_image(path) as image:
-            _insist_on_size(image)
-            if image.mode.startswith("I"):
-                return _as_rgb((np.asarray(image) >> 8).astype(np.uint8))
-            if image.mode == "RGB":
-                return np.asarray(image)
-            # A palette with transparency has to become RGBA first.
-            return np.asarray((image.convert("RGBA") if image.mode == "P" else image).convert("RGB"))
-    except FileNotFoundError as error:
-        raise BadInput(f"{path} does not exist: restore the file or choose other places") from error
-    except _UNREADABLE as error:
-        reason = str(error).replace(f" {str(path)!r}", "").replace(str(path), "it").splitlines()[0]
-        raise BadInput(f"{path} cannot be read as an image ({reason}): replace the file; none is skipped") from error
-
-
-def _insist_on_size(image: PillowImage.Image) -> None:
-    most = PillowImage.MAX_IMAGE_PIXELS
-    if most is not None and image.width * image.height > most:
-        raise ValueError(f"{image.width} x {image.height} pixels; at most {most:,} may be decoded")
-
-
-def _decoded_png(path: Path) -> Image | None:
-    """Return what is read fastest; None for anything but a plain, whole PNG."""
-    with path.open("rb") as file:
-        start = file.read(len(png.SIGNATURE))
-        return png.decoded(start + file.read()) if start == png.SIGNATURE else None
-
-
-def _decoded_bytes(path: Path) -> int:
-    """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
-    try:
-        with open_image(path) as image:
-            return max(1, 3 * image.width * image.height)
-    except _UNREADABLE:  # said when the image is read
-        return 1
-
-
-def _as_rgb(array: Image) -> Image:
-    if array.ndim == 2 and array.dtype == np.uint8:
-        return np.repeat(array[:, :, None], 3, axis=2)
-    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.dtype != np.uint8:
-        raise BadInput(
-            f"an image of shape {array.shape} and type {array.dtype} came; wanted uint8 (height, width, 3), "
-            "or (height, width) for grey"
-        )
-    return array[:, :, :3]

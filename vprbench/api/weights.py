@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import logging
 import os
-import pickle
-import re
-import warnings
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from vprbench.errors import BadInput, NotThere
-from vprbench.storage import pickled_numpy
 from vprbench.storage.download import fetch
 from vprbench.storage.folders import cache_folder
 from vprbench.storage.hashes import content_hash
+from vprbench.text import some_of
 
 if TYPE_CHECKING:
     import torch
@@ -26,9 +23,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _FOLDER, _OFFLINE = "VPRBENCH_WEIGHTS", "VPRBENCH_OFFLINE"  # environment variables
-_ZIP = b"PK\x03\x04"
 _COUNTER = "num_batches_tracked"  # of a BatchNorm; evaluation does not use it, older files lack it
-_SHOWN = 3  # names in one message
 
 
 @dataclass(frozen=True)
@@ -86,40 +81,6 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): mend that, or set {_FOLDER}=FOLDER") from error
     return path
-
-
-def read_weights(path: Path) -> dict[str, Any]:
-    """Return what a file of safetensors or of torch holds, nested as it is there, on the CPU.
-
-    Raises BadInput for a file that is damaged, no dictionary, or not to be read without running code out of it.
-    """
-    content = _content(path)
-    if not isinstance(content, dict):
-        raise BadInput(f"{path} holds one {type(content).__name__}; wanted a dictionary of tensors: give another file")
-    return content
-
-
-def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
-    """Return the tensors of a file by name: those under the first of `keys` that is there, or all at its top.
-
-    Raises BadInput as `read` does, and where anything but plain tensors is found there.
-    """
-    content = read_weights(path)
-    key = next((key for key in keys if key in content), None)
-    found = content if key is None else content[key]
-    odd = [name for name, value in found.items() if not _is_plain(value)] if isinstance(found, Mapping) else [key]
-    if odd or not found:
-        places = " or ".join([*keys, "its top"])
-        raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {_some(content)}): give another")
-    return {name: value.detach() for name, value in found.items()}
-
-
-def read_tensor(path: Path) -> Tensor:
-    """Return the one tensor that a file of torch holds; raises BadInput for anything else."""
-    content = _content(path)
-    if not _is_plain(content):
-        raise BadInput(f"{path} holds one {type(content).__name__}; wanted one tensor: give another file")
-    return content.detach()  # type: ignore[no-any-return]
 
 
 def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, optional: Collection[str] = ()) -> None:
@@ -213,73 +174,6 @@ def _check(path: Path, stated: Stated, afterwards: str) -> None:
     logger.warning("%s %s (by a third party): its results may not be those of the published weights", path, difference)
 
 
-def _content(path: Path) -> Any:
-    """Return what a file holds, whatever that is; raises BadInput where it cannot be read safely."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(512)
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}): give a file with weights") from error
-    if not start:
-        raise BadInput(f"{path} is empty: delete it and get it anew")
-    if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        raise BadInput(f"{path} is a web page, no file of weights (a login page?): delete it and get it anew")
-    if path.suffix == ".safetensors" or start[8:9] == b"{":
-        return _content_of_safetensors(path)
-    return _content_of_torch(path, mmap=start.startswith(_ZIP))
-
-
-def _content_of_safetensors(path: Path) -> dict[str, Tensor]:
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    try:
-        return load_file(path)
-    except (OSError, SafetensorError, ValueError, KeyError) as error:
-        raise BadInput(f"{path} cannot be read as safetensors ({_reason(error)}): get it anew") from error
-
-
-def _content_of_torch(path: Path, mmap: bool) -> Any:
-    import torch
-
-    try:
-        with warnings.catch_warnings(), pickled_numpy.readable():
-            warnings.simplefilter("ignore")  # about what was written by an older torch
-            return torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
-    except pickle.UnpicklingError as error:
-        needs = re.search(r"(?:GLOBAL|class) ([\w.]+)( whose module \S+ is blocked)?", str(error))
-        if needs is None:
-            raise BadInput(f"{path} is damaged, or no file of torch: delete it and get it anew") from error
-        if needs[2]:
-            raise BadInput(f"{path} would run {needs[1]} when it is read: it is no honest file, delete it") from error
-        raise BadInput(
-            f"{path} holds more than tensors ({needs[1]}) and could only be read "
-            "by running code out of it, which is never done: where you trust its source, keep its tensors alone, in a "
-            'sandbox, with python -c "import torch; '
-            f"d = torch.load({str(path)!r}, weights_only=False, map_location='cpu'); "
-            "d = d.get('model_state_dict', d.get('state_dict', d)); "
-            "torch.save({name: value for name, value in d.items() if torch.is_tensor(value)}, 'tensors.pth')\", "
-            "and give method.weights.path=tensors.pth"
-        ) from error
-    except Exception as error:  # torch raises whatever a damaged file leads it to
-        raise BadInput(f"{path} cannot be read as a file of torch ({_reason(error)}): get it anew") from error
-
-
-def _reason(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
-def _is_plain(value: Any) -> bool:
-    import torch
-
-    return (
-        isinstance(value, torch.Tensor)
-        and value.layout is torch.strided
-        and not value.is_quantized
-        and not value.is_complex()
-    )
-
-
 def _is_counter(name: str) -> bool:
     return name.split(".")[-1] == _COUNTER
 
@@ -291,7 +185,7 @@ def _kind(values: torch.Tensor) -> str:
 
 def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) -> None:
     """Raise BadInput where any kind of problem has names."""
-    found = [f"{len(names)} {problem} ({_some(names)})" for problem, names in problems.items() if names]
+    found = [f"{len(names)} {problem} ({some_of(names)})" for problem, names in problems.items() if names]
     if found:
         raise BadInput(
             f"{path} does not fit {type(module).__name__}: {'; '.join(found)}: "
@@ -299,14 +193,9 @@ def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) ->
         )
 
 
-def _some(names: Iterable[Any]) -> str:
-    """Return a few of many names as text."""
-    names = [str(name) for name in names]
-    shown = ", ".join(names[:_SHOWN])
-    return f"{shown} and {len(names) - _SHOWN} more" if len(names) > _SHOWN else shown
-
-
 def _insist_on_real(module: nn.Module) -> None:
     unreal = [name for name, value in [*module.named_parameters(), *module.named_buffers()] if value.is_meta]
     if unreal:
-        raise RuntimeError(f"{type(module).__name__} keeps {_some(unreal)} on meta: no file holds them, make them real")
+        raise RuntimeError(
+            f"{type(module).__name__} keeps {some_of(unreal)} on meta: no file holds them, make them real"
+        )

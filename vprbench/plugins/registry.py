@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import inspect
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -18,12 +17,12 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from vprbench import ending
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
+from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
 from vprbench.plugins.tuned_on import TunedOn
 from vprbench.text import near as near  # for the commands too
@@ -276,17 +275,6 @@ def _tuned_on(given: Any, where: object) -> dict[str, Any]:
     return {**asdict(known), "also_in": [*known.also_in]}
 
 
-def checked(option: str, value: Any, hint: Any) -> Any:
-    """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
-    try:
-        own = is_dataclass(hint)  # which brings its own rules
-        adapter = TypeAdapter(hint, config=None if own else ConfigDict(arbitrary_types_allowed=True))
-        return adapter.validate_json(json.dumps(value), strict=True)  # in JSON a list may become a tuple, a text a path
-    except ValidationError as error:
-        wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
-        raise BadInput(f"{option}={value}: {wanted}") from error
-
-
 def _different(given: Mapping[str, Any], own: Mapping[Any, Any]) -> dict[str, Any]:
     """Return what `given` holds and `own` does not, or with another value; interpolations equal everything."""
     found = {}
@@ -298,10 +286,3 @@ def _different(given: Mapping[str, Any], own: Mapping[Any, Any]) -> dict[str, An
         elif (name not in own or value != known) and "${" not in str(known):
             found[name] = value
     return found
-
-
-def _wanted(problem: Mapping[str, Any]) -> str:
-    text = str(problem["msg"]).replace("Input should be", "wanted")
-    if problem["type"] in ("list_type", "sequence_str", "tuple_type"):
-        return "wanted a list, as in [first,second]"
-    return text.replace("a valid integer", "an integer").replace("a valid ", "a ")

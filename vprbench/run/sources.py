@@ -17,8 +17,8 @@ from vprbench import api
 COMPUTING = frozenset(
     f"vprbench.api.{name}"
     for name in (
-        *("compiled", "descriptor", "method", "neural", "preprocess", "preprocess_compiled"),
-        *("resize", "search", "weights"),
+        *("compiling", "descriptor", "method", "neural", "preprocess", "preprocess_compiled"),
+        *("resize", "search", "search_indexes", "weight_files", "weights"),
     )
 )
 

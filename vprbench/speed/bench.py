@@ -19,7 +19,8 @@ import psutil
 from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.api.preprocess import Engine, PatchNormalisation
-from vprbench.api.search import Search, faiss_module
+from vprbench.api.search import Search
+from vprbench.api.search_indexes import faiss_module
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import best_places
 from vprbench.progress import listening

@@ -17,7 +17,8 @@ from PIL import Image as PillowImage
 
 from vprbench import progress
 from vprbench.api.arrays import Image
-from vprbench.api.images import Images, read_image
+from vprbench.api.decoding import read_image
+from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
 from vprbench.run import machine
 from vprbench.run.preprocessed import Preprocessed

@@ -1,0 +1,191 @@
+"""The indexes behind a search: how each keeps the references, and how it compares or retrieves them."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Kind = Literal["exact", "hnsw", "ivfpq", "sq8"]
+Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
+ImageNumbers = npt.NDArray[np.int64]
+
+_FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
+CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
+
+_LINKS = 32  # of an image to others, hnsw; twice as many on the lowest layer
+_CANDIDATES = 64  # that hnsw follows at a query, at least
+
+_LISTS_LOOKED_AT = 4  # one in so many, ivfpq
+BITS = 8  # of a code of ivfpq: one of 256 centroids
+_SHORTEST_PART, _MOST_PARTS = 4, 512  # of a vector, each with a code of its own
+_TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
+_PQ_ITERATIONS = 10
+
+
+def faiss_module() -> Any:
+    """Import faiss, quietly, and return it; it is slow to import, so only what needs it asks for it.
+
+    Imported after threads were pinned it uses as many: it takes their number from OMP_NUM_THREADS.
+    """
+    logging.getLogger("faiss.loader").setLevel(logging.WARNING)  # it would tell of every instruction set that it tries
+    import faiss
+
+    return faiss
+
+
+class Flat(ABC):
+    """An index that compares all images."""
+
+    n_bytes: int
+
+    @abstractmethod
+    def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
+        """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
+
+
+class _Exact(Flat):
+    """The vectors themselves; numpy's product is the fastest on two cores, for one query and for many.
+
+    Beside it were measured PyTorch's product and faiss.IndexFlatIP.
+    """
+
+    def __init__(self, references: Vectors) -> None:
+        self._references = references
+        self.n_bytes = references.nbytes
+
+    def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
+        references = self._references[first:last]
+        if 0 < len(codes) <= _FEW_QUERIES:
+            return np.stack([references @ code for code in codes])
+        return codes @ references.T
+
+
+class _EightBits(Flat):
+    """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes.
+
+    A number is lowest + (code + 1/2) * step, so codes are compared with step * query as they are, made floats block by
+    block. All images are scored, for all have to be looked at: faiss, which would return the best, takes twice as long
+    for many queries at once.
+    """
+
+    def __init__(self, references: Vectors) -> None:
+        faiss = faiss_module()
+        n_dimensions = references.shape[1]
+        quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
+        quantiser.train(references)
+        self._codes: npt.NDArray[np.uint8] = quantiser.compute_codes(references)
+        lowest, extent = faiss.vector_to_array(quantiser.trained).reshape(2, n_dimensions)
+        self._step: npt.NDArray[np.float32] = extent / np.float32(255)
+        self._middle: npt.NDArray[np.float32] = lowest + self._step / 2  # of the lowest step
+        self.n_bytes = self._codes.nbytes + self._step.nbytes + self._middle.nbytes
+
+    def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
+        similarity = np.empty((len(codes), last - first), np.float32)
+        stepped = codes * self._step
+        together = min(last - first, max(1, CELLS // codes.shape[1]))
+        floats = np.empty((together, codes.shape[1]), np.float32)
+        for images in parts(last - first, together):
+            numbers = self._codes[first + images.start : first + images.stop]
+            floats[: len(numbers)] = numbers
+            similarity[:, images] = stepped @ floats[: len(numbers)].T
+        similarity += (codes @ self._middle)[:, None]
+        return similarity
+
+
+class Retrieving(ABC):
+    """A faiss index that looks for the most similar images among a part of them."""
+
+    n_bytes: int
+    _index: Any
+
+    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, ImageNumbers]:
+        """Return similarities and images, (n_queries, n) each, best first; the image is -1 where there is none."""
+        similarity, images = self._index.search(self._prepared(codes), n)
+        return similarity, images
+
+    def _prepared(self, vectors: Vectors) -> Vectors:
+        return vectors
+
+
+class _Graph(Retrieving):
+    """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
+
+    def __init__(self, references: Vectors) -> None:
+        faiss = faiss_module()
+        n_images, n_dimensions = references.shape
+        self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
+        self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
+        with _one_thread(faiss):  # of several, the fastest would decide what is linked
+            self._index.add(references)
+        hnsw = self._index.hnsw
+        links = 4 * hnsw.neighbors.size() + 8 * hnsw.offsets.size() + 4 * hnsw.levels.size()
+        self.n_bytes = 4 * n_images * n_dimensions + links
+
+
+class _ProductCodes(Retrieving):
+    """Inverted lists of product codes (Jégou et al. 2011): a list for each of about sqrt(n) centroids.
+
+    A vector is cut into parts of 4 numbers, or more where that were more than 512 parts; zeros fill up the last.
+    A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
+    """
+
+    def __init__(self, references: Vectors) -> None:
+        faiss = faiss_module()
+        n_images, n_dimensions = references.shape
+        n_centroids = 1 << BITS
+        self._part = max(_SHORTEST_PART, -(-n_dimensions // _MOST_PARTS))
+        n_parts = -(-n_dimensions // self._part)
+        n_lists = round(n_images**0.5)
+        self._index = faiss.IndexIVFPQ(
+            faiss.IndexFlatIP(n_parts * self._part),
+            n_parts * self._part,
+            n_lists,
+            n_parts,
+            BITS,
+            faiss.METRIC_INNER_PRODUCT,
+        )
+        self._index.nprobe = -(-n_lists // _LISTS_LOOKED_AT)
+        for clustering in (self._index.cp, self._index.pq.cp):
+            clustering.min_points_per_centroid = 1  # faiss would print that there are few
+        self._index.pq.cp.niter = _PQ_ITERATIONS
+        wanted = _TRAINED_PER_CENTROID * max(n_lists, n_centroids)
+        chosen = np.sort(np.random.default_rng(0).permutation(n_images)[:wanted])
+        self._index.train(self._prepared(references[chosen]))
+        for images in parts(n_images, max(1, CELLS // n_dimensions)):
+            self._index.add(self._prepared(references[images]))
+        tables = 4 * n_parts * self._part * (n_lists + n_centroids)
+        self.n_bytes = n_images * (self._index.code_size + 8) + tables  # 8: the number of an image
+
+    def _prepared(self, vectors: Vectors) -> Vectors:
+        missing = -vectors.shape[1] % self._part
+        return np.pad(vectors, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(vectors)
+
+
+INDEXES: dict[Kind, type[_Exact | _EightBits | _Graph | _ProductCodes]] = {
+    "exact": _Exact,
+    "hnsw": _Graph,
+    "ivfpq": _ProductCodes,
+    "sq8": _EightBits,
+}
+
+
+def parts(n: int, size: int) -> Iterator[slice]:
+    """Yield the slices that cut `n` into parts of `size`, the last one shorter."""
+    for first in range(0, n, size):
+        yield slice(first, min(first + size, n))
+
+
+@contextmanager
+def _one_thread(faiss: Any) -> Iterator[None]:
+    before = faiss.omp_get_max_threads()
+    faiss.omp_set_num_threads(1)
+    try:
+        yield
+    finally:
+        faiss.omp_set_num_threads(before)

@@ -1,0 +1,30 @@
+"""Values of options, checked against the type hints of whoever takes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from typing import Any
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from vprbench.errors import BadInput
+
+
+def checked(option: str, value: Any, hint: Any) -> Any:
+    """Return `value` if it is of the type `hint`; raises BadInput that names option, value and what was wanted."""
+    try:
+        own = is_dataclass(hint)  # which brings its own rules
+        adapter = TypeAdapter(hint, config=None if own else ConfigDict(arbitrary_types_allowed=True))
+        return adapter.validate_json(json.dumps(value), strict=True)  # in JSON a list may become a tuple, a text a path
+    except ValidationError as error:
+        wanted = "; ".join(dict.fromkeys(_wanted(problem) for problem in error.errors()))
+        raise BadInput(f"{option}={value}: {wanted}") from error
+
+
+def _wanted(problem: Mapping[str, Any]) -> str:
+    text = str(problem["msg"]).replace("Input should be", "wanted")
+    if problem["type"] in ("list_type", "sequence_str", "tuple_type"):
+        return "wanted a list, as in [first,second]"
+    return text.replace("a valid integer", "an integer").replace("a valid ", "a ")
