@@ -62,7 +62,7 @@ class Partial:
         return sum(self._found.values())
 
     def get(self, name: str) -> dict[str, Array] | None:
-        """Return the arrays of a part; None where it is not there, or was damaged, and then is removed."""
+        """Return the arrays of a part; None if it is not there, or was damaged, and then is removed."""
         path = self._path(name)
         with self._one_at_a_time:
             try:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class HeldOut:
     """Places whose queries are no part of the evaluation: a method may choose its settings by them.
 
-    Raises BadInput where the parts do not fit one another.
+    Raises BadInput if the parts do not fit one another.
     """
 
     references: Images  # of those places alone
@@ -70,7 +70,7 @@ class FrameFolder:
 class Dataset:
     """Reference and query traverses with their ground truth.
 
-    Raises BadInput where the parts do not fit one another.
+    Raises BadInput if the parts do not fit one another.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Dataset:
 
 
 def _number_of_places(whose: str, references: Images, places: Places) -> int:
-    """Return the number of places; raises BadInput where the ids do not fit the images or leave one out."""
+    """Return the number of places; raises BadInput if the ids do not fit the images or leave one out."""
     if not len(references):
         raise BadInput(f"{whose} has no reference images")
     if len(places) != len(references):

@@ -58,7 +58,7 @@ class DescriptorMethod(Method):
     def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
         """Learn the map from what `encode` gave of the references, (n_references, n_dimensions), and forget any other.
 
-        The array is not copied and may be memory-mapped. Raises BadInput where `index` cannot be made of it.
+        The array is not copied and may be memory-mapped. Raises BadInput if `index` cannot be made of it.
         """
         self.searched = None
         try:
@@ -68,7 +68,7 @@ class DescriptorMethod(Method):
         return self
 
     def insist_on_index(self, n_references: int) -> None:
-        """Raise BadInput where `index` cannot be made of so many references, before they are encoded."""
+        """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
         if not n_references:
             raise BadInput(f"{type(self).__name__} was given no reference images: give at least one")
         try:
@@ -109,7 +109,7 @@ class DescriptorMethod(Method):
 
 
 def encoded_blocks(images: Images) -> Iterator[Images]:
-    """Yield consecutive images that are decoded and encoded together, fewer where they are large."""
+    """Yield consecutive images that are decoded and encoded together, fewer if they are large."""
     return images.blocks(_BLOCK, _BLOCK_BYTES)
 
 

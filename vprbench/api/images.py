@@ -213,7 +213,7 @@ class Images(Sequence[Image]):
         return self if self._in_memory else Images.from_arrays(list(self), self.names)
 
     def file_hashes(self) -> list[FileHash] | None:
-        """Return the hash of the file behind each image; None where there are no files."""
+        """Return the hash of the file behind each image; None if there are no files."""
         return None if self._files is None else file_hashes(self._files)
 
     def fingerprint(self) -> str:

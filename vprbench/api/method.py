@@ -100,7 +100,7 @@ class Method(ABC):
     def files(self) -> Sequence[Path]:
         """Return the files, beside the images, that its answers come from; their content is part of a run's key.
 
-        Raises BadInput where one is missing.
+        Raises BadInput if one is missing.
         """
         return ()
 
@@ -128,11 +128,11 @@ class Method(ABC):
 
 
 def held_together(method: Method, wanted: int) -> int:
-    """Return how many codes of a method are held together: `wanted`, fewer where they would fill more than 1 GiB."""
+    """Return how many codes of a method are held together: `wanted`, fewer if they would fill more than 1 GiB."""
     code_bytes = method.code_bytes
     return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted
 
 
 def calibration(method: Method, dataset: Dataset) -> HeldOut | None:
-    """Return the places that a method chooses its settings by; None where it chooses none or the dataset has none."""
+    """Return the places that a method chooses its settings by; None if it chooses none or the dataset has none."""
     return dataset.held_out if method.calibrates else None

@@ -46,7 +46,7 @@ _ANY_SIDE = 224  # pixels
 class NeuralDescriptor(DescriptorMethod):
     """A method whose descriptor is the output of a published network; `load` and `blank` are left to write.
 
-    The constructor reads nothing: the network is loaded, and its file fetched where that is possible, when it is first
+    The constructor reads nothing: the network is loaded, and its file fetched if that is possible, when it is first
     needed. Images of one size go through it together, up to `batch_size`. On a GPU the next batch is read and resized
     meanwhile. Descriptors are float32 of unit length whatever the precision of the network; float32 is exact (no TF32).
 
@@ -91,7 +91,7 @@ class NeuralDescriptor(DescriptorMethod):
         """Return the network in its published sizes, without their values: what it costs does not depend on them."""
 
     def files(self) -> Sequence[Path]:
-        """Return the file of weights, fetched where that is possible; raises BadInput where it is missing.
+        """Return the file of weights, fetched if that is possible; raises BadInput if it is missing.
 
         Arguments that do not fit are told first: a download may take long.
         """

@@ -17,7 +17,7 @@ class Window:
     def __init__(self, n_images: int, n_bytes: Callable[[int], int] | None, readers: int) -> None:
         """Begin before the first of `n_images`; `n_bytes(i)`, asked in order, is what image i takes once decoded.
 
-        Where nobody knows that beforehand, the largest so far stands for the next ones, and of the first as many are
+        If nobody knows that beforehand, the largest so far stands for the next ones, and of the first as many are
         asked for as keep so many readers busy.
         """
         self._n_images, self._readers = n_images, readers
@@ -28,7 +28,7 @@ class Window:
         self._waiting: int | None = None  # the bytes of the next one, where it had no room
 
     def take(self) -> range:
-        """Return the images that are to be read next, none where all are under way or there is no room."""
+        """Return the images that are to be read next, none if all are under way or there is no room."""
         start, size = self._next, CHUNK
         while self._next < min(self._n_images, start + size):
             n_bytes = self._n_bytes(self._next) if self._waiting is None else self._waiting

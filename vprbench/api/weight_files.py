@@ -54,7 +54,7 @@ def read_tensor(path: Path) -> Tensor:
 
 
 def _content(path: Path) -> Any:
-    """Return what a file holds, whatever that is; raises BadInput where it cannot be read safely."""
+    """Return what a file holds, whatever that is; raises BadInput if it cannot be read safely."""
     try:
         with path.open("rb") as file:
             start = file.read(512)

@@ -58,10 +58,10 @@ def weights_folder() -> Path:
 
 
 def find_weights(weights: Weights, subject: str, option: str = "weights") -> Path:
-    """Return the file with the weights that `subject`, a method, needs; downloads it where that is possible.
+    """Return the file with the weights that `subject`, a method, needs; downloads it if that is possible.
 
     `option` is the method's argument that holds `weights`, for the message.
-    Raises NotThere where there is none, with what a person has to do, and BadInput where it is not what is stated.
+    Raises NotThere if there is none, with what a person has to do, and BadInput where it is not what is stated.
     """
     if weights.path is not None:
         own = Path(weights.path).expanduser()
@@ -125,7 +125,7 @@ def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, 
 def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, Tensor]:
     """Return tensors under names without `prefixes` ("module." of DataParallel), wherever a part of a name begins.
 
-    Raises BadInput where two names become one.
+    Raises BadInput if two names become one.
     """
     origins: dict[str, str] = {}
     for name in tensors:
@@ -184,7 +184,7 @@ def _kind(values: torch.Tensor) -> str:
 
 
 def _refuse(problems: Mapping[str, list[str]], path: Path, module: nn.Module) -> None:
-    """Raise BadInput where any kind of problem has names."""
+    """Raise BadInput if any kind of problem has names."""
     found = [f"{len(names)} {problem} ({some_of(names)})" for problem, names in problems.items() if names]
     if found:
         raise BadInput(

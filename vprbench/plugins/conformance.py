@@ -29,7 +29,7 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none. Raises BadInput where a file is missing that the method needs.
+    stored networks to a method that keeps none. Raises BadInput if a file is missing that the method needs.
     """
     method = make_method(config)
     method.files()

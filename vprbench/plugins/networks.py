@@ -64,7 +64,7 @@ class Destination:
 
 
 def chosen_files(save: str | None, load: str | None, replace: bool) -> Files:
-    """Return the files that a run was asked to use; raises BadInput where the one to load cannot be read."""
+    """Return the files that a run was asked to use; raises BadInput if the one to load cannot be read."""
     source = None if load is None else Path(load).expanduser()
     return Files(
         load=source,
@@ -98,7 +98,7 @@ def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Or
 def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Destination | None:
     """Return where the network that is about to be trained goes, None for nowhere, and make the folder.
 
-    Raises BadInput where it could not be stored: before the hour that the training may take.
+    Raises BadInput if it could not be stored: before the hour that the training may take.
     """
     path = files.save
     if path is None:
@@ -121,7 +121,7 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
 def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
     """Store what a method has learnt; a reader sees the old file or the whole new one, never a part.
 
-    Raises BadInput where the disk refuses, or where another run has stored its network there meanwhile.
+    Raises BadInput if the disk refuses, or where another run has stored its network there meanwhile.
     """
     description = {
         "format": FORMAT,
@@ -146,7 +146,7 @@ def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_
 
 
 def made_by(path: Path) -> str | None:
-    """Return the key of the run that trained the network in a file, None where there is no whole one."""
+    """Return the key of the run that trained the network in a file, None if there is no whole one."""
     try:
         description, _ = _read(path)
     except BadInput:

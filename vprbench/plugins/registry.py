@@ -61,7 +61,7 @@ class Entry:
     def tuned_on(self) -> dict[str, Any]:
         """Return the places on which the yaml, or what it builds on, says that its settings were chosen.
 
-        These are the values of `TunedOn`; empty where none are declared. Raises BadInput that names the yaml.
+        These are the values of `TunedOn`; empty if none are declared. Raises BadInput that names the yaml.
         """
         return _tuned_on(self._values().get(_DECLARED), self.path)
 
@@ -113,7 +113,7 @@ def entries(group: Group) -> dict[str, Entry]:
 
 
 def insist_on_one(group: Group, name: str) -> None:
-    """Raise BadInput where several plug-ins bring a method or dataset of one name."""
+    """Raise BadInput if several plug-ins bring a method or dataset of one name."""
     offers = _offered(group).get(name, ())
     if len(offers) > 1 and offers[0].provider != "vprbench":
         both = " and ".join(entry.provider for entry in offers)
@@ -164,7 +164,7 @@ def broken_plugins() -> Iterator[tuple[str, str]]:
 def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the arguments in a method's configuration, and apart from them on what its settings were chosen.
 
-    Raises BadInput where a registered method was asked for with another `tuned_on` than its yaml has.
+    Raises BadInput if a registered method was asked for with another `tuned_on` than its yaml has.
     """
     entry = entries("method").get(name)
     asked = _tuned_on(config.get(_DECLARED), f"method {name}")

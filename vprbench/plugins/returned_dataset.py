@@ -25,7 +25,7 @@ def disk_errors_told(name: str) -> Iterator[None]:
 
 
 def insist_on_dataset(made: Any, target: str) -> Dataset:
-    """Return what `target` made; raises BadInput where it is no dataset of images, or its name is no folder's."""
+    """Return what `target` made; raises BadInput if it is no dataset of images, or its name is no folder's."""
     if not isinstance(made, Dataset):
         raise BadInput(f"{target} gave {type(made).__name__}; it has to return a Dataset")
     if len(os.fsencode(made.name)) > _MOST_NAME_BYTES:

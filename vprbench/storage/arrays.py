@@ -35,7 +35,7 @@ class ArrayCache:
     def find(
         self, key: str, shape: tuple[int | None, ...], dtype: type[np.generic], mode: Literal["r", "c"] = "r"
     ) -> Array | None:
-        """Return the array under a key, memory-mapped; None where there is none of this shape, of which None is any.
+        """Return the array under a key, memory-mapped; None if there is none of this shape, of which None is any.
 
         It is read-only, or in mode "c" a copy where it is written to.
         """
@@ -63,7 +63,7 @@ class ArrayCache:
         return stored
 
     def origin(self, key: str) -> Mapping[str, Any] | None:
-        """Return what `keep` was told of an array; None where that cannot be read."""
+        """Return what `keep` was told of an array; None if that cannot be read."""
         try:
             found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -80,7 +80,7 @@ class ArrayCache:
     ) -> Array:
         """Let `fill` write an array, keep it and return it; `origin`, asked afterwards, says what it is of.
 
-        Where it cannot be kept it is returned all the same. An error of `fill` leaves nothing behind.
+        If it cannot be kept it is returned all the same. An error of `fill` leaves nothing behind.
         """
         partial = unfinished(self.folder, ".npy")
         about = partial.with_suffix(".json")

@@ -174,7 +174,7 @@ def _discard_what_does_not_fit(wanted: _Wanted, folder: Path) -> None:
 
 
 def _version(folder: Path) -> str | None:
-    """Return what tells the version of the remote file that a part is of, None where nothing does."""
+    """Return what tells the version of the remote file that a part is of, None if nothing does."""
     try:
         version = json.loads((folder / _VERSION).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):

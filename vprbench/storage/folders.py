@@ -36,7 +36,7 @@ def insist_on_homes(options: Mapping[str, Any], above: str = "") -> None:
 def cache_folder(variable: str, name: str) -> Path:
     """Return the folder that an environment variable names, or one of this name in the person's cache.
 
-    Raises BadInput where neither is known.
+    Raises BadInput if neither is known.
     """
     chosen = os.environ.get(variable)
     if chosen:

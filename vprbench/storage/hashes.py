@@ -83,7 +83,7 @@ class FileHashes:
 
         A file is known while its absolute path, size, inode and times of modification and of change stay the same. One
         that changed within two seconds before it was read is not kept, for it could change again at the same time.
-        Raises BadInput where a file cannot be read, or changes while it is read.
+        Raises BadInput if a file cannot be read, or changes while it is read.
         """
         absolute = [path.absolute() for path in paths]
         states = {path: _state(path) for path in absolute}
@@ -155,7 +155,7 @@ class FileHashes:
 def file_hashes(paths: Sequence[Path]) -> list[FileHash]:
     """Return the hash of each file, from the folder that VPRBENCH_HASHES names or one in the user's cache.
 
-    Raises BadInput where a file cannot be read, or changes while it is read.
+    Raises BadInput if a file cannot be read, or changes while it is read.
     """
     return _shared(hashes_folder()).of(paths)
 

@@ -46,7 +46,7 @@ def array(*_: Any) -> Array:
 def readable() -> AbstractContextManager[None]:
     """Let torch take scalars and arrays within this context, under the names of NumPy before 2.0 and since.
 
-    Where the caller lets it take NumPy's own types already, nothing changes.
+    If the caller lets it take NumPy's own types already, nothing changes.
     """
     from torch import serialization  # slow to import
 
@@ -55,7 +55,7 @@ def readable() -> AbstractContextManager[None]:
 
 
 def _checked(kind: Any, content: Any, n_values: int) -> np.dtype[Any]:
-    """Return the type of so many pickled values; raises UnpicklingError where these are no plain ones."""
+    """Return the type of so many pickled values; raises UnpicklingError if these are no plain ones."""
     known = isinstance(kind, Kind) and isinstance(content, bytes) and _NUMBERS.fullmatch(kind.name)
     if not known or kind.order not in ("<", ">", "=", "|"):
         raise pickle.UnpicklingError("GLOBAL numpy.dtype of no plain number")
