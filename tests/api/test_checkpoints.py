@@ -119,7 +119,7 @@ def test_a_name_that_is_no_files_is_refused(tmp_path: Path, name: str) -> None:
 def test_anything_but_an_array_of_numbers_is_refused(tmp_path: Path, thing: Any) -> None:
     with (
         checkpoints.training(WHAT, tmp_path) as kept,
-        pytest.raises(TypeError, match=r"weights is .*; wanted a numpy array"),
+        pytest.raises(TypeError, match=r"weights is .*; wanted"),
     ):
         kept.put("part", {"weights": thing})
 

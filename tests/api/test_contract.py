@@ -83,12 +83,12 @@ def test_a_descriptor_method_forgets_its_earlier_map():
 
 
 def test_a_descriptor_method_without_a_map_says_what_to_do():
-    with pytest.raises(NotFittedError, match=r"Colour has no map yet: call fit\(references, places\) first"):
+    with pytest.raises(NotFittedError, match=r"fit\(references.*places\)"):
         Colour().match(np.zeros((1, 3), np.float32))
 
 
 def test_a_descriptor_method_without_references_is_refused():
-    with pytest.raises(BadInput, match="Colour was given no reference images"):
+    with pytest.raises(BadInput, match="Colour was given"):
         Colour().fit(plain(), np.empty(0, np.int64))
 
 
@@ -190,7 +190,7 @@ def test_a_search_that_cannot_be_is_bad_input(arguments, wanted):
 
 
 def test_an_index_that_is_unknown_is_refused_on_the_command_line():
-    with pytest.raises(BadInput, match=r"method\.index=lsh: wanted 'exact', 'hnsw', 'ivfpq' or 'sq8'"):
+    with pytest.raises(BadInput, match=r"method\.index=lsh.*'sq8'"):
         registry.make_method({"_target_": "vprbench.methods.hog.HOG", "index": "lsh"})
 
 

@@ -372,7 +372,7 @@ def test_images_are_brought_to_the_nearest_multiple(how: Any, weights: Weights) 
 @pytest.mark.parametrize("how", ["pillow", "tensor"])
 def test_an_image_too_small_is_refused_by_its_size(how: Any, weights: Weights) -> None:
     method = Large(weights=weights, width=400, resize=how)
-    with pytest.raises(BadInput, match=r"26x20 pixels, seen as 400x20: Large needs 300 pixels.*method\.height"):
+    with pytest.raises(BadInput, match=r"26x20.*400x20.*300.*pixels.*method\.height"):
         method.encode(Images.from_arrays(noise(1)))
 
 

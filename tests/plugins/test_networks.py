@@ -290,7 +290,7 @@ def test_a_pickle_under_the_name_of_a_stored_network_is_not_run(tmp_path: Path) 
 
 def test_a_file_that_changed_since_its_hash_was_taken_is_refused(path: Path) -> None:
     store(path, Prototypes())
-    with pytest.raises(BadInput, match="changed while the run was prepared"):
+    with pytest.raises(BadInput, match="changed while the"):
         networks.load(path, Prototypes(), networks.origin(Prototypes(), {}, WORLD), "0" * 64)
 
 
@@ -327,7 +327,7 @@ def test_a_tilde_is_the_home_folder(path: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("ask", [Lookup.state, lambda method: method.restore({})], ids=["state", "restore"])
 def test_a_method_that_keeps_no_network_says_what_to_do(ask: Callable[[Method], object]) -> None:
-    with pytest.raises(BadInput, match="Lookup keeps no network that could be stored: leave save= and load= out"):
+    with pytest.raises(BadInput, match=r"save=.*load="):
         ask(Lookup(np.ones((1, 1), np.float32)))
 
 
@@ -347,7 +347,7 @@ def test_a_method_that_keeps_no_network_is_refused_before_it_trains(path: Path) 
 
 @pytest.mark.parametrize("name", ["network", "network.pth", "network.safetensors.bak"])
 def test_another_ending_is_refused_before_the_training(tmp_path: Path, name: str) -> None:
-    with pytest.raises(BadInput, match=r"give a file that ends in \.safetensors"):
+    with pytest.raises(BadInput, match=r"\.safetensors"):
         destination(tmp_path / name, Prototypes(), WORLD)
 
 
@@ -441,7 +441,7 @@ def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.Monk
     store(path, Prototypes())
     before = path.read_bytes()
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(BadInput, match=r"could not be stored.*No space left on device"):
+    with pytest.raises(BadInput, match=r"stored.*No"):
         store(path, Prototypes(seed=1), replace=True)
     assert path.read_bytes() == before
     assert only_file(path)

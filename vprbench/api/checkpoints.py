@@ -33,7 +33,7 @@ _ATTEMPTS = 5  # to write where another process removes the folder meanwhile
 class Partial:
     """The parts of one training that are done, each a few arrays under a name; several threads may share it.
 
-    A file that is damaged, or a disk that refuses, costs what was kept and never the training.
+    A damaged file or a full disk costs the kept parts, never the training.
     """
 
     def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
@@ -53,12 +53,12 @@ class Partial:
 
     @property
     def seconds(self) -> float:
-        """The wall time that interrupted runs had spent on the parts that this one has asked for."""
+        """The wall time that interrupted runs had spent on the parts that this run has asked for."""
         return sum(self._taken.values())
 
     @property
     def found_seconds(self) -> float:
-        """The wall time that interrupted runs had spent on all that they left."""
+        """The wall time that interrupted runs had spent on all parts that they left."""
         return sum(self._found.values())
 
     def get(self, name: str) -> dict[str, Array] | None:
@@ -190,9 +190,9 @@ def training(
 ) -> Iterator[Partial]:
     """Open what was kept of a training, and remove it once the block has ended without an error.
 
-    `what` (plain JSON) is all that decides about the outcome: only a training of the same is resumed. `folder` holds
-    the trainings, one folder for each: by default VPRBENCH_PARTIAL, or one in the user's cache. Those that nobody went
-    on with for 30 days are removed. Several processes may train the same at once: each file is replaced whole.
+    `what` (plain JSON) is all that decides about the outcome: only a training with an equal `what` is resumed. `folder`
+    holds the trainings, one folder for each: by default VPRBENCH_PARTIAL, or one in the user's cache. A training that
+    nobody continued for 30 days is removed. Several processes may do the same training: each file is replaced whole.
     """
     root = partial_folder() if folder is None else folder
     text = json.dumps({"format": FORMAT, "what": what}, sort_keys=True)

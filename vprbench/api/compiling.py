@@ -11,10 +11,10 @@ Loop = Callable[..., Any]
 
 
 def compiled(*arguments: Any, fastmath: bool | set[str] = False) -> Callable[[Loop], Loop]:
-    """Return what compiles a function that returns nothing for arguments of these numba types.
+    """Return a decorator that compiles a function for arguments of these numba types; the function returns nothing.
 
-    Without types it is compiled at its first call, for those that come, and may return something. `fastmath` names the
-    liberties of LLVM that may be taken with float arithmetic.
+    Without types the function is compiled at its first call, for the types of that call, and may return a value.
+    `fastmath` names the liberties that LLVM may take with float arithmetic.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
     signature: Any = [types.void(*arguments)] if arguments else None

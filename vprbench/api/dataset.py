@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Places whose queries are no part of the evaluation: a method may choose its settings by them.
+    """Places whose queries no result asks: a method may choose its settings by these places.
 
     Raises BadInput if the parts do not fit one another.
     """
 
-    references: Images  # of those places alone
+    references: Images  # of the held-out places alone
     places: Places  # (n_references,), numbered from 0 on their own
     queries: Images
-    right: Places  # (n_queries,), the right place of each, in that numbering
+    right: Places  # (n_queries,), the right place of each query, numbered as `places`
     in_map: bool  # whether the references are also among those of the dataset
     n_places: int = field(init=False)
 

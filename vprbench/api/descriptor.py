@@ -31,13 +31,13 @@ class DescriptorMethod(Method):
     """
 
     query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
-    #: Arguments that act on descriptors alone: those of a traverse are the same whatever their values.
+    #: Arguments that do not change descriptors: cached descriptors stay valid whatever the values of these arguments.
     search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
 
     index: Kind = "exact"
     neighbours: int = 100
 
-    #: The references, indexed; None before `fit`, and in a method that matches in a way of its own.
+    #: The indexed references; None before `fit`, and None in a subclass that matches in its own way.
     searched: Search | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
@@ -56,7 +56,7 @@ class DescriptorMethod(Method):
         return self.fit_descriptors(descriptors, places)
 
     def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
-        """Learn the map from what `encode` gave of the references, (n_references, n_dimensions), and forget any other.
+        """Learn the map from the codes of the references, (n_references, n_dimensions), and forget any earlier map.
 
         The array is not copied and may be memory-mapped. Raises BadInput if `index` cannot be made of it.
         """
@@ -81,11 +81,11 @@ class DescriptorMethod(Method):
         return self._indexed().scores(codes)
 
     def keeps_descriptors(self) -> bool:
-        """Tell whether the descriptors of whole traverses are worth keeping on disk; never where a map shapes them."""
+        """Tell whether descriptors of whole traverses are worth keeping on disk; False if `fit` changes descriptors."""
         return False
 
     def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
-        """Return how much of what exact search finds for `codes` the index finds too."""
+        """Return the share of the places found by exact search for `codes` that the index finds too."""
         index = self._indexed()
         if index.kind == "exact":
             return Audit(1.0, 1.0)
@@ -95,7 +95,7 @@ class DescriptorMethod(Method):
         return Audit(*np.concatenate(shares).mean(0).tolist())
 
     def _matched(self, index: Search, codes: npt.NDArray[np.float32]) -> Scores:
-        """Match by another index, through whatever a subclass makes of `match`."""
+        """Call `match`, as a subclass may override it, with another index."""
         kept, self.searched = self.searched, index
         try:
             return self.match(codes)

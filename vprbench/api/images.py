@@ -27,7 +27,7 @@ _READERS = min(64, core_count())
 
 
 class ReadingTime:
-    """The seconds that somebody waited for images; shared by all views of one sequence."""
+    """The seconds that a program waited for images; all views of one sequence share them."""
 
     def __init__(self) -> None:
         """Start at zero."""
@@ -71,9 +71,9 @@ class Images(Sequence[Image]):
         """Take `read(i)` for the i-th image and one name per image; `read` is called from several threads.
 
         `files` are what the images are decoded from, one each; `fingerprint` and `content_hash` see their content.
-        `stamp(i)` tells cheaply whether anything else about an image changed, `content(i)` is all else that it is made
-        from. With no files and no stamp `fingerprint` looks at some of the images; with no files and no content
-        `content_hash` decodes every one.
+        `stamp(i)` changes with anything else about image i and is cheap, `content(i)` is everything else that image i
+        is made from. Without files and `stamp`, `fingerprint` decodes sixteen images; without files and `content`,
+        `content_hash` decodes every image.
         """
         self._read = read
         self._files = files
@@ -219,7 +219,7 @@ class Images(Sequence[Image]):
     def fingerprint(self) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
-        Of files it sees name, size and content; of images that are no files, and have no stamp, sixteen.
+        Files count by name, size and content. If images have neither files nor a stamp, sixteen of them are decoded.
         """
         digest = hashlib.sha256("\n".join(self.names).encode(errors="surrogateescape"))
         files = self.file_hashes()
@@ -237,7 +237,7 @@ class Images(Sequence[Image]):
     def content_hash(self) -> str:
         """Return a hash of everything that the images are made from, whatever their names.
 
-        Of files it sees the content; it decodes what is no file.
+        Files count by their content; images without files are decoded.
         """
         digest = hashlib.sha256()
         files = self.file_hashes()

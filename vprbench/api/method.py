@@ -46,14 +46,14 @@ class Method(ABC):
     conformance_exceptions: ClassVar[Mapping[str, str]] = {}
     #: Arguments under which the conformance suite builds the method, where its defaults do not fit 20 places.
     conformance_arguments: ClassVar[Mapping[str, Any]] = {}
-    #: The kind of network that `state` gives, named where classes share it; empty: the class's own.
+    #: The kind of network that `state` gives, for classes that share a kind; empty: the name of the class.
     stored_as: ClassVar[str] = ""
-    #: Arguments that act at the query alone, or choose how something is computed: a network fits any value of them.
+    #: Arguments that `fit` does not depend on: a stored network fits any value of these arguments.
     query_arguments: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def code_bytes(self) -> int:
-        """Bytes of one image's code, where it is large: bounds how many are held together; 0 bounds nothing."""
+        """Bytes of one image's code; bounds how many codes are held together; 0 bounds nothing."""
         return 0
 
     @abstractmethod
@@ -69,15 +69,15 @@ class Method(ABC):
         return type(self).calibrate is not Method.calibrate
 
     def calibrate(self, held_out: HeldOut) -> Self:
-        """Choose settings by held-out places; called after `fit`, where the dataset has any, and timed as part of it.
+        """Choose settings by held-out places; called after `fit` if the dataset has any, and timed with it.
 
-        The map stays that of `fit`.
+        The map stays the map that `fit` learnt.
         """
         return self
 
     @abstractmethod
     def encode(self, images: Images) -> npt.NDArray[Any]:
-        """Turn images into codes (n_images, ...), as far as that does not need the map."""
+        """Turn images into codes, (n_images, ...); whatever needs the map is left to `match`."""
 
     @abstractmethod
     def match(self, codes: npt.NDArray[Any]) -> Scores:
@@ -86,7 +86,7 @@ class Method(ABC):
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return what `fit` has learnt, as named arrays of numbers; raises NotFittedError before `fit`.
 
-        A method that can store it has `restore` as well; for the others this raises BadInput.
+        A method that overrides `state` overrides `restore` as well; without them both raise BadInput.
         """
         raise BadInput(f"{type(self).__name__} keeps no network that could be stored: leave save= and load= out")
 
@@ -105,18 +105,18 @@ class Method(ABC):
         return ()
 
     def notes(self) -> Sequence[str]:
-        """Return what a reader of its results has to know of what was learnt or loaded; a line each."""
+        """Return what a reader of the results has to know about the training or the loaded files, one line a note."""
         return ()
 
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
-        """Return the spikes of each layer for these codes, first layer first; empty for what is no spiking network.
+        """Return the spikes of each layer for these codes, first layer first; empty if the method is no spiking network.
 
         Raises NotFittedError before `fit`.
         """
         return ()
 
     def __init_subclass__(cls, **arguments: Any) -> None:
-        """Keep `query` what it is: encode and match."""
+        """Raise TypeError for a subclass that replaces `query`, which is encode and match."""
         super().__init_subclass__(**arguments)
         if "query" in cls.__dict__:
             raise TypeError(f"{cls.__name__} replaces query: write encode and match, which are timed apart")

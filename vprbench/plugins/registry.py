@@ -66,7 +66,7 @@ class Entry:
         return _tuned_on(self._values().get(_DECLARED), self.path)
 
     def changed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Return those of `arguments` that differ from what the yaml holds, the values of those it builds on included.
+        """Return the `arguments` that differ from the values of the yaml and of the yamls it builds on.
 
         Seed and device do not count, nor does what the yaml interpolates (`${...}`). Of a nested mapping only what
         differs is returned.
@@ -90,7 +90,7 @@ class Entry:
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
 
     def _values(self) -> DictConfig:
-        """Return what the yaml holds, over what those hold that it builds on."""
+        """Return the values of the yaml, merged over the values of the yamls it builds on."""
         content = OmegaConf.load(self.path)
         if not isinstance(content, DictConfig):
             return OmegaConf.create()
@@ -106,7 +106,7 @@ class Entry:
 def entries(group: Group) -> dict[str, Entry]:
     """Return the registered methods or datasets by name; imports none of them.
 
-    Of several with one name it is this project's own, or none.
+    If several share a name, it is this project's own method or dataset, or none.
     """
     usable = {name: few[0] for name, few in _offered(group).items() if len(few) == 1 or few[0].provider == "vprbench"}
     return dict(sorted(usable.items()))
