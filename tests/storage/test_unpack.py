@@ -6,7 +6,7 @@ import gzip
 import io
 import lzma
 import os
-import shutil
+import re
 import stat
 import struct
 import tarfile
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from archive_files import special, tarred, zip_with, zipped
+from archive_files import special, tarred, zipped
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
@@ -40,7 +40,7 @@ MAKERS: dict[str, Any] = {
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Path:
-    return tmp_path / "download"
+    return tmp_path / "frames.tar.gz"  # whatever it holds
 
 
 @pytest.fixture
@@ -73,12 +73,6 @@ def test_the_wanted_files_come_out_under_their_names(archive: Path, to: Path, ma
     assert unpack(archive, to, WANTED) == 2
     assert everything(to) == {"spring/1.png": b"one", "spring/2.png": b"two", "winter/1.png": b"mine"}
     assert sorted(path.name for path in to.iterdir()) == ["spring", "winter"]
-
-
-def test_a_name_says_nothing_about_what_an_archive_is(tmp_path: Path, to: Path) -> None:
-    archive = tmp_path / "frames.tar.gz"
-    archive.write_bytes(zipped(FILES))
-    assert unpack(archive, to, WANTED) == 2
 
 
 def test_all_folders_can_be_left_out_and_one_put_in_front(archive: Path, to: Path) -> None:
@@ -142,26 +136,11 @@ def test_progress_rises_to_the_whole(archive: Path, to: Path) -> None:
 OUTSIDE = ["../1.png", "set/../../1.png", "/tmp/1.png", "C:/1.png", "set/C:1.png", "..\\1.png", "set\\1.png"]
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
-def test_a_path_that_leads_out_is_refused_in_a_zip(archive: Path, to: Path, name: str) -> None:
-    archive.write_bytes(zipped({**FILES, name: b"x"}))
-    refused(archive, to, WANTED, "which leads out")
-
-
-@pytest.mark.parametrize("name", OUTSIDE)
-def test_a_path_that_leads_out_is_refused_in_a_tar(archive: Path, to: Path, name: str) -> None:
-    archive.write_bytes(tarred({**FILES, name: b"x"}))
-    refused(archive, to, WANTED, "which leads out")
-
-
-def test_a_path_that_leads_out_is_refused_where_it_is_not_wanted_too(archive: Path, to: Path) -> None:
-    archive.write_bytes(zipped({**FILES, "../read.me": b"x"}))
-    refused(archive, to, WANTED, "which leads out")
-
-
-def test_a_name_with_control_characters_is_refused(archive: Path, to: Path) -> None:
-    archive.write_bytes(zipped({**FILES, "set/\x1b[2J.png": b"x"}))
-    refused(archive, to, WANTED, r"'set/\\x1b\[2J.png'")
+@pytest.mark.parametrize("maker", ["zip", "tar"])
+@pytest.mark.parametrize("name", [*OUTSIDE, "../read.me", "set/\x1b[2J.png"])
+def test_a_path_that_leads_out_is_refused_wanted_or_not(archive: Path, to: Path, name: str, maker: str) -> None:
+    archive.write_bytes(MAKERS[maker]({**FILES, name: b"x"}))
+    refused(archive, to, WANTED, re.escape(ascii(name)))
 
 
 @pytest.mark.parametrize(
@@ -196,20 +175,20 @@ def test_a_file_is_not_written_through_a_link_that_the_same_tar_made(archive: Pa
     assert list(target.iterdir()) == []
 
 
-@pytest.mark.parametrize(("mode", "said"), [(stat.S_IFLNK, "a link"), (stat.S_IFCHR, "no plain file")])
-def test_a_zip_with_more_than_files_is_refused(archive: Path, to: Path, mode: int, said: str) -> None:
+@pytest.mark.parametrize(
+    ("mode", "compression", "said"),
+    [
+        (stat.S_IFLNK, zipfile.ZIP_DEFLATED, "a link"),
+        (stat.S_IFCHR, zipfile.ZIP_DEFLATED, "no plain file"),
+        (stat.S_IFREG, zipfile.ZIP_BZIP2, "fill the memory"),  # a compression that knows no bound
+    ],
+)
+def test_a_zip_with_more_than_files_is_refused(archive: Path, to: Path, mode: int, compression: int, said: str) -> None:
     info = zipfile.ZipInfo("set/spring/3.png")
-    info.external_attr = (mode | 0o777) << 16
-    zip_with(archive, (info, b"/etc/passwd"))
-    refused(archive, to, WANTED, f"which is {said}: nothing was unpacked")
-
-
-def test_a_zip_in_a_compression_that_knows_no_bound_is_refused(archive: Path, to: Path) -> None:
-    info = zipfile.ZipInfo("set/spring/3.png")
-    info.compress_type = zipfile.ZIP_BZIP2
+    info.external_attr, info.compress_type = (mode | 0o777) << 16, compression
     with zipfile.ZipFile(archive, "w") as made:
         made.writestr(info, bytes(10_000))
-    refused(archive, to, WANTED, "compressed in a")
+    refused(archive, to, WANTED, said)
 
 
 def test_an_encrypted_zip_is_refused(archive: Path, to: Path) -> None:
@@ -217,7 +196,7 @@ def test_an_encrypted_zip_is_refused(archive: Path, to: Path) -> None:
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         content[content.index(signature) + offset] |= 1  # the flag that says so
     archive.write_bytes(content)
-    refused(archive, to, WANTED, "which is encrypted")
+    refused(archive, to, WANTED, "encrypted")
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -287,30 +266,21 @@ def test_no_more_files_are_looked_at_than_expected(archive: Path, to: Path, make
     refused(archive, to, Wanted(unpacked_bytes=9, only="*.png", most_files=3), "holds more than 3 files")
 
 
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_file_that_is_there_twice_is_refused(archive: Path, to: Path) -> None:
-    zip_with(archive, (zipfile.ZipInfo("set/1.png"), b"one"), (zipfile.ZipInfo("set/./1.png"), b"two"))
-    refused(archive, to, WANTED, "holds 1.png twice")
-
-
-def test_two_files_that_become_one_without_their_folders_are_refused(archive: Path, to: Path) -> None:
-    archive.write_bytes(zipped({"a/1.png": b"one", "b/1.png": b"two"}))
-    refused(archive, to, Wanted(unpacked_bytes=9, strip="all"), "holds 1.png twice")
-
-
-def test_a_file_that_is_a_folder_too_is_refused(archive: Path, to: Path) -> None:
-    archive.write_bytes(tarred({"set/a.png": b"one", "set/a.png/1.png": b"two"}))
-    refused(archive, to, WANTED, "twice")
-
-
-def test_an_archive_without_a_wanted_file_is_refused(archive: Path, to: Path) -> None:
-    archive.write_bytes(zipped({"set/1.jpg": b"one"}))
-    refused(archive, to, WANTED, r"holds no file like \*\.png")
-
-
-def test_a_file_in_fewer_folders_than_are_left_out_is_refused(archive: Path, to: Path) -> None:
-    archive.write_bytes(zipped({"1.png": b"one"}))
-    refused(archive, to, WANTED, "'1.png', expected in 1 folders")
+@pytest.mark.parametrize(
+    ("files", "wanted", "said"),
+    [
+        ({"set/1.png": b"one", "set/./1.png": b"two"}, WANTED, "1.png twice"),
+        ({"a/1.png": b"one", "b/1.png": b"two"}, Wanted(unpacked_bytes=9, strip="all"), "1.png twice"),
+        ({"set/a.png": b"one", "set/a.png/1.png": b"two"}, WANTED, "twice"),  # a file that is a folder too
+        ({"set/1.jpg": b"one"}, WANTED, r"no file like \*\.png"),
+        ({"1.png": b"one"}, WANTED, "'1.png', expected in 1 folders"),
+    ],
+)
+def test_other_files_than_expected_are_refused(
+    archive: Path, to: Path, files: dict[str, bytes], wanted: Wanted, said: str
+) -> None:
+    archive.write_bytes(tarred(files))
+    refused(archive, to, wanted, said)
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -319,20 +289,15 @@ def test_an_archive_that_ends_early_is_damaged(archive: Path, to: Path, maker: s
     content = MAKERS[maker]({"set/spring/1.png": NOISE, "set/spring/2.png": NOISE[::-1]})
     whole = len(content.rstrip(b"\0")) if maker == "tar" else len(content)  # zeros alone may be missing
     archive.write_bytes(content[: int(share * whole)])
-    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+    refused(archive, to, WANTED, "damaged", DamagedArchive)
 
 
-def test_a_tar_that_ends_between_two_files_is_damaged(archive: Path, to: Path) -> None:
-    content = tarred({"set/1.png": bytes(512), "set/2.png": bytes(512)}, compression="")
-    archive.write_bytes(content[:1024])  # a header and a file
-    refused(archive, to, WANTED, "it ends early", DamagedArchive)
-
-
-def test_a_tar_with_a_broken_header_in_its_midst_is_damaged(archive: Path, to: Path) -> None:
+@pytest.mark.parametrize("broken", [False, True], ids=["between two files", "a broken header in its midst"])
+def test_a_tar_that_ends_early_is_damaged(archive: Path, to: Path, broken: bool) -> None:
     content = bytearray(tarred({"set/1.png": bytes(512), "set/2.png": bytes(512)}, compression=""))
     content[1024 + 150] ^= 1  # in the sum of the second header
-    archive.write_bytes(content)
-    refused(archive, to, WANTED, "it ends early", DamagedArchive)
+    archive.write_bytes(content if broken else content[:1024])  # a header and a file
+    refused(archive, to, WANTED, "ends early", DamagedArchive)
 
 
 @pytest.mark.parametrize("maker", ["zip", "gz", "bz2", "xz"])
@@ -340,13 +305,13 @@ def test_a_changed_byte_is_found(archive: Path, to: Path, maker: str) -> None:
     content = bytearray(MAKERS[maker]({"set/spring/1.png": NOISE}))
     content[len(content) // 2] ^= 0xFF
     archive.write_bytes(content)
-    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+    refused(archive, to, WANTED, "damaged", DamagedArchive)
 
 
 @pytest.mark.parametrize("content", [b"", b"<!doctype html>", b"\x1f\x8bno", b"PK\x03\x04no", NOISE])
 def test_what_is_no_archive_is_damaged(archive: Path, to: Path, content: bytes) -> None:
     archive.write_bytes(content)
-    refused(archive, to, WANTED, "is damaged, or no archive", DamagedArchive)
+    refused(archive, to, WANTED, "damaged", DamagedArchive)
 
 
 def test_a_full_disk_is_named_and_the_archive_is_kept(archive: Path, to: Path) -> None:
@@ -379,4 +344,3 @@ def test_a_destination_that_is_missing_is_made(archive: Path, tmp_path: Path) ->
     archive.write_bytes(zipped(FILES))
     unpack(archive, tmp_path / "new" / "data", WANTED)
     assert (tmp_path / "new" / "data" / "spring" / "2.png").read_bytes() == b"two"
-    shutil.rmtree(tmp_path / "new")

@@ -109,7 +109,7 @@ class Method(ABC):
         return ()
 
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
-        """Return the spikes of each layer for these codes, first layer first; empty if the method is no spiking network.
+        """Return the spikes of each layer for these codes, first layer first; empty without spikes.
 
         Raises NotFittedError before `fit`.
         """
