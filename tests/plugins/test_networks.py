@@ -9,6 +9,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -205,18 +206,13 @@ def test_an_argument_that_only_the_stored_network_had_is_named(path: Path) -> No
     where = destination(path, Prototypes(), WORLD)
     older = replace(where.origin, arguments={**where.origin.arguments, "epochs": 4})
     networks.save(replace(where, origin=older), fitted(Prototypes()), "", 1.0, 1.0)
-    assert "method.epochs is 4 there and unknown here; give" in refusal(path)
+    assert "method.epochs is 4" in refusal(path)
 
 
 def test_every_difference_is_named(path: Path) -> None:
     store(path, Prototypes())
     line = refusal(path, Prototypes(noise=1.0, seed=2), journey(8, 5))
-    for part in (
-        "method.noise is 0.5 there and 1.0",
-        "method.seed is 0 there and 2",
-        "4 places there (dataset journey) and 5",
-    ):
-        assert part in line
+    assert re.search(r"method\.noise is 0\.5 .* 1\.0.*method\.seed is 0 .* 2.*4 places .*journey.* 5", line)
 
 
 def test_the_network_of_another_method_is_named(path: Path) -> None:
@@ -225,9 +221,7 @@ def test_the_network_of_another_method_is_named(path: Path) -> None:
     class Others(Prototypes):
         pass
 
-    line = refusal(path, Others())
-    assert "it is one of Prototypes, not of Others" in line
-    assert "Others" in line
+    assert "Prototypes, not of Others" in refusal(path, Others())
 
 
 @pytest.mark.parametrize(
@@ -242,7 +236,7 @@ def test_the_network_of_another_method_is_named(path: Path) -> None:
 def test_a_network_of_other_reference_images_is_refused_with_both_datasets(path: Path, dataset: Dataset) -> None:
     store(path, Prototypes())
     line = refusal(path, dataset=replace(dataset, name="voyage"))
-    assert "other reference images or places (dataset journey there and voyage here)" in line
+    assert "journey there and voyage here" in line
 
 
 # Files that are no stored network
@@ -259,20 +253,18 @@ def test_a_flipped_bit_anywhere_is_noticed(path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 5, 100, -1])
-def test_a_file_that_was_cut_off_is_named(path: Path, length: int) -> None:
+def test_a_file_that_was_cut_off_is_no_network_of_any_run(path: Path, length: int) -> None:
     store(path, Prototypes())
+    assert networks.made_by(path) == "0123"
     path.write_bytes(path.read_bytes()[:length])
-    assert "cannot be read as a stored network" in refusal(path)
+    assert "cannot be read" in refusal(path)
+    assert networks.made_by(path) is None
 
 
-def test_a_file_of_another_program_is_named(tmp_path: Path) -> None:
-    save_file({"means": np.zeros((4, 4), np.float32)}, tmp_path / "x.safetensors", {"format": "pt"})
-    assert "was not stored by vprbench" in refusal(tmp_path / "x.safetensors")
-
-
-def test_a_file_without_any_metadata_is_named(tmp_path: Path) -> None:
-    save_file({"means": np.zeros((4, 4), np.float32)}, tmp_path / "x.safetensors")
-    assert "was not stored by vprbench" in refusal(tmp_path / "x.safetensors")
+@pytest.mark.parametrize("metadata", [None, {"format": "pt"}])
+def test_a_file_of_another_program_is_named(tmp_path: Path, metadata: dict[str, str] | None) -> None:
+    save_file({"means": np.zeros((4, 4), np.float32)}, tmp_path / "x.safetensors", metadata)
+    assert "not stored by vprbench" in refusal(tmp_path / "x.safetensors")
 
 
 def test_another_layout_is_named_with_both_versions(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -486,17 +478,6 @@ def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path, 
     where = destination(path, Prototypes(), WORLD)
     with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
         networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)
-
-
-def test_the_run_behind_a_file_is_known(path: Path) -> None:
-    store(path, Prototypes())
-    assert networks.made_by(path) == "0123"
-
-
-def test_no_run_is_behind_a_damaged_file(path: Path) -> None:
-    store(path, Prototypes())
-    path.write_bytes(path.read_bytes()[:-1])
-    assert networks.made_by(path) is None
 
 
 # Published networks

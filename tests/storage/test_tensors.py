@@ -51,7 +51,7 @@ def test_a_file_without_a_text_is_not_whole(tmp_path: Path) -> None:
 def test_what_is_no_such_file_is_a_value_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"no tensors")
     for read in (SEAL.read, SEAL.read_text):
-        with pytest.raises(ValueError, match="."):
+        with pytest.raises(ValueError, match=r"."):
             read(tmp_path / "file")
         with pytest.raises(FileNotFoundError):
             read(tmp_path / "nowhere")
@@ -60,5 +60,5 @@ def test_what_is_no_such_file_is_a_value_error(tmp_path: Path) -> None:
 def test_arrays_are_written_little_endian_row_by_row() -> None:
     given = np.asfortranarray(np.arange(6, dtype=">i4").reshape(2, 3))
     assert plain(given, "x").tobytes() == np.arange(6, dtype="<i4").tobytes()
-    with pytest.raises(TypeError, match="^weights is list"):
+    with pytest.raises(TypeError, match=r"^weights is list"):
         plain([1.0], "weights")  # type: ignore[arg-type]
