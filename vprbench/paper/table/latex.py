@@ -6,10 +6,8 @@ import re
 import unicodedata
 from collections.abc import Sequence
 
-from vprbench.paper.plan import QUANTITIES
 from vprbench.paper.table.cells import Column, Table, TableRow
 from vprbench.paper.table.words import (
-    HEADS,
     INAPPLICABLE,
     PAPER,
     TITLE,
@@ -68,7 +66,7 @@ def latex(table: Table) -> str:
         *(_table(table, table.columns[start : start + _ABREAST]) for start in starts),
         r"\footnotesize",
         _text(" ".join(more)),
-        "\n".join(rf"\textsuperscript{{{i}}} {_text(note)}\quad" for i, note in enumerate(table.notes, 1)),
+        "\n".join(rf"\textsuperscript{{{i}}} {_text(note.text)}\quad" for i, note in enumerate(table.notes, 1)),
         r"\\ ".join(_text(f"{mark}: {machine}") for mark, machine in machines(table)),
         _text(" ".join(legend(table))),
     ]
@@ -91,10 +89,11 @@ def _sign(sign: str) -> str:
 
 
 def _table(table: Table, columns: Sequence[Column]) -> str:
-    n = len(QUANTITIES)
+    n = len(table.quantities)
     titles = " & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_text(column.title)}}}" for column in columns)
     under = "".join(rf"\cmidrule(lr){{{2 + n * i}-{1 + n * (i + 1)}}}" for i in range(len(columns)))
-    heads, units = ("".join(f" & {_text(HEADS[q][i])}" for _ in columns for q in QUANTITIES) for i in range(2))
+    heads = "".join(f" & {_text(quantity.head)}" for _ in columns for quantity in table.quantities)
+    units = "".join(f" & {_text(quantity.unit)}" for _ in columns for quantity in table.quantities)
     body = "\n\\midrule\n".join(
         "\n\\addlinespace\n".join(_row(table, row, columns) for row in rows) for rows in sections(table)
     )
@@ -117,7 +116,7 @@ def _table(table: Table, columns: Sequence[Column]) -> str:
 
 
 def _row(table: Table, row: TableRow, columns: Sequence[Column]) -> str:
-    cells = [words(table, row.cells[column.name, quantity], quantity) for column in columns for quantity in QUANTITIES]
+    cells = [words(table, row.cells[column.name, q.name], q) for column in columns for q in table.quantities]
     measured = " & ".join([f"{{{_text(row.name)}}}", *map(_cell, cells)])
     if not any(in_paper(row, column) for column in columns):
         return rf"{measured} \\"

@@ -7,12 +7,11 @@ import io
 import re
 from html import escape
 
-from vprbench.paper.plan import QUANTITIES, Quantity
 from vprbench.paper.table.cells import Column, Table, TableRow
 from vprbench.paper.table.html import html
 from vprbench.paper.table.latex import latex
+from vprbench.paper.table.quantities import Quantity
 from vprbench.paper.table.words import (
-    HEADS,
     PAPER,
     SPIKING,
     TITLE,
@@ -41,7 +40,7 @@ def markdown(table: Table) -> str:
         parts += [f"## {shown_as_it_is(column.title)}", shown_as_it_is(data(column)), _markdown_table(table, column)]
     parts += [
         "\n".join(map(shown_as_it_is, more)),
-        "\n".join(f"{i}. {shown_as_it_is(note)}" for i, note in enumerate(table.notes, 1)),
+        "\n".join(f"{i}. {shown_as_it_is(note.text)}" for i, note in enumerate(table.notes, 1)),
         "\n".join(f"- {mark}: {shown_as_it_is(machine)}" for mark, machine in machines(table)),
         "\n".join(legend(table)),
     ]
@@ -59,7 +58,7 @@ def csv(table: Table) -> str:
     writer.writeheader()
     for row in table.rows:
         for column in table.columns:
-            writer.writerows(_csv_line(table, row, column, quantity) for quantity in QUANTITIES)
+            writer.writerows(_csv_line(table, row, column, quantity) for quantity in table.quantities)
     return text.getvalue()
 
 
@@ -76,14 +75,14 @@ def shown_as_it_is(text: str) -> str:
 
 
 def _markdown_table(table: Table, column: Column) -> str:
-    heads = ["method", *(" ".join(HEADS[quantity]) for quantity in QUANTITIES)]
+    heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
     lines: list[list[str]] = []
     several = len(sections(table)) > 1
     for rows in sections(table):
         if several and rows[0].spiking:
-            lines.append([f"*{SPIKING}*", *[""] * len(QUANTITIES)])
+            lines.append([f"*{SPIKING}*", *[""] * len(table.quantities)])
         for row in rows:
-            cells = [words(table, row.cells[column.name, quantity], quantity) for quantity in QUANTITIES]
+            cells = [words(table, row.cells[column.name, q.name], q) for q in table.quantities]
             lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
             if in_paper(row, column):
                 lines.append([f"↳ {PAPER}", *map(_markdown_published, cells)])
@@ -109,13 +108,13 @@ _CSV_COLUMNS = (
 
 
 def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -> dict[str, object]:
-    cell = row.cells[column.name, quantity]
+    cell = row.cells[column.name, quantity.name]
     line: dict[str, object] = {
         "row": one_line(row.name),
         "column": column.name,
         "title": one_line(column.title),
-        "quantity": quantity,
-        "unit": HEADS[quantity][1],
+        "quantity": quantity.name,
+        "unit": quantity.unit,
         "mark": cell.mark,
         "value": cell.quoted,
         "best": False,
@@ -123,7 +122,7 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "published": cell.published,
         "published_mark": cell.published_mark,
         "difference": cell.difference,
-        "notes": "; ".join(one_line(table.notes[number - 1]) for number in cell.notes),
+        "notes": "; ".join(one_line(table.notes[number - 1].text) for number in cell.notes),
     }
     if cell.measured is not None:
         copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
