@@ -31,13 +31,20 @@ class StoredAnswers(Protocol):
     """What a run keeps of its answers."""
 
     @property
-    def outcome(self) -> Outcome: ...  # noqa: D102
+    def outcome(self) -> Outcome:
+        """Where the right places stand."""
+
     @property
-    def positives(self) -> PlacesPerQuery: ...  # noqa: D102
+    def positives(self) -> PlacesPerQuery:
+        """The right places of each query."""
+
     @property
-    def top_places(self) -> npt.NDArray[np.int32]: ...  # noqa: D102 - (n_queries, depth), best first
+    def top_places(self) -> npt.NDArray[np.int32]:
+        """The best places, (n_queries, depth), best first."""
+
     @property
-    def top_scores(self) -> npt.NDArray[np.float32]: ...  # noqa: D102 - (n_queries, depth)
+    def top_scores(self) -> npt.NDArray[np.float32]:
+        """Their scores, (n_queries, depth); -inf: no candidate."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ _TEMPLATE = """\
 <tr>
 <th scope="row">{{ row.name|one_line }}</th>
 {% for column in table.columns %}{% for quantity in quantities %}
-{{ cell(layout.words(table, row.cells[column.name, quantity.name], quantity), layout.in_paper(row, column)) -}}
+{{ cell(layout.of_cell(table, row.cells[column.name, quantity.name], quantity), layout.in_paper(row, column)) -}}
 {% endfor %}{% endfor %}
 </tr>
 {% endfor %}

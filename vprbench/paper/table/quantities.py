@@ -102,19 +102,23 @@ class Quantity:
 class Recall(Quantity):
     """R@1, the expected value under ties, with its interval."""
 
-    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:  # noqa: D102
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
+        """Return R@1 of the runs with its interval; None where no query has a right place."""
         if mean_recall(runs) is None:
             return None
         values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
         return Numbers(values, mean(values), interval=recall_interval(runs))
 
-    def best(self, rows: Sequence[Contestant]) -> str | None:  # noqa: D102
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare the hits of all pairs of seeds."""
         return best_recall(rows)
 
-    def disturbed(self, runs: Sequence[Run]) -> bool:  # noqa: D102
+    def disturbed(self, runs: Sequence[Run]) -> bool:
+        """Say no: answers do not hang on the machine."""
         return False
 
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:  # noqa: D102
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield between what R@1 lies if it hangs on ties, and the notes."""
         recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
@@ -122,7 +126,8 @@ class Recall(Quantity):
             yield Reason("ties", f"scores tie: R@1 is {between}")
         yield from super().remarks(row, runs)
 
-    def text(self, value: float) -> str:  # noqa: D102
+    def text(self, value: float) -> str:
+        """Return a number with one decimal."""
         return f"{value:.1f}"
 
 
@@ -133,17 +138,21 @@ class OfMetric(Recall):
     metric: Metric = METRICS["recall_at_1"]
     undefined: ClassVar[Reason] = Reason("undefined", "undefined for the answers of this row")
 
-    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:  # noqa: D102
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
+        """Return the metric in its unit; None where it is undefined for all runs."""
         values = [self.metric.shown(value) for run in runs if (value := self.metric.of(run)) is not None]
         return Numbers(values, mean(values)) if values else None
 
-    def best(self, rows: Sequence[Contestant]) -> str | None:  # noqa: D102
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Name no row: there is no test."""
         return None
 
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:  # noqa: D102
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield the notes."""
         return Quantity.remarks(self, row, runs)
 
-    def text(self, value: float) -> str:  # noqa: D102
+    def text(self, value: float) -> str:
+        """Return a number with the digits of the metric."""
         return f"{value:.{self.metric.digits}f}"
 
 
@@ -153,28 +162,34 @@ class Training(Quantity):
 
     device: Device = "cpu"
 
-    def source(self, row: Row) -> Literal["measured", "quoted", "none"]:  # noqa: D102
+    def source(self, row: Row) -> Literal["measured", "quoted", "none"]:
+        """Quote the paper for networks that come trained."""
         return "measured" if row.learns_here else "none" if row.training == "none" else "quoted"
 
-    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:  # noqa: D102
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs that trained."""
         return tuple(run for run in runs if run.fit_compute_seconds is not None)
 
-    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:  # noqa: D102
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
+        """Return the minutes without waiting for images, and the wall time as the total."""
         values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
         wall = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
         return Numbers(values, median(values), wall)
 
-    def best(self, rows: Sequence[Contestant]) -> str | None:  # noqa: D102
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare all pairs of seeds."""
         return best_training(rows)
 
     def contends(self, row: Row) -> bool:
         """Leave out rows that only build a map."""
         return row.training != "map"
 
-    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:  # noqa: D102
+    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
+        """Yield why the times cannot be compared."""
         return of_times(planned, real, run, self.device)
 
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:  # noqa: D102
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield what kind of training it is."""
         if row.training == "map":
             yield Reason("map", "the time to build the map from the references")
         yield from _told(runs, ["resumed"])
@@ -187,22 +202,27 @@ class Rate(Quantity):
     device: Device = "cpu"
     audited: ClassVar[bool] = True
 
-    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:  # noqa: D102
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
+        """Return the rates at the row's boundary; the total is that of both steps."""
         values = [rate(run, row.boundary) for run in runs]
         total = None if row.boundary is None else mean(rate(run, None) for run in runs)
         return Numbers(values, mean(values), total)
 
-    def best(self, rows: Sequence[Contestant]) -> str | None:  # noqa: D102
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare the laps of all pairs of seeds."""
         return best_rate(rows)
 
-    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:  # noqa: D102
+    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:
+        """Return the rows that were timed otherwise than most."""
         return other_timing(runs)
 
-    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:  # noqa: D102
+    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
+        """Yield why the times cannot be compared, and which step the rate covers."""
         yield from of_times(planned, real, run, self.device)
         yield from of_rates(row, planned)
 
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:  # noqa: D102
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield that it covers both steps if the paper has no such row, and the notes."""
         if row.boundary is None:
             yield Reason("both steps", "encode and match together: the paper has no such row")
         yield from super().remarks(row, runs)

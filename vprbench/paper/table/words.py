@@ -32,7 +32,7 @@ class Words:
     difference: str  # nothing where there is none
 
 
-def words(table: Table, cell: Cell, quantity: Quantity) -> Words:
+def of_cell(table: Table, cell: Cell, quantity: Quantity) -> Words:
     """Return a cell of a table as words."""
     measured = cell.measured
     absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
