@@ -15,8 +15,8 @@ import pytest
 from checkout import ROOT
 
 from vprbench.paper.page.words import TERMS
-from vprbench.paper.plan import QUANTITIES, read_plan
-from vprbench.paper.table.words import HEADS, TRAINING_TIME
+from vprbench.paper.plan import read_plan
+from vprbench.paper.table.quantities import QUANTITIES, TRAINING_TIME
 from vprbench.plugins import registry
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -93,7 +93,7 @@ def test_what_it_shows_of_a_run_is_filled_in() -> None:
 
 def test_the_table_it_shows_has_the_columns_and_rows_of_the_plan() -> None:
     plan = read_plan(ROOT / "conf" / "table.yaml")
-    heads = ["method", *(" ".join(HEADS[quantity]) for quantity in QUANTITIES)]
+    heads = ["method", *(f"{quantity.head} {quantity.unit}" for quantity in QUANTITIES)]
     stand_ins = [column for column in plan.columns.values() if column.stand_in_for and not column.on_request]
     published = [column.title for column in stand_ins if column.published]
     sections = dict(re.findall(r"^## (.*)\n((?:(?!## ).*\n)*)", shown("table"), re.MULTILINE))

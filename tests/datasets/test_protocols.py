@@ -22,7 +22,7 @@ from vprbench.paper.growth import samples
 from vprbench.paper.page import words
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ColumnAsked, groups
-from vprbench.paper.table.comparison import reasons
+from vprbench.paper.table.quantities import RECALL
 from vprbench.plugins import registry
 from vprbench.run.record import Failure, Run
 from vprbench.run.store import Store
@@ -141,22 +141,18 @@ def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone() -> None:
 def as_published(protocol: str, n_places: int) -> list[str]:
     paper = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K"}
     stored = run(hits=[1] * 2700, n_places=n_places, protocol=record(protocol, 3300, 600), machine=paper)
-    return reasons(SAD, NORDLAND, None, "recall_at_1", stored)
+    return [reason.code for reason in RECALL.differences(SAD, NORDLAND, None, stored)]
 
 
 def test_the_papers_number_may_be_of_either_protocol() -> None:
-    assert as_published("vprtempo", 3300) == [
-        "our map keeps the 600 places that are not queried; the paper does not say whether its map does"
-    ]
-    assert as_published("vprsnn", 2700) == [
-        "our map leaves out 600 places that are not queried; the paper does not say whether its map does"
-    ]
+    assert as_published("vprtempo", 3300) == ["distractors"]
+    assert as_published("vprsnn", 2700) == ["no distractors"]
 
 
 def test_fewer_places_are_another_protocol_than_the_papers_whoever_is_followed() -> None:
     stored = run(hits=[1] * 360, n_places=360, protocol=record("vprsnn", 450, 90))
-    first, *_ = reasons(SAD, PLANNED, None, "recall_at_1", stored)
-    assert first == "other protocol: 360 queries of 360 places; the paper's: 2,700 of 3,300"
+    first, *_ = RECALL.differences(SAD, PLANNED, None, stored)
+    assert first == ("counts", "other protocol: 360 queries of 360 places; the paper's: 2,700 of 3,300")
 
 
 # What was stored before there were two

@@ -29,6 +29,7 @@ from vprbench.metrics.accuracy import (
     hits_at,
     pr_curve,
     pr_curve_multi,
+    precision_at_full_recall,
     recall_at,
     recall_at_full_precision,
     tie_share,
@@ -301,6 +302,9 @@ def test_the_single_numbers_of_the_worked_case() -> None:
     assert recall_at_full_precision(WORKED) == FullPrecision(2, 2 / 4)
     assert extended_precision(WORKED) == pytest.approx((1 + 2 / 3) / 2)
     assert auc_roc(WORKED) == pytest.approx(5 / 6)
+    assert auc_roc(best_matches((0.5, True), (0.5, False))) == 0.5
+    assert recall_at_full_precision(best_matches((0.9, False), (0.8, True))) == FullPrecision(0, 0)
+    assert precision_at_full_recall(WORKED) == pytest.approx(3 / 5)
     assert f1_max(WORKED) == pytest.approx(3 / 4)
     assert tie_share(WORKED) == 0
 
@@ -418,14 +422,6 @@ def test_an_error_among_the_most_confident_halves_the_extended_precision(matches
     assert extended_precision(best_matches(*matches)) == pytest.approx(expected)
 
 
-def test_a_most_confident_error_leaves_nothing_at_full_precision() -> None:
-    assert recall_at_full_precision(best_matches((0.9, False), (0.8, True))) == FullPrecision(0, 0)
-
-
-def test_correct_and_wrong_matches_of_equal_score_count_half_for_the_roc() -> None:
-    assert auc_roc(best_matches((0.5, True), (0.5, False))) == 0.5
-
-
 def test_nothing_is_defined_where_no_query_has_a_right_place() -> None:
     found = best_matches((0.9, None), (0.8, None))
     undefined = [recall_at(found, 1), recall_at(found, 1, "answerable"), pr_curve(found, "A")]
@@ -450,6 +446,7 @@ def test_all_right_is_a_full_area_and_leaves_the_roc_undefined() -> None:
     assert extended_precision(found) == 1
     assert f1_max(found) == 1
     assert recall_at_full_precision(found) == FullPrecision(2, 1)
+    assert recall_at(found, 1) == Recall(1, 1, 1, 2)
 
 
 def test_all_wrong_is_no_area_under_a_and_leaves_b_undefined() -> None:
@@ -458,13 +455,6 @@ def test_all_wrong_is_no_area_under_a_and_leaves_b_undefined() -> None:
     assert pr_curve(found, "B") is None
     assert extended_precision(found) == 0
     assert f1_max(found) == 0
-    assert auc_roc(found) is None
-
-
-def test_one_right_query_is_enough_for_every_metric_but_the_roc() -> None:
-    found = best_matches((0.9, True))
-    assert recall_at(found, 1) == Recall(1, 1, 1, 1)
-    assert average_precision(curve_of(pr_curve(found, "A"))) == 1
     assert auc_roc(found) is None
 
 

@@ -21,6 +21,7 @@ from vprbench.metrics.accuracy import (
     hits_at,
     pr_curve,
     pr_curve_multi,
+    precision_at_full_recall,
     recall_at,
     recall_at_full_precision,
     tie_share,
@@ -129,7 +130,8 @@ def test_areas_under_the_exact_curves_agree_to_nine_digits(technique: str) -> No
     assert auc(curve_b) == pytest.approx(expected["aucpr_sklearn"], abs=1e-9)
     assert average_precision(curve_b) == pytest.approx(expected["ap"], abs=1e-9)
     assert auc(curve_a) == pytest.approx(expected["auc_A_exact"], abs=1e-9)
-    assert curve_b.precision[-1] == pytest.approx(expected["p_at_full_recall_idx0"], abs=1e-12)
+    found = precision_at_full_recall(corridor(technique))
+    assert curve_b.precision[-1] == found == pytest.approx(expected["p_at_full_recall_idx0"], abs=1e-12)
 
 
 @each_technique

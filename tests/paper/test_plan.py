@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 import yaml
 from checkout import ROOT
+from made_table import NAMES
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import Asked, Chosen, choose, wanted
-from vprbench.paper.plan import QUANTITIES, Plan, PlannedColumn, Row, published, read_plan
+from vprbench.paper.plan import Plan, PlannedColumn, Row, published, read_plan, with_plug_ins
 from vprbench.plugins import registry
 from vprbench.run import compose
 
@@ -52,7 +53,7 @@ def test_rates_cover_what_the_paper_timed(plan: Plan) -> None:
 def test_every_row_and_dataset_of_the_paper_has_five_published_numbers(plan: Plan) -> None:
     printed = published()
     assert {row for row, _ in printed} == set(plan.rows)
-    assert all(tuple(cells) == QUANTITIES for cells in printed.values())
+    assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
 
 
@@ -157,6 +158,52 @@ def test_a_column_that_names_one_that_is_none_is_refused(reference: str, content
 def test_a_missing_plan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"nowhere\.yaml is no plan"):
         read_plan(tmp_path / "nowhere.yaml")
+
+
+PLUG_IN = {
+    "rows": {"mine": {"name": "Mine", "method": "sad", "arguments": {"patch": 9}, "training": "none"}},
+    "columns": {"short": {"title": "Short route", "options": ["dataset=synthetic", "dataset.places=12"]}},
+}
+
+
+def plugged_in(folder: Path, **contents: Any) -> dict[str, Path]:
+    """Return the folders of plug-ins, each with one file of the table, beside our own."""
+    for provider, content in contents.items():
+        (folder / provider / "table").mkdir(parents=True)
+        (folder / provider / "table" / "more.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    return {"vprbench": PLAN.parent, **{provider: folder / provider for provider in contents}}
+
+
+def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = plugged_in(tmp_path, shelf=PLUG_IN)
+    monkeypatch.setattr(registry, "conf_folders", lambda: folders)
+    assert "short" not in [column.planned.name for column in chosen(devices=["cpu"]).columns]
+    here = chosen(rows=["SAD"], methods=["mine"], columns=["short"], devices=["cpu"])
+    (_, made) = wanted(here, here.columns[0], here.rows)
+    assert (made.row.name, made.title, made.dataset["places"]) == ("Mine", "Short route", 12)
+    assert "method.patch=9" in made.options()
+
+
+@pytest.mark.parametrize(
+    ("content", "names"),
+    [
+        ({"rows": {"SAD": {"method": "sad"}}}, ["SAD", "shelf", "vprbench"]),
+        ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no delays)"}}}, ["VPRSNN", "shelf", "vprbench"]),
+        ({"columns": {"street": {"title": "S", "options": []}}}, ["street", "shelf", "vprbench"]),
+        (PLUG_IN, ["mine", "shelf", "drawer"]),
+        ({"columns": {"x": {"title": "X", "options": [], "smaller": "moon"}}}, ["more.yaml", "x", "moon"]),
+        ({"growth": {}}, ["more.yaml", "growth"]),
+        ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),
+    ],
+)
+def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(
+    content: Any, names: list[str], plan: Plan, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput) as refused:
+        with_plug_ins(plan, plugged_in(tmp_path, drawer=PLUG_IN, shelf=content))
+    assert [name for name in names if name not in str(refused.value)] == []
 
 
 def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(plan: Plan) -> None:

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from vprbench.paper.plan import QUANTITIES, Quantity
 from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
+from vprbench.paper.table.quantities import QUANTITIES
+from vprbench.paper.table.reasons import Reason
 
 RECALL = 46.62962962962963  # 1259 of 2700 queries
 OTHER = "Abacus 9, 2 of 2 cores, torch 2.6.0, 2025-01-31"
+NAMES = tuple(quantity.name for quantity in QUANTITIES)
 GPU = "Loom 80GB, torch 2.6.0, 2025-02-01"
 
 
@@ -36,10 +38,10 @@ def found(value: float, published: float | None = None, notes: tuple[int, ...] =
 
 def row(name: str, spiking: bool = False, columns: tuple[str, ...] = ("rail",), **cells: Cell) -> TableRow:
     """Return a row with these cells in its first column, those named column__quantity elsewhere; others did not run."""
-    given: dict[tuple[str, Quantity], Cell] = {(c, quantity): cell() for c in columns for quantity in QUANTITIES}
+    given = {(c, name): cell() for c in columns for name in NAMES}
     for key, value in cells.items():
         column, _, quantity = key.rpartition("__")
-        given[column or columns[0], next(q for q in QUANTITIES if q == quantity)] = value
+        given[column or columns[0], quantity] = value
     return TableRow(name, spiking, given)
 
 
@@ -47,6 +49,10 @@ def small(*rows: TableRow, **changes: Any) -> Table:
     """Return a table of one dataset."""
     rail = Column("rail", "Railway", 3300, 2700, "summer against spring and fall", None)
     return replace(Table((rail,), rows, ("Made by hand.",), (), (OTHER,)), **changes)
+
+
+def told(*texts: str) -> tuple[Reason, ...]:
+    return tuple(Reason("note", text) for text in texts)
 
 
 def paper(value: float | None, mark: Any = "measured") -> Mapping[str, Any]:
@@ -95,7 +101,7 @@ def table() -> Table:
                     ("", (32.0, 360.0, 2.0, 360.0, 77.0)),
                     ("street__", (33.0, 360.0, 0.4, 360.0, 75.0)),
                 )
-                for quantity, value in zip(QUANTITIES, values, strict=True)
+                for quantity, value in zip(NAMES, values, strict=True)
             },
         ),
         row(
@@ -142,7 +148,7 @@ def table() -> Table:
         ),
         rows=rows,
         caption=("Place recognition on rendered frames, beside what the paper printed.", "These are stand-ins."),
-        notes=(
+        notes=told(
             "other data: rendered frames stand in for the paper's",
             "other hardware and other data",
             "no run on a GPU is stored",

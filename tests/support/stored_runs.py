@@ -18,7 +18,8 @@ from vprbench.run.record import Failure, Run
 RAILWAY = {"name": "railway", "places": 10, "seed": 0}
 STREET = {"name": "street", "root": "/here/street", "source": "a shelf"}
 
-SAD = Row("SAD", "sad", boundary="match", training="none")
+LOOP = "the paper's rate looks like a loop over the references; ours compares all at once"
+SAD = Row("SAD", "sad", boundary="match", training="none", rate_remark=LOOP)
 NETVLAD = Row("NetVLAD", "netvlad", boundary="encode", training="pretrained", most_places=5)
 VPRSNN = Row("VPRSNN", "vprsnn", boundary="match", spiking=True)
 VPRTEMPO = Row("VPRTempo", "vprtempo", boundary="match", spiking=True, seeds=(0, 1, 2))

@@ -210,6 +210,15 @@ def recall_at_full_precision(outcome: Outcome) -> FullPrecision | None:
     return FullPrecision(count, count / n_answerable)
 
 
+def precision_at_full_recall(outcome: Outcome) -> float | None:
+    """Return P@100R, the share of right answers where every query is answered that has a candidate (VPRSNN, VPRTempo).
+
+    None where no query has a right place or none retrieves anything.
+    """
+    _, right = _best_matches(outcome)
+    return float(right.mean()) if len(right) and outcome.answerable.any() else None
+
+
 def extended_precision(outcome: Outcome) -> float | None:
     """Return EP = (P_R0 + R_P100) / 2; None where no query has a right place or none retrieves anything.
 

@@ -11,13 +11,15 @@ from typing import Any, TypeVar
 
 from vprbench.errors import BadInput
 from vprbench.paper.missing_runs import Wanted, fill, results_folder
-from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan
+from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.selection import ColumnAsked, Group, groups
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
+from vprbench.paper.table.quantities import quantities
 from vprbench.plugins import registry
 from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
+from vprbench.run.settings import insist_on_metrics
 from vprbench.run.store import Store
 
 Part = TypeVar("Part")
@@ -34,6 +36,7 @@ class Asked:
 
     rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
     methods: list[str] = field(default_factory=list)  # more rows: names of methods, or of more_rows
+    metrics: list[str] = field(default_factory=list)  # more quantities, by their names in METRICS
     columns: list[str] | None = None  # None: the paper's datasets, or what stands in for them
     seeds: int | None = None  # at most so many a row
     devices: list[str] | None = None  # None: cpu, and cuda where there is a GPU
@@ -51,6 +54,7 @@ class Asked:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
+        insist_on_metrics(self.metrics)
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
@@ -70,6 +74,7 @@ class Chosen:
     smaller: Mapping[str, ColumnAsked]  # by column, where its slow rows run
     devices: tuple[str, ...]
     full: bool
+    metrics: tuple[str, ...] = ()
 
     def slow(self, column: ColumnAsked, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -91,7 +96,8 @@ class Material:
 
 def choose(asked: Asked, compose: Compose) -> Chosen:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
-    plan = read_plan(registry.conf_folders()["vprbench"] / "table.yaml")
+    folders = registry.conf_folders()
+    plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
     rows = {name: _known("rows", name, plan.rows) for name in asked.rows or plan.rows}
     for name in asked.methods:
         row = _on_request(plan, name, asked)
@@ -109,6 +115,7 @@ def choose(asked: Asked, compose: Compose) -> Chosen:
         {column.name: resolved(plan.columns[column.smaller]) for column in columns.values() if column.smaller},
         tuple(asked.devices or _devices()),
         asked.full,
+        tuple(asked.metrics),
     )
 
 
@@ -150,7 +157,7 @@ def material(
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }
-    table = assemble(found, chosen.rows, chosen.plan, left_out)
+    table = assemble(found, chosen.rows, chosen.plan, left_out, quantities(chosen.metrics))
     return Material(chosen, tuple(found), table, tuple(runs), endings)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -12,11 +13,9 @@ import yaml
 
 from vprbench.errors import BadInput
 
-Quantity = Literal["recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu"]
+Quantity = str  # the name of a quantity of the table
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
-
-QUANTITIES: tuple[Quantity, ...] = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,7 @@ class Row:
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0,)
+    rate_remark: str | None = None  # what is known of how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
 
     @property
@@ -91,7 +91,7 @@ class Plan:
 
 def read_plan(path: Path) -> Plan:
     """Read the plan; raises BadInput, naming the file, where a part is missing or unknown."""
-    try:
+    with _plan_errors_told(path):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         rows, more = (
             {name: _row(name, given) for name, given in content[group].items()} for group in ("rows", "more_rows")
@@ -99,13 +99,63 @@ def read_plan(path: Path) -> Plan:
         columns = {name: _column(name, given) for name, given in content["columns"].items()}
         growth = _growth(**content["growth"])
         first, *more_seeds = content["seeds"]
+    _insist_on_columns(columns, path)
+    return Plan(rows, more, columns, growth, (first, *more_seeds))
+
+
+def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
+    """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
+
+    A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
+    name. Raises BadInput that names both owners where a name is taken.
+    """
+    rows, columns = dict(plan.more_rows), dict(plan.columns)
+    ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]
+    owners = dict.fromkeys(ours, "vprbench")
+    for provider, path in _of_plug_ins(folders):
+        more_rows, more_columns = _brought(path)
+        for name in dict.fromkeys([*more_rows, *more_columns, *(row.name for row in more_rows.values())]):
+            if name in owners:
+                raise BadInput(f"{path}: {name} of {provider} has the name of one of {owners[name]}: rename it")
+            owners[name] = provider
+        rows |= more_rows
+        columns |= {name: replace(column, on_request=True) for name, column in more_columns.items()}
+        _insist_on_columns(columns, path)
+    return replace(plan, more_rows=rows, columns=columns)
+
+
+def _of_plug_ins(folders: Mapping[str, Path]) -> list[tuple[str, Path]]:
+    return [
+        (provider, path)
+        for provider, folder in folders.items()
+        if provider != "vprbench"
+        for path in sorted((folder / "table").glob("*.yaml"))
+    ]
+
+
+def _brought(path: Path) -> tuple[dict[str, Row], dict[str, PlannedColumn]]:
+    """Read the rows and columns of a plug-in's file."""
+    with _plan_errors_told(path):
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if unknown := content.keys() - {"rows", "columns"}:
+            raise KeyError(*unknown)
+        rows = {name: _row(name, given) for name, given in content.get("rows", {}).items()}
+        return rows, {name: _column(name, given) for name, given in content.get("columns", {}).items()}
+
+
+@contextmanager
+def _plan_errors_told(path: Path) -> Iterator[None]:
+    try:
+        yield
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path} is no plan of a table ({error}): compare it with the one of this project") from error
+
+
+def _insist_on_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
     for column in columns.values():
         for named in (column.smaller, column.stand_in_for):
             if named is not None and named not in columns:
-                raise BadInput(f"{path}: column {column.name} names {named}, which is none: there are {[*columns]}")
-    return Plan(rows, more, columns, growth, (first, *more_seeds))
+                raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
 
 
 def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:
@@ -117,8 +167,7 @@ def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:
     with Path(__file__).with_name("published_table2.csv").open(encoding="utf-8", newline="") as file:
         for line in csv.DictReader(file):
             cells = printed.setdefault((line["method"], line["dataset"]), {})
-            quantity = next(known for known in QUANTITIES if known == line["metric"])
-            cells[quantity] = float(line["value"]) if line["value"] else None
+            cells[line["metric"]] = float(line["value"]) if line["value"] else None
     return printed
 
 

@@ -72,10 +72,10 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         try:
             folder = store.folder(dataset.name, name, key) if known else store.save(run)
         except BadInput:
-            say(_text(run, None, from_store, settings.output))  # what was measured is shown even if it cannot be kept
+            say(_text(run, None, from_store, settings))  # what was measured is shown even if it cannot be kept
             raise
     ending.tell(code=0)
-    say(_text(run, folder, from_store, settings.output))
+    say(_text(run, folder, from_store, settings))
     if settings.frames:
         _keep_frames(store, run, dataset)
     return 0
@@ -126,18 +126,18 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
 
 
-def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
+def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
     from vprbench.run import rows  # what it imports does not count as the run's memory
     from vprbench.run.tuned import all_notes
 
-    if output == "json":
+    if settings.output == "json":
         return json.dumps(
             {
                 "method": run.method,
                 "dataset": run.dataset,
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
-                **rows.numbers(run),
+                **rows.numbers(run, settings.metrics),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -146,7 +146,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, output: str) -> str:
             },
             allow_nan=False,
         )
-    lines = [rows.protocol_line(run), *rows.plain_row(rows.readable_row(run)).splitlines()]
+    lines = [rows.protocol_line(run), *rows.plain_row(rows.readable_row(run, settings.metrics)).splitlines()]
     lines += filter(None, [rows.interval_line(run), rows.tolerance_line(run)])
     lines += [f"note: {note.text}" for note in all_notes(run)]
     if from_store:

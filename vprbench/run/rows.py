@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from vprbench.metrics.registry import METRICS, RECALLS
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
-from vprbench.run.summary import RECALLS, StageRates, Summary, recall_at_1_within, summarise
+from vprbench.run.summary import StageRates, Summary, recall_at_1_within, summarise
 from vprbench.run.tuned import tuned_note
 
 NOTHING = "-"
@@ -21,14 +22,14 @@ def label(run: Run | Failure) -> str:
     return " ".join([run.method, *asked])
 
 
-def readable_row(run: Run) -> dict[str, str]:
-    """Return one run as a row of text."""
+def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
+    """Return one run as a row of text, with more `metrics` by their names."""
     summary = summarise(run)
+    shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
     return {
         "method": label(run),
-        "R@1 % [95 %]": _recall_with_interval(summary),
-        **{f"R@{n} %": _percent(summary.recalls[n]) for n in RECALLS[1:]},
-        "AUC-PR (A)": _number(summary.auc_pr),
+        "R@1 % [95 %]": _recall_with_interval(run, summary),
+        **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
         "streaming Hz enc/match/total": _rates(summary.streaming),
         "offline Hz enc/match/total": f"{_rates(summary.offline)} (batch {summary.offline_batch})",
@@ -56,13 +57,13 @@ def plain_row(row: dict[str, str]) -> str:
     return f"{head}\n" + "  ".join(value.ljust(widths[name]) for name, value in row.items())
 
 
-def numbers(run: Run) -> dict[str, float | int | str | None]:
-    """Return one run as unrounded numbers, under names that hold their unit."""
+def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
+    """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     summary = summarise(run)
     interval = summary.recall_at_1_interval
     search = run.search or {}
     return {
-        **{f"recall_at_{n}": summary.recalls[n] for n in RECALLS},
+        **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
         "recall_at_1_low": interval.low if interval else None,
         "recall_at_1_high": interval.high if interval else None,
         "recall_at_1_interval": interval.kind if interval else None,
@@ -71,8 +72,7 @@ def numbers(run: Run) -> dict[str, float | int | str | None]:
         "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
         "recall_at_1_optimistic": summary.recall_at_1_optimistic,
         **{f"recall_at_1_within_{k}_places": share for k, share in summary.recall_at_1_within.items()},
-        "auc_pr_a": summary.auc_pr,
-        "average_precision_a": summary.average_precision,
+        **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
         "first_query_seconds": run.timing.first_query_seconds,
@@ -92,10 +92,11 @@ def numbers(run: Run) -> dict[str, float | int | str | None]:
         "method_seconds": run.method_seconds,
         "queries": len(run.outcome),
         "places": run.outcome.n_places,
+        **_accuracies(run, metrics),
     }
 
 
-def csv(results: Sequence[Run | Failure]) -> str:
+def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
     """Return runs as CSV, one line each, unrounded; a failed one has its error and no numbers."""
     lines = []
     for result in results:
@@ -105,7 +106,7 @@ def csv(results: Sequence[Run | Failure]) -> str:
         else:
             frames = {name: result.data.get(name) for name in ("names_sha256", "content_sha256")}
             line |= {"protocol": result.protocol.get("protocol"), **frames}
-            line |= {"error": "", **numbers(result), "network": result.network, "tuned_on": tuned_note(result)}
+            line |= {"error": "", **numbers(result, metrics), "network": result.network, "tuned_on": tuned_note(result)}
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 
@@ -130,7 +131,7 @@ def tolerance_line(run: Run) -> str | None:
     wider = recall_at_1_within(run)
     if not wider:
         return None
-    shares = " / ".join(_percent(share) for share in wider.values())
+    shares = " / ".join(map(METRICS["recall_at_1"].text, wider.values()))
     return f"R@1 within {', '.join(map(str, wider))} places: {shares} %"
 
 
@@ -144,20 +145,17 @@ def machine_line(run: Run) -> str:
     )
 
 
-def _recall_with_interval(summary: Summary) -> str:
+def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
+    return {name: METRICS[name].of(run) for name in metrics}
+
+
+def _recall_with_interval(run: Run, summary: Summary) -> str:
     interval = summary.recall_at_1_interval
     if interval is None:
         return "undefined (no query has a right place)"
     ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-    return f"{_percent(summary.recalls[1])} {ends}{' ties!' if summary.hangs_on_ties else ''}"
-
-
-def _percent(share: float | None) -> str:
-    return NOTHING if share is None else f"{100 * share:.1f}"
-
-
-def _number(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.3f}"
+    first = METRICS["recall_at_1"]
+    return f"{first.text(first.of(run))} {ends}{' ties!' if summary.hangs_on_ties else ''}"
 
 
 def _rates(rates: StageRates) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import signal
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench.errors import BadInput
+from vprbench.metrics.registry import METRICS
 from vprbench.plugins import registry
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol
@@ -26,6 +27,7 @@ class Settings:
     force: bool = False
     cache: bool = True  # keep descriptors of networks and preprocessed frames, and take those of an earlier run
     output: Literal["row", "json"] = "row"
+    metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS
     depth: int = 100
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
@@ -49,6 +51,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
     settings = Settings(**plain, timing=timing)
+    insist_on_metrics(settings.metrics)
     if settings.depth < 1:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:
@@ -64,6 +67,13 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         )
     _check_device(settings.device, config["method"])
     return settings
+
+
+def insist_on_metrics(names: Iterable[str]) -> None:
+    """Raise BadInput for the first name that is no metric."""
+    for name in names:
+        if name not in METRICS:
+            raise BadInput(f"metrics={name} is unknown: {registry.near(name, METRICS)}")
 
 
 def n_threads(settings: Settings) -> int:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vprbench.metrics.accuracy import auc, average_precision, pr_curve, recall_at
+from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.tolerance import hits_within
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import best_batch, offline_rate, streaming_rate
-
-RECALLS = (1, 5, 10, 25)
 
 
 @dataclass(frozen=True)
@@ -26,17 +24,14 @@ class StageRates:
 
 @dataclass(frozen=True)
 class Summary:
-    """Accuracy and speed of one run; recalls are shares of all queries, expected values under ties."""
+    """What is known of R@1 of one run beside its value, and its speed; `METRICS` holds the accuracies."""
 
-    recalls: dict[int, float | None]  # None where no query has a right place
-    recall_at_1_interval: WiderInterval | None  # 95 %
+    recall_at_1_interval: WiderInterval | None  # 95 %; None, here and below, where no query has a right place
     recall_at_1_answerable: float | None  # of the queries that have a right place
     recall_at_1_pessimistic: float | None  # ties broken against the method
     recall_at_1_optimistic: float | None
-    recall_at_1_within: Mapping[int, float | None]  # so many places, as the dataset asks for; None as in recalls
+    recall_at_1_within: Mapping[int, float | None]  # so many places, as the dataset asks for
     hangs_on_ties: bool  # these two differ by more than half a point
-    auc_pr: float | None  # PR-A, trapezoid
-    average_precision: float | None  # PR-A, step sum
     streaming: StageRates
     streaming_p90_seconds: float | None  # of the total, upper 99 % bound
     streaming_p99_seconds: float | None
@@ -47,23 +42,18 @@ class Summary:
 
 def summarise(run: Run) -> Summary:
     """Compute a run's summary."""
-    everything = {n: recall_at(run.outcome, n) for n in RECALLS}
-    first = everything[1]
+    first = recall_at(run.outcome, 1)
     answerable = recall_at(run.outcome, 1, "answerable")
-    curve = pr_curve(run.outcome, "A")
     streaming = run.timing.streaming
     batch = best_batch(run.timing.offline)
     total = streaming_rate(streaming.total_seconds)
     return Summary(
-        recalls={n: recall.expected if recall else None for n, recall in everything.items()},
         recall_at_1_interval=recall_interval([run]),
         recall_at_1_answerable=answerable.expected if answerable else None,
         recall_at_1_pessimistic=first.pessimistic if first else None,
         recall_at_1_optimistic=first.optimistic if first else None,
         recall_at_1_within=recall_at_1_within(run),
         hangs_on_ties=first.hangs_on_ties if first else False,
-        auc_pr=auc(curve) if curve else None,
-        average_precision=average_precision(curve) if curve else None,
         streaming=StageRates(
             streaming_rate(streaming.encode_seconds).hz, streaming_rate(streaming.match_seconds).hz, total.hz
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vprbench.paper.plan import published
-from vprbench.paper.table.comparison import PAPER, PAPER_CPU
+from vprbench.paper.table.reasons import PAPER, PAPER_CPU
 from vprbench.speed.format import figures, milliseconds, ratio, table
 from vprbench.speed.measure import median
 from vprbench.speed.settings import LOOKED, TRAVERSES, VPRSNN, AskingCell, ModuleCell, Report

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from made_table import OTHER, RECALL, cell, found, paper, row, small, table
+from made_table import OTHER, found, row, small, table, told
 
-from vprbench.paper.table.cells import Cell, Column
+from vprbench.paper.table.cells import Column
 from vprbench.paper.table.markdown import latex
 
 LINE = r"(?<!\\)&"
@@ -53,34 +53,6 @@ def lines_of(source: str) -> list[list[str]]:
 # In the source
 
 
-@pytest.mark.parametrize(
-    ("made", "lines"),
-    [
-        (
-            found(RECALL, 48.0, (1,), low=44.7531, high=48.5153),
-            [r"46.6 [44.8, 48.5]\textsuperscript{1}", r"48 ($-$1.4)"],
-        ),
-        (
-            found(46.8, 48.0, spread=1.26, low=44.93, high=48.68, best=True),
-            [r"\textbf{46.8} ± 1.3 [44.9, 48.7]", r"48 ($-$1.2)"],
-        ),
-        (cell("quoted", quoted=48.0, **paper(48.0, "quoted")), [r"\textit{48}", r"\textit{48}"]),
-        (cell("not applicable", **paper(None)), ["--", "--"]),
-        (cell("not there", **paper(32.0), notes=(1, 2)), [r"not there\textsuperscript{1, 2}", "32"]),
-        (found(0.31, disturbed=True), [r"\textasciitilde{}0.3"]),
-    ],
-)
-def test_every_mark_is_told_apart(made: Cell, lines: list[str]) -> None:
-    source = latex(small(row("SAD", recall_at_1=made), notes=("first", "second")))
-    assert [line[1] for line in lines_of(source)] == lines
-
-
-def test_a_rule_parts_conventional_from_spiking_rows() -> None:
-    source = latex(small(row("VPRTempo", spiking=True), row("SAD")))
-    assert re.search(r"\{SAD\}.*\n\\midrule\n\{VPRTempo\}", source)
-    assert latex(small(row("SAD"), row("HOG"))).count(r"\midrule") == 1
-
-
 def test_four_datasets_are_two_tables() -> None:
     columns = tuple(Column(name, name.upper(), None, None, "", None) for name in "abcd")
     source = latex(small(row("SAD", columns=("a", "b", "c", "d")), columns=columns))
@@ -91,15 +63,6 @@ def test_four_datasets_are_two_tables() -> None:
 def test_a_name_in_brackets_is_no_argument_of_the_line_above() -> None:
     source = latex(small(row("SAD"), row("[2cm]")))
     assert not re.search(r"\\\\(\\addlinespace|\s)*\[", source)
-
-
-def test_only_packages_of_the_smallest_collections_are_used() -> None:
-    packages = re.findall(r"\\usepackage(?:\[.*?\])?\{(.*?)\}", latex(table()))
-    assert set(",".join(packages).split(",")) == {
-        *("geometry", "fontenc", "inputenc", "textcomp", "graphicx"),  # texlive-latex-base
-        "booktabs",  # texlive-latex-recommended
-        "lmodern",
-    }
 
 
 # On the page
@@ -148,7 +111,9 @@ def test_hostile_text_is_printed_as_it_is(tmp_path: Path) -> None:
     needs("pdflatex", "pdftotext")
     column = Column("rail", HOSTILE, 1, 1, HOSTILE, None)
     made = small(row(HOSTILE, recall_at_1=found(41.0, notes=(1,))), row("[x]"), row("*"), columns=(column,))
-    said = compiled(latex(replace(made, notes=(HOSTILE,), machines=(HOSTILE,), caption=(HOSTILE, HOSTILE))), tmp_path)
+    said = compiled(
+        latex(replace(made, notes=told(HOSTILE), machines=(HOSTILE,), caption=(HOSTILE, HOSTILE))), tmp_path
+    )
     assert "Missing character" not in said
     text = " ".join(text_of(tmp_path).split())
     assert text.count(HOSTILE.replace("'", "\u2019")) == 8  # a straight apostrophe is set as a curved one
@@ -174,7 +139,7 @@ def test_signs_that_the_fonts_lack_give_plain_letters_or_their_number(tmp_path: 
 def test_every_letter_up_to_latin_extended_a_compiles(tmp_path: Path) -> None:
     needs("pdflatex")
     letters = " ".join(map(chr, [*range(0x20, 0x7F), *range(0xA1, 0x180), *range(0x391, 0x3CA)]))
-    said = compiled(latex(small(row("SAD"), notes=(letters,))), tmp_path)
+    said = compiled(latex(small(row("SAD"), notes=told(letters))), tmp_path)
     assert "Missing character" not in said
 
 

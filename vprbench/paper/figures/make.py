@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench.errors import BadInput
+from vprbench.metrics.registry import METRICS
 from vprbench.paper.gather import Asked, Compose, Material, gather, stored, wanted
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import fill, results_folder
@@ -144,7 +145,7 @@ def _growing(found: Material) -> list[Row]:
 
 def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, pictures, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, metrics, pictures, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
@@ -161,6 +162,8 @@ def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
         yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
         yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
+        for metric in found.chosen.metrics:
+            yield f"{metric.replace('_', '-')}-{name}", partial(metrics.of_rows, shown, METRICS[metric])
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)

@@ -28,7 +28,7 @@ from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look
 from vprbench.paper.plan import PlannedColumn, Quantity, Row, published
 from vprbench.paper.series import Series
 from vprbench.paper.table import best
-from vprbench.paper.table.comparison import PAPER, PAPER_CPU, PAPER_GPU
+from vprbench.paper.table.reasons import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.run.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench.paper.series import Series
-from vprbench.paper.table.words import TRAINING_TIME
+from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.run.recall_intervals import METHOD
 from vprbench.run.record import Run
 from vprbench.run.tuned import all_notes

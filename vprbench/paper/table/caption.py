@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from vprbench.paper.selection import DEVICES, Device, Group, aside_sentence, options_apart
 from vprbench.paper.table import best
-from vprbench.paper.table.absence import one_sentence
-from vprbench.paper.table.cells import Column, TableRow
-from vprbench.paper.table.comparison import PAPER, PAPER_CPU, PAPER_GPU
-from vprbench.paper.table.entries import RATES, Entry
+from vprbench.paper.table.cells import Column, Entry, TableRow
+from vprbench.paper.table.quantities import RATES, RECALL
+from vprbench.paper.table.reasons import PAPER, PAPER_CPU, PAPER_GPU, one_sentence
 
 _NAMES: dict[Device, str] = {"cpu": "CPU", "cuda": "GPU"}
 
@@ -57,7 +56,7 @@ def _seeds(row: TableRow, columns: Sequence[Column]) -> Iterator[str]:
     """Yield what stands for several seeds of a row, and which ones they are where that is not the same everywhere."""
     places: dict[tuple[int, ...], list[str]] = {}
     for column in columns:
-        cells = {device: row.cells[column.name, quantity].measured for quantity, device in RATES.items()}
+        cells = {rate.device: row.cells[column.name, rate.name].measured for rate in RATES}
         shown = {device: measured.seeds for device, measured in cells.items() if measured is not None}
         for device, seeds in shown.items():
             where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device]}"
@@ -79,7 +78,7 @@ def _blocks(column: Column, rows: Sequence[TableRow]) -> Iterator[str]:
     """Yield how long the blocks are that the intervals of R@1 come from, and where neighbours are as good as apart."""
     parts = []
     for row in rows:
-        measured = row.cells[column.name, "recall_at_1"].measured
+        measured = row.cells[column.name, RECALL.name].measured
         if measured is not None and measured.block is not None:
             parts.append(f"{row.name} {measured.block}{' (Wilson)' if measured.interval == 'independent' else ''}")
     if parts:

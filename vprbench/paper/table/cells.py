@@ -7,18 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vprbench.metrics.intervals import IntervalKind
-from vprbench.paper.plan import Quantity
-
-Mark = Literal[
-    "measured",  # by this harness, on the machine that the cell names
-    "quoted",  # copied from a publication: in italics, in no contest
-    "not applicable",  # there is no such step: printed as -
-    "not there",  # the method, its weights or the frames are missing; the row fills by itself once they are not
-    "failed",
-    "left out",  # too many places for this row within the time of the table
-    "unfinished",  # some of the seeds are not stored yet, or none
-    "not run",  # no run of this kind is stored, as on a machine without a GPU
-]
+from vprbench.paper.plan import Row
+from vprbench.paper.selection import Device, Group, RowRuns, accuracy_device
+from vprbench.paper.table.quantities import QUANTITIES, Quantity
+from vprbench.paper.table.reasons import Mark, Reason
+from vprbench.run.record import Run
 
 
 @dataclass(frozen=True)
@@ -70,7 +63,7 @@ class TableRow:
 
     name: str
     spiking: bool
-    cells: Mapping[tuple[str, Quantity], Cell]  # by the column's name and the quantity
+    cells: Mapping[tuple[str, str], Cell]  # by the names of column and quantity
 
 
 @dataclass(frozen=True)
@@ -80,5 +73,26 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[TableRow, ...]
     caption: tuple[str, ...]  # sentences
-    notes: tuple[str, ...]  # note n is notes[n - 1]
+    notes: tuple[Reason, ...]  # note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
+    quantities: tuple[Quantity, ...] = QUANTITIES
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is stored of one row in one column."""
+
+    row: Row
+    group: Group
+    column: Column
+    found: Mapping[Device, RowRuns]
+
+    def device(self, quantity: Quantity) -> Device:
+        """Return the device whose runs a cell shows."""
+        return quantity.device or accuracy_device(self.found)
+
+    def runs(self, quantity: Quantity) -> tuple[Run, ...]:
+        """Return the runs that a cell shows."""
+        if quantity.source(self.row) != "measured":
+            return ()
+        return quantity.shown(self.row, self.found[self.device(quantity)].runs)

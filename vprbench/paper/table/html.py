@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import jinja2
 
-from vprbench.paper.plan import QUANTITIES
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import Table
 
@@ -51,7 +50,7 @@ _TEMPLATE = """\
 </tr>
 <tr>
 {% for column in table.columns %}{% for quantity in quantities %}
-<th scope="col">{{ layout.HEADS[quantity]|join(" ") }}</th>
+<th scope="col">{{ quantity.head }} {{ quantity.unit }}</th>
 {% endfor %}{% endfor %}
 </tr>
 </thead>
@@ -61,7 +60,7 @@ _TEMPLATE = """\
 <tr>
 <th scope="row">{{ row.name|one_line }}</th>
 {% for column in table.columns %}{% for quantity in quantities %}
-{{ cell(layout.words(table, row.cells[column.name, quantity], quantity), layout.in_paper(row, column)) -}}
+{{ cell(layout.of_cell(table, row.cells[column.name, quantity.name], quantity), layout.in_paper(row, column)) -}}
 {% endfor %}{% endfor %}
 </tr>
 {% endfor %}
@@ -75,7 +74,7 @@ _TEMPLATE = """\
 {% if table.notes %}
 <ol class="notes">
 {% for note in table.notes %}
-<li id="table-note-{{ loop.index }}">{{ note|one_line }}</li>
+<li id="table-note-{{ loop.index }}">{{ note.text|one_line }}</li>
 {% endfor %}
 </ol>
 {% endif %}
@@ -102,4 +101,4 @@ def html(table: Table) -> str:
         keep_trailing_newline=True,
     )
     page.filters["one_line"] = words.one_line
-    return page.from_string(_TEMPLATE).render(table=table, layout=words, quantities=QUANTITIES).lstrip()
+    return page.from_string(_TEMPLATE).render(table=table, layout=words, quantities=table.quantities).lstrip()

@@ -6,23 +6,8 @@ import re
 import unicodedata
 from collections.abc import Sequence
 
-from vprbench.paper.plan import QUANTITIES
+from vprbench.paper.table import words
 from vprbench.paper.table.cells import Column, Table, TableRow
-from vprbench.paper.table.words import (
-    HEADS,
-    INAPPLICABLE,
-    PAPER,
-    TITLE,
-    Words,
-    data,
-    in_paper,
-    legend,
-    machine_mark,
-    machines,
-    one_line,
-    sections,
-    words,
-)
 
 _ABREAST = 2  # datasets in one table: more would be too small to read
 _DOCUMENT = r"""\documentclass{article}
@@ -64,20 +49,20 @@ def latex(table: Table) -> str:
     first, *more = table.caption or ("",)
     starts = range(0, len(table.columns), _ABREAST)
     parts = [
-        rf"\textbf{{{TITLE}.}} {_text(first)}",
+        rf"\textbf{{{words.TITLE}.}} {_text(first)}",
         *(_table(table, table.columns[start : start + _ABREAST]) for start in starts),
         r"\footnotesize",
         _text(" ".join(more)),
-        "\n".join(rf"\textsuperscript{{{i}}} {_text(note)}\quad" for i, note in enumerate(table.notes, 1)),
-        r"\\ ".join(_text(f"{mark}: {machine}") for mark, machine in machines(table)),
-        _text(" ".join(legend(table))),
+        "\n".join(rf"\textsuperscript{{{i}}} {_text(note.text)}\quad" for i, note in enumerate(table.notes, 1)),
+        r"\\ ".join(_text(f"{mark}: {machine}") for mark, machine in words.machines(table)),
+        _text(" ".join(words.legend(table))),
     ]
     return _DOCUMENT.replace("BODY", "\n\n".join(part for part in parts if part))
 
 
 def _text(text: str) -> str:
     """Return text that LaTeX prints as it is; a sign that its fonts lack gives its plain letters or its number."""
-    escaped = "".join(map(_sign, unicodedata.normalize("NFC", one_line(text))))
+    escaped = "".join(map(_sign, unicodedata.normalize("NFC", words.one_line(text))))
     return re.sub(r"([-,'])(?=\1)", r"\1{}", escaped)  # pairs of these would melt into one sign
 
 
@@ -91,12 +76,13 @@ def _sign(sign: str) -> str:
 
 
 def _table(table: Table, columns: Sequence[Column]) -> str:
-    n = len(QUANTITIES)
+    n = len(table.quantities)
     titles = " & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_text(column.title)}}}" for column in columns)
     under = "".join(rf"\cmidrule(lr){{{2 + n * i}-{1 + n * (i + 1)}}}" for i in range(len(columns)))
-    heads, units = ("".join(f" & {_text(HEADS[q][i])}" for _ in columns for q in QUANTITIES) for i in range(2))
+    heads = "".join(f" & {_text(quantity.head)}" for _ in columns for quantity in table.quantities)
+    units = "".join(f" & {_text(quantity.unit)}" for _ in columns for quantity in table.quantities)
     body = "\n\\midrule\n".join(
-        "\n\\addlinespace\n".join(_row(table, row, columns) for row in rows) for rows in sections(table)
+        "\n\\addlinespace\n".join(_row(table, row, columns) for row in rows) for rows in words.sections(table)
     )
     lines = [
         _SHRUNK,
@@ -109,32 +95,32 @@ def _table(table: Table, columns: Sequence[Column]) -> str:
         r"\end{tabular}}",
     ]
     about = [
-        rf"{{\footnotesize \textbf{{{_text(column.title)}:}} {_text(data(column))}\par}}"
+        rf"{{\footnotesize \textbf{{{_text(column.title)}:}} {_text(words.data(column))}\par}}"
         for column in columns
-        if data(column)
+        if words.data(column)
     ]
     return "\n\n".join([*about, "\n".join(lines)])
 
 
 def _row(table: Table, row: TableRow, columns: Sequence[Column]) -> str:
-    cells = [words(table, row.cells[column.name, quantity], quantity) for column in columns for quantity in QUANTITIES]
+    cells = [words.of_cell(table, row.cells[column.name, q.name], q) for column in columns for q in table.quantities]
     measured = " & ".join([f"{{{_text(row.name)}}}", *map(_cell, cells)])
-    if not any(in_paper(row, column) for column in columns):
+    if not any(words.in_paper(row, column) for column in columns):
         return rf"{measured} \\"
-    printed = " & ".join(rf"\small {text}" for text in (rf"\quad {PAPER}", *map(_published, cells)))
+    printed = " & ".join(rf"\small {text}" for text in (rf"\quad {words.PAPER}", *map(_published, cells)))
     return f"{measured} \\\\\n{printed} \\\\"
 
 
-def _cell(cell: Words) -> str:
+def _cell(cell: words.Words) -> str:
     value = _text(cell.value)
     value = rf"\textbf{{{value}}}" if cell.best else rf"\textit{{{value}}}" if cell.kind == "quoted" else value
-    absence = "--" if cell.absence == INAPPLICABLE else _text(cell.absence)
-    marks = ", ".join([*([machine_mark(cell.machine)] if cell.machine else []), *map(str, cell.notes)])
+    absence = "--" if cell.absence == words.INAPPLICABLE else _text(cell.absence)
+    marks = ", ".join([*([words.machine_mark(cell.machine)] if cell.machine else []), *map(str, cell.notes)])
     text = " ".join(part for part in (absence, value, _text(cell.extent)) if part)
     return rf"{text}\textsuperscript{{{marks}}}" if marks else text
 
 
-def _published(cell: Words) -> str:
-    value = "--" if cell.published == INAPPLICABLE else _text(cell.published)
+def _published(cell: words.Words) -> str:
+    value = "--" if cell.published == words.INAPPLICABLE else _text(cell.published)
     value = rf"\textit{{{value}}}" if cell.published_quoted else value
     return f"{value} ({cell.difference.replace('-', '$-$')})" if cell.difference else value

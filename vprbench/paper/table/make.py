@@ -31,7 +31,7 @@ def write(found: Material, folder: Path, name: str) -> list[Path]:
         f"{name}.md": markdown.markdown(found.table),
         f"{name}.csv": markdown.csv(found.table),
         f"{name}.tex": markdown.latex(found.table),
-        f"{name}-runs.csv": rows.csv(runs),
+        f"{name}-runs.csv": rows.csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():
         replace_text(folder / file, text)

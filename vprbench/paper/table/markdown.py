@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import csv as csv_lines
-import io
 import re
 from html import escape
 
-from vprbench.paper.plan import QUANTITIES, Quantity
+import pandas as pd
+
+from vprbench.paper.table import words
 from vprbench.paper.table.cells import Column, Table, TableRow
 from vprbench.paper.table.html import html
 from vprbench.paper.table.latex import latex
-from vprbench.paper.table.words import (
-    HEADS,
-    PAPER,
-    SPIKING,
-    TITLE,
-    Words,
-    data,
-    in_paper,
-    legend,
-    machine_mark,
-    machines,
-    one_line,
-    sections,
-    words,
-)
-from vprbench.run import rows as tables
+from vprbench.paper.table.quantities import Quantity
+from vprbench.run import rows
 
 __all__ = ["csv", "html", "latex", "markdown", "shown_as_it_is"]
 
@@ -36,14 +22,18 @@ _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 def markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
     first, *more = table.caption or ("",)
-    parts = [f"# {TITLE}", shown_as_it_is(first)]
+    parts = [f"# {words.TITLE}", shown_as_it_is(first)]
     for column in table.columns:
-        parts += [f"## {shown_as_it_is(column.title)}", shown_as_it_is(data(column)), _markdown_table(table, column)]
+        parts += [
+            f"## {shown_as_it_is(column.title)}",
+            shown_as_it_is(words.data(column)),
+            _markdown_table(table, column),
+        ]
     parts += [
         "\n".join(map(shown_as_it_is, more)),
-        "\n".join(f"{i}. {shown_as_it_is(note)}" for i, note in enumerate(table.notes, 1)),
-        "\n".join(f"- {mark}: {shown_as_it_is(machine)}" for mark, machine in machines(table)),
-        "\n".join(legend(table)),
+        "\n".join(f"{i}. {shown_as_it_is(note.text)}" for i, note in enumerate(table.notes, 1)),
+        "\n".join(f"- {mark}: {shown_as_it_is(machine)}" for mark, machine in words.machines(table)),
+        "\n".join(words.legend(table)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -54,18 +44,18 @@ def csv(table: Table) -> str:
     `value` is the quoted one where `mark` says so. `total`, in the same unit, takes in more steps: the reading of the
     images in training, encoding and matching both in rates. Seeds are separated by spaces, notes by "; ".
     """
-    text = io.StringIO()
-    writer = csv_lines.DictWriter(text, _CSV_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    for row in table.rows:
-        for column in table.columns:
-            writer.writerows(_csv_line(table, row, column, quantity) for quantity in QUANTITIES)
-    return text.getvalue()
+    lines = [
+        _csv_line(table, row, column, quantity)
+        for row in table.rows
+        for column in table.columns
+        for quantity in table.quantities
+    ]
+    return str(pd.DataFrame(lines, columns=_CSV_COLUMNS, dtype=object).to_csv(index=False, lineterminator="\n"))
 
 
 def shown_as_it_is(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
-    text = escape(one_line(text), quote=False)
+    text = escape(words.one_line(text), quote=False)
     text = re.sub(r"([\\`*#$])", r"\\\1", text)
     if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
         text = re.sub(r"([\[\]])", r"\\\1", text)
@@ -76,28 +66,28 @@ def shown_as_it_is(text: str) -> str:
 
 
 def _markdown_table(table: Table, column: Column) -> str:
-    heads = ["method", *(" ".join(HEADS[quantity]) for quantity in QUANTITIES)]
+    heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
     lines: list[list[str]] = []
-    several = len(sections(table)) > 1
-    for rows in sections(table):
-        if several and rows[0].spiking:
-            lines.append([f"*{SPIKING}*", *[""] * len(QUANTITIES)])
-        for row in rows:
-            cells = [words(table, row.cells[column.name, quantity], quantity) for quantity in QUANTITIES]
+    several = len(words.sections(table)) > 1
+    for part in words.sections(table):
+        if several and part[0].spiking:
+            lines.append([f"*{words.SPIKING}*", *[""] * len(table.quantities)])
+        for row in part:
+            cells = [words.of_cell(table, row.cells[column.name, q.name], q) for q in table.quantities]
             lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
-            if in_paper(row, column):
-                lines.append([f"↳ {PAPER}", *map(_markdown_published, cells)])
-    return tables.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
+            if words.in_paper(row, column):
+                lines.append([f"↳ {words.PAPER}", *map(_markdown_published, cells)])
+    return rows.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
 
 
-def _markdown_cell(cell: Words) -> str:
+def _markdown_cell(cell: words.Words) -> str:
     value = f"**{cell.value}**" if cell.best else f"*{cell.value}*" if cell.kind == "quoted" else cell.value
-    machine = machine_mark(cell.machine) if cell.machine else ""
+    machine = words.machine_mark(cell.machine) if cell.machine else ""
     notes = ",".join(map(str, cell.notes)).translate(_SUPERSCRIPTS)
     return " ".join(part for part in (cell.absence, value, cell.extent, machine, notes) if part)
 
 
-def _markdown_published(cell: Words) -> str:
+def _markdown_published(cell: words.Words) -> str:
     value = f"*{cell.published}*" if cell.published_quoted else cell.published
     return f"{value} ({cell.difference})" if cell.difference else value
 
@@ -109,13 +99,13 @@ _CSV_COLUMNS = (
 
 
 def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -> dict[str, object]:
-    cell = row.cells[column.name, quantity]
+    cell = row.cells[column.name, quantity.name]
     line: dict[str, object] = {
-        "row": one_line(row.name),
+        "row": words.one_line(row.name),
         "column": column.name,
-        "title": one_line(column.title),
-        "quantity": quantity,
-        "unit": HEADS[quantity][1],
+        "title": words.one_line(column.title),
+        "quantity": quantity.name,
+        "unit": quantity.unit,
         "mark": cell.mark,
         "value": cell.quoted,
         "best": False,
@@ -123,12 +113,12 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "published": cell.published,
         "published_mark": cell.published_mark,
         "difference": cell.difference,
-        "notes": "; ".join(one_line(table.notes[number - 1]) for number in cell.notes),
+        "notes": "; ".join(words.one_line(table.notes[number - 1].text) for number in cell.notes),
     }
     if cell.measured is not None:
         copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
         line |= {name: getattr(cell.measured, name) for name in copied}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
         line["total"] = cell.measured.total
-        line["machine"] = one_line(table.machines[cell.measured.machine])
+        line["machine"] = words.one_line(table.machines[cell.measured.machine])
     return line

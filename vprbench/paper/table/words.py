@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from vprbench.paper.plan import QUANTITIES, Quantity
 from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
+from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, OfMetric, Quantity, exponent
 from vprbench.run.recall_intervals import METHOD
 
 TITLE = "Table II"
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
 SPIKING = "spiking"
-
-HEADS: dict[Quantity, tuple[str, str]] = {  # what it is, and its unit
-    "recall_at_1": ("R@1", "%"),
-    "train_cpu": ("train CPU", "min"),
-    "query_cpu": ("query CPU", "Hz"),
-    "train_gpu": ("train GPU", "min"),
-    "query_gpu": ("query GPU", "Hz"),
-}
-
-TRAINING_TIME = (  # of the table, the page and the README
-    "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "
-    "in brackets with waiting for them."
-)
-
-_TRAINING: tuple[Quantity, ...] = ("train_cpu", "train_gpu")
-_RATES: tuple[Quantity, ...] = ("query_cpu", "query_gpu")
 
 
 @dataclass(frozen=True)
@@ -49,13 +32,13 @@ class Words:
     difference: str  # nothing where there is none
 
 
-def words(table: Table, cell: Cell, quantity: Quantity) -> Words:
+def of_cell(table: Table, cell: Cell, quantity: Quantity) -> Words:
     """Return a cell of a table as words."""
     measured = cell.measured
     absence = {"measured": "", "quoted": "", "not applicable": INAPPLICABLE}.get(cell.mark, cell.mark)
     value = "" if cell.quoted is None else _printed(cell.quoted)
     if measured is not None:
-        value = ("~" if measured.disturbed else "") + number(measured.value, quantity)
+        value = ("~" if measured.disturbed else "") + quantity.text(measured.value)
     return Words(
         kind="quoted" if cell.mark == "quoted" else "absent" if absence else "measured",
         absence=f"{absence}:" if absence and value else absence,
@@ -70,15 +53,6 @@ def words(table: Table, cell: Cell, quantity: Quantity) -> Words:
     )
 
 
-def number(value: float, quantity: Quantity) -> str:
-    """Return a measured number: R@1 with one decimal, all else with two digits or all that stand before the point."""
-    if quantity == "recall_at_1":
-        return f"{value:.1f}"
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:,.{max(0, 1 - _exponent(value, 1))}f}"
-
-
 def sections(table: Table) -> list[tuple[TableRow, ...]]:
     """Return the conventional and the spiking rows, apart; without those that have none."""
     parts = (tuple(row for row in table.rows if row.spiking is spiking) for spiking in (False, True))
@@ -87,7 +61,7 @@ def sections(table: Table) -> list[tuple[TableRow, ...]]:
 
 def in_paper(row: TableRow, column: Column) -> bool:
     """Tell whether the paper has any cell of a row in a column."""
-    return any(row.cells[column.name, quantity].published_mark != "none" for quantity in QUANTITIES)
+    return any(cell.published_mark != "none" for (name, _), cell in row.cells.items() if name == column.name)
 
 
 def data(column: Column) -> str:
@@ -133,9 +107,10 @@ def _legend(table: Table) -> Iterator[str]:
     if intervals:
         of_mean = "; of several seeds, of their mean" if any(len(m.seeds) > 1 for m in intervals) else ""
         yield f"[low, high]: 95 % interval of R@1 over the queries{of_mean}: {METHOD}."
-    if any(m.total is not None for m in _measured(table, _TRAINING)):
+    if any(m.total is not None for m in _measured(table, TRAINING)):
         yield f"Training: {TRAINING_TIME[0].lower()}{TRAINING_TIME[1:]}"
-    yield from _legend_of_rates(_measured(table, _RATES))
+    yield from _legend_of_rates(_measured(table, RATES))
+    yield from (quantity.metric.explained for quantity in table.quantities if isinstance(quantity, OfMetric))
     if any(cell.published_mark != "none" for cell in cells):
         less = "; in brackets measured less printed" if any(cell.difference is not None for cell in cells) else ""
         lacking = "; none: it has no such number" if any(cell.published_mark == "none" for cell in cells) else ""
@@ -163,30 +138,26 @@ def _legend_of_rates(rates: Sequence[Measured]) -> Iterator[str]:
 
 
 def _measured(table: Table, quantities: Sequence[Quantity]) -> list[Measured]:
-    cells = [cell for row in table.rows for (_, quantity), cell in row.cells.items() if quantity in quantities]
+    names = {quantity.name for quantity in quantities}
+    cells = [cell for row in table.rows for (_, name), cell in row.cells.items() if name in names]
     return [cell.measured for cell in cells if cell.measured is not None]
 
 
 def _extent(measured: Measured, quantity: Quantity) -> str:
     parts = []
     if measured.spread is not None:
-        parts.append(f"± {_spread(measured.spread, number(measured.value, quantity))}")
+        parts.append(f"± {_spread(measured.spread, quantity.text(measured.value))}")
     if measured.low is not None and measured.high is not None:
-        parts.append(f"[{number(measured.low, quantity)}, {number(measured.high, quantity)}]")
+        parts.append(f"[{quantity.text(measured.low)}, {quantity.text(measured.high)}]")
     if measured.total is not None:
-        parts.append(f"({number(measured.total, quantity)})")
+        parts.append(f"({quantity.text(measured.total)})")
     return " ".join(parts)
 
 
 def _spread(spread: float, beside: str) -> str:
     """Return a spread with as many decimals as the number beside it, or as many as it takes to see it."""
     decimals = len(beside.partition(".")[2])
-    return f"{spread:,.{max(decimals, -_exponent(spread, 0))}f}" if spread else "0"
-
-
-def _exponent(value: float, decimals: int) -> int:
-    """Return the power of ten of a number that is rounded to so many decimals behind its first digit: 9.96 is 10."""
-    return int(f"{value:.{decimals}e}".partition("e")[2])
+    return f"{spread:,.{max(decimals, -exponent(spread, 0))}f}" if spread else "0"
 
 
 def _published(cell: Cell) -> str:
@@ -201,5 +172,5 @@ def _printed(value: float) -> str:
 
 
 def _signed(difference: float, quantity: Quantity) -> str:
-    size = number(abs(difference), quantity)
+    size = quantity.text(abs(difference))
     return size if float(size.replace(",", "")) == 0 else f"{'-' if difference < 0 else '+'}{size}"

@@ -1,0 +1,131 @@
+"""Every metric is reached by its name, and one that is added is everywhere at once."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from assembled import measured, table
+from little import a_run, unanswerable_run
+from small_plan import RUN, install
+from stored_runs import SAD, run
+
+from vprbench.cli import main
+from vprbench.metrics.accuracy import average_precision, pr_curve_multi
+from vprbench.metrics.ranking import Outcome
+from vprbench.metrics.registry import METRICS, Metric
+from vprbench.paper.figures.metrics import of_rows
+from vprbench.paper.selection import groups, series
+from vprbench.paper.table import markdown
+from vprbench.paper.table.quantities import QUANTITIES, quantities
+
+
+def unanswerable(outcome: Outcome) -> float:
+    """Return the share of queries without a right place, of which fewer are better."""
+    return 1 - float(outcome.answerable.mean())
+
+
+@pytest.fixture
+def lost() -> Iterator[Metric]:
+    """A metric that this project does not have."""
+    made = Metric("lost", "Lost", unanswerable, "queries without a right place", 2, higher_is_better=False)
+    METRICS[made.name] = made
+    yield made
+    del METRICS[made.name]
+
+
+def test_each_metric_of_four_queries_is_the_one_worked_by_hand() -> None:
+    # right, right, wrong, wrong in falling order of confidence, the right places of the last two 3rd and 8th
+    found = {name: METRICS[name].of(a_run()) for name in METRICS if name != "ap_c"}
+    assert found == pytest.approx(
+        {
+            **{"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1, "recall_at_25": 1},
+            **{"auc_pr_a": 0.5, "average_precision_a": 0.5, "r100p": 0.5, "p100r": 0.5},
+            **{"auc_roc": 1, "ep": 1, "f1_max": 2 / 3},
+        }
+    )
+
+
+def test_every_metric_is_undefined_without_a_right_place() -> None:
+    assert {name: METRICS[name].of(unanswerable_run()) for name in METRICS} == dict.fromkeys(METRICS)
+
+
+def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map() -> None:
+    scores = np.random.default_rng(3).random((4, 10)).astype(np.float32)
+    best = np.argsort(-scores, axis=1).astype(np.int32)
+    kept = run(top_places=best, top_scores=np.take_along_axis(scores, best, axis=1))
+    curve = pr_curve_multi(scores, kept.positives)
+    assert curve is not None
+    assert METRICS["ap_c"].of(kept) == pytest.approx(average_precision(curve))
+    fewer = run(top_places=best[:, :9], top_scores=kept.top_scores[:, :9])
+    assert METRICS["ap_c"].of(fewer) is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one stored run of the plan."""
+    folder = tmp_path_factory.mktemp("metrics")
+    with pytest.MonkeyPatch.context() as patch:
+        install(patch, folder)
+        assert main(["table", "rows=[SAD]", *RUN]) == 0
+    return folder
+
+
+def test_an_added_metric_is_in_row_json_csv_table_and_page(
+    lost: Metric, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    install(monkeypatch, folder)
+    one = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN]
+    assert main([*one, "metrics=[lost,r100p]"]) == 0
+    assert {"Lost %", "R@100P %"} <= {*capfd.readouterr().out.replace("  ", "\n").split("\n")}
+    assert main([*one, "metrics=[lost]", "output=json"]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert (said["from_store"], said["lost"]) == (True, 0)
+    assert main(["table", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
+    assert "| Lost % " in capfd.readouterr().out
+    cells = list(csv.DictReader(Path("results/table.csv").read_text().splitlines()))
+    assert [(line["value"], line["unit"]) for line in cells if line["quantity"] == "lost"] == [("0.0", "%")]
+    assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["lost"] == "0.0"
+    assert main(["report", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
+    page = Path("results/report.html").read_text()
+    assert ">Lost %</th>" in page
+    assert "lost-route" in page  # its figure
+
+
+def test_a_metric_that_nobody_asked_for_is_nowhere(lost: Metric) -> None:
+    made = table([run()], rows=[SAD])
+    assert made.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
+    assert "lost" not in "".join(getattr(markdown, form)(made) for form in ("markdown", "csv", "latex", "html")).lower()
+
+
+def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost: Metric) -> None:
+    made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
+    assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
+    assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
+    (line, *_) = [line for line in csv.DictReader(io.StringIO(markdown.csv(made))) if line["quantity"] == "ep"]
+    assert (line["unit"], line["value"]) == ("", "1.0")
+    text = markdown.markdown(made)
+    assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
+    assert lost.explained.endswith("lower is better.")
+
+
+@pytest.mark.parametrize("options", [["method=sad"], ["table"]])
+def test_an_unknown_metric_is_told_with_its_neighbours(options: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert main([*options, "metrics=[r100]"]) == 2
+    assert "did you mean r100p" in capfd.readouterr().err
+
+
+def test_the_figure_of_a_metric_shows_its_rows() -> None:
+    from stored_runs import RAIL, ROWS
+
+    (group,) = groups([run(), run("vprsnn")], (), [RAIL], ROWS)
+    drawn = of_rows(series(group, ROWS), METRICS["r100p"])
+    (axes,) = drawn.figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
+    assert axes.get_xlabel() == "R@100P %"
+    assert METRICS["r100p"].explained in drawn.caption

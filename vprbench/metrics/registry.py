@@ -1,0 +1,148 @@
+"""Every accuracy by its name: an entry of `METRICS` is known to runs, tables, figures and pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.metrics.accuracy import (
+    auc,
+    auc_roc,
+    average_precision,
+    extended_precision,
+    f1_max,
+    pr_curve,
+    pr_curve_multi,
+    precision_at_full_recall,
+    recall_at,
+    recall_at_full_precision,
+)
+from vprbench.metrics.ranking import Outcome, PlacesPerQuery
+
+RECALLS = (1, 5, 10, 25)
+
+
+class StoredAnswers(Protocol):
+    """What a run keeps of its answers."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """Where the right places stand."""
+
+    @property
+    def positives(self) -> PlacesPerQuery:
+        """The right places of each query."""
+
+    @property
+    def top_places(self) -> npt.NDArray[np.int32]:
+        """The best places, (n_queries, depth), best first."""
+
+    @property
+    def top_scores(self) -> npt.NDArray[np.float32]:
+        """Their scores, (n_queries, depth); -inf: no candidate."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A share or an area, 0 to 1, of the answers of one run."""
+
+    name: str  # in options, JSON and CSV
+    words: str  # at the head of a column, without the unit
+    function: Callable[[Outcome], float | None]  # None where it is undefined
+    meaning: str  # in a few words, after the head
+    digits: int = 1  # behind the point
+    percent: bool = True  # how people read it; JSON and the CSV of runs hold 0 to 1
+    higher_is_better: bool = True
+
+    @property
+    def unit(self) -> str:
+        """Return the sign of the unit, empty where there is none."""
+        return "%" if self.percent else ""
+
+    @property
+    def head(self) -> str:
+        """Return the head of a column, with the unit."""
+        return f"{self.words} {self.unit}".rstrip()
+
+    @property
+    def explained(self) -> str:
+        """Return what it is and which way is better, in one sentence."""
+        return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
+
+    def of(self, answers: StoredAnswers) -> float | None:
+        """Return the value of a run, 0 to 1; None where it is undefined."""
+        return self.function(answers.outcome)
+
+    def shown(self, value: float) -> float:
+        """Return a value in the unit that people read."""
+        return 100 * value if self.percent else value
+
+    def text(self, value: float | None) -> str:
+        """Return a value for people, without its unit."""
+        return "-" if value is None else f"{self.shown(value):.{self.digits}f}"
+
+
+@dataclass(frozen=True)
+class PairMetric(Metric):
+    """A metric of all pairs of a query and a place, which an `Outcome` does not hold."""
+
+    def of(self, answers: StoredAnswers) -> float | None:
+        """Return the value of a run that kept every place of its map (`depth`); None where it kept fewer."""
+        n_queries, depth = answers.top_scores.shape
+        if depth < answers.outcome.n_places:
+            return None
+        scores = np.empty((n_queries, depth), np.float32)
+        np.put_along_axis(scores, answers.top_places.astype(np.int64), answers.top_scores, axis=1)
+        curve = pr_curve_multi(scores, answers.positives)
+        return None if curve is None else average_precision(curve)
+
+
+def _recall(outcome: Outcome, n: int) -> float | None:
+    recall = recall_at(outcome, n)
+    return None if recall is None else recall.expected
+
+
+def _area(outcome: Outcome, area: Callable[..., float]) -> float | None:
+    curve = pr_curve(outcome, "A")
+    return None if curve is None else area(curve)
+
+
+def _recall_at_full_precision(outcome: Outcome) -> float | None:
+    found = recall_at_full_precision(outcome)
+    return None if found is None else found.recall
+
+
+_BEST = "the share of queries with a right place among the best"
+_ALL = (
+    *(Metric(f"recall_at_{n}", f"R@{n}", partial(_recall, n=n), f"{_BEST} {n}") for n in RECALLS),
+    Metric("auc_pr_a", "AUC-PR (A)", partial(_area, area=auc), "trapezoids under curve A", 3, percent=False),
+    Metric(
+        "average_precision_a",
+        "AP (A)",
+        partial(_area, area=average_precision),
+        "step sum under curve A",
+        3,
+        percent=False,
+    ),
+    Metric("r100p", "R@100P", _recall_at_full_precision, "the share answered before the first error"),
+    Metric("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
+    Metric("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one", 3, percent=False),
+    Metric("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2", 3, percent=False),
+    Metric("f1_max", "F1-max", f1_max, "the highest F1 on curve A", 3, percent=False),
+    PairMetric(
+        "ap_c",
+        "AP (C)",
+        lambda outcome: None,  # of an outcome alone it is undefined
+        "step sum under curve C, over all pairs, of runs that keep the whole map (depth)",
+        3,
+        percent=False,
+    ),
+)
+
+#: By name, in the order of a list for people.
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}

@@ -1,0 +1,254 @@
+"""The quantities of Table II: each knows its head and unit, whose runs it shows, and how they become a number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import mean, median
+from typing import ClassVar, Literal
+
+from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.intervals import WiderInterval
+from vprbench.metrics.registry import METRICS, Metric
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import Device
+from vprbench.paper.table.best import (
+    Contestant,
+    best_rate,
+    best_recall,
+    best_training,
+    disturbed,
+    mean_recall,
+    rate,
+)
+from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, short
+from vprbench.run.note import DISTURBED, FAILED_AUDITS, NoteKind
+from vprbench.run.recall_intervals import recall_interval
+from vprbench.run.record import Run
+
+TRAINING_TIME = (  # of the table, the page and the README
+    "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "
+    "in brackets with waiting for them."
+)
+_APART: frozenset[NoteKind] = DISTURBED | {"described", "resumed"}  # told by a mark, or with the training alone
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What the runs of one cell gave, in the quantity's unit."""
+
+    values: Sequence[float]  # one a seed
+    value: float  # of all seeds
+    total: float | None = None  # with the steps that `value` leaves out
+    interval: WiderInterval | None = None  # 95 %, 0 to 1
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column of the table."""
+
+    name: str  # in the CSV, and of what the paper printed
+    head: str
+    unit: str
+    device: Device | None = None  # whose runs it shows; None: those of the device with the most seeds
+    undefined: ClassVar[Reason] = Reason("undefined", "no query has a right place")
+    audited: ClassVar[bool] = False  # notes of failed audits are told here, and not elsewhere
+
+    def source(self, row: Row) -> Literal["measured", "quoted", "none"]:
+        """Return where a row has it from; none: the row has no such step."""
+        return "measured"
+
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs of a row that say something of it."""
+        return runs
+
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
+        """Return what the runs of a row gave; None where it is undefined."""
+        raise NotImplementedError
+
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Return the row that a test separates from all others; None where none does or there is no test."""
+        return None
+
+    def contends(self, row: Row) -> bool:
+        """Tell whether a row is compared with the others."""
+        return True
+
+    def disturbed(self, runs: Sequence[Run]) -> bool:
+        """Tell whether a busy machine or too few laps make it doubtful."""
+        return any(map(disturbed, runs))
+
+    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:
+        """Return by row what sets it apart from the others of a column; `runs` holds one run of each."""
+        return {}
+
+    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
+        """Yield why it and what the paper printed cannot be compared; `real` is what the column stands in for."""
+        yield from of_accuracy(planned, real, run)
+
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield what a reader of a number has to know, from the notes of its runs among others."""
+        yield from _told(runs, [kind for kind in _kinds(runs) - _APART if (kind in FAILED_AUDITS) == self.audited])
+
+    def text(self, value: float) -> str:
+        """Return a number with two digits or all that stand before the point."""
+        if value == 0 or not math.isfinite(value):
+            return f"{value:g}"
+        return f"{value:,.{max(0, 1 - exponent(value, 1))}f}"
+
+
+@dataclass(frozen=True)
+class Recall(Quantity):
+    """R@1, the expected value under ties, with its interval."""
+
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
+        """Return R@1 of the runs with its interval; None where no query has a right place."""
+        if mean_recall(runs) is None:
+            return None
+        values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
+        return Numbers(values, mean(values), interval=recall_interval(runs))
+
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare the hits of all pairs of seeds."""
+        return best_recall(rows)
+
+    def disturbed(self, runs: Sequence[Run]) -> bool:
+        """Say no: answers do not hang on the machine."""
+        return False
+
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield between what R@1 lies if it hangs on ties, and the notes."""
+        recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
+        if any(recall.hangs_on_ties for recall in recalls):
+            low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
+            between = f"{low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
+            yield Reason("ties", f"scores tie: R@1 is {between}")
+        yield from super().remarks(row, runs)
+
+    def text(self, value: float) -> str:
+        """Return a number with one decimal."""
+        return f"{value:.1f}"
+
+
+@dataclass(frozen=True)
+class OfMetric(Recall):
+    """One of `METRICS`: the mean over the seeds, in no contest."""
+
+    metric: Metric = METRICS["recall_at_1"]
+    undefined: ClassVar[Reason] = Reason("undefined", "undefined for the answers of this row")
+
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
+        """Return the metric in its unit; None where it is undefined for all runs."""
+        values = [self.metric.shown(value) for run in runs if (value := self.metric.of(run)) is not None]
+        return Numbers(values, mean(values)) if values else None
+
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Name no row: there is no test."""
+        return None
+
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield the notes."""
+        return Quantity.remarks(self, row, runs)
+
+    def text(self, value: float) -> str:
+        """Return a number with the digits of the metric."""
+        return f"{value:.{self.metric.digits}f}"
+
+
+@dataclass(frozen=True)
+class Training(Quantity):
+    """Minutes of training without waiting for images: the median over the seeds."""
+
+    device: Device = "cpu"
+
+    def source(self, row: Row) -> Literal["measured", "quoted", "none"]:
+        """Quote the paper for networks that come trained."""
+        return "measured" if row.learns_here else "none" if row.training == "none" else "quoted"
+
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs that trained."""
+        return tuple(run for run in runs if run.fit_compute_seconds is not None)
+
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
+        """Return the minutes without waiting for images, and the wall time as the total."""
+        values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
+        wall = median(run.training_seconds / 60 for run in runs if run.training_seconds is not None)
+        return Numbers(values, median(values), wall)
+
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare all pairs of seeds."""
+        return best_training(rows)
+
+    def contends(self, row: Row) -> bool:
+        """Leave out rows that only build a map."""
+        return row.training != "map"
+
+    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
+        """Yield why the times cannot be compared."""
+        return of_times(planned, real, run, self.device)
+
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield what kind of training it is."""
+        if row.training == "map":
+            yield Reason("map", "the time to build the map from the references")
+        yield from _told(runs, ["resumed"])
+
+
+@dataclass(frozen=True)
+class Rate(Quantity):
+    """Queries per second at the row's boundary, 1 / median of the streaming laps: the mean over the seeds."""
+
+    device: Device = "cpu"
+    audited: ClassVar[bool] = True
+
+    def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
+        """Return the rates at the row's boundary; the total is that of both steps."""
+        values = [rate(run, row.boundary) for run in runs]
+        total = None if row.boundary is None else mean(rate(run, None) for run in runs)
+        return Numbers(values, mean(values), total)
+
+    def best(self, rows: Sequence[Contestant]) -> str | None:
+        """Compare the laps of all pairs of seeds."""
+        return best_rate(rows)
+
+    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:
+        """Return the rows that were timed otherwise than most."""
+        return other_timing(runs)
+
+    def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
+        """Yield why the times cannot be compared, and which step the rate covers."""
+        yield from of_times(planned, real, run, self.device)
+        yield from of_rates(row, planned)
+
+    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
+        """Yield that it covers both steps if the paper has no such row, and the notes."""
+        if row.boundary is None:
+            yield Reason("both steps", "encode and match together: the paper has no such row")
+        yield from super().remarks(row, runs)
+
+
+RECALL = Recall("recall_at_1", "R@1", "%")
+TRAINING = (Training("train_cpu", "train CPU", "min", "cpu"), Training("train_gpu", "train GPU", "min", "cuda"))
+RATES = (Rate("query_cpu", "query CPU", "Hz", "cpu"), Rate("query_gpu", "query GPU", "Hz", "cuda"))
+#: Those of the paper, in its order.
+QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
+
+
+def quantities(metrics: Sequence[str]) -> tuple[Quantity, ...]:
+    """Return the columns of a table: those of the paper, and `metrics` by their names."""
+    more = (METRICS[name] for name in dict.fromkeys(metrics) if name != RECALL.name)
+    return (*QUANTITIES, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
+
+
+def exponent(value: float, decimals: int) -> int:
+    """Return the power of ten of a number that is rounded to so many decimals behind its first digit: 9.96 is 10."""
+    return int(f"{value:.{decimals}e}".partition("e")[2])
+
+
+def _kinds(runs: Sequence[Run]) -> frozenset[NoteKind]:
+    return frozenset(note.kind for run in runs for note in run.notes)
+
+
+def _told(runs: Sequence[Run], kinds: Sequence[NoteKind]) -> Iterator[Reason]:
+    return (short("note", note.text) for run in runs for note in run.notes if note.kind in kinds)
