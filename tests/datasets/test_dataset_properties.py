@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -15,14 +16,16 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from little import numbers_in, pictures
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.datasets import nordland as nordland_module
 from vprbench.datasets.folders import folders
 from vprbench.datasets.nordland import chosen_names, nordland
 from vprbench.datasets.oxford_robotcar import lists
 from vprbench.datasets.oxford_robotcar.lists import every, published_timestamps
-from vprbench.datasets.traverses import (
+from vprbench.datasets.readers.traverses import (
     Evaluation,
     Split,
+    Traverses,
     check_recorded,
     dataset_of,
     recorded_split,
@@ -167,14 +170,11 @@ def test_right_are_exactly_the_places_of_the_map_that_lie_within_the_tolerance(g
 def made(given: Asked, traverses: list[int], query: int) -> Dataset:
     """Return the dataset of pictures whose number is 1000 times their traverse's and their place's together."""
     names = [*map(str, traverses)]
-    return dataset_of(
-        "made",
-        given.split(),
-        names,
-        str(query),
-        lambda shown: pictures([1000 * int(traverse) + place for traverse, place in shown]),
-        {},
-    )
+
+    def frames(shown: Sequence[tuple[str, int]]) -> Images:
+        return pictures([1000 * int(traverse) + place for traverse, place in shown])
+
+    return dataset_of("made", given.split(), Traverses(names, str(query), frames), {})
 
 
 traversed = st.lists(st.integers(0, 4), min_size=1, max_size=3, unique=True)

@@ -8,7 +8,7 @@ from image_folders import REAL, needs_real_frames
 from PIL import Image as PillowImage
 
 from vprbench.datasets.folders import folders
-from vprbench.datasets.image_files import images_in
+from vprbench.datasets.readers.image_files import images_in
 from vprbench.errors import BadInput
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rendered_frames import frames_of_traverse, mean_difference
 
-from vprbench.datasets.rendering.journey import Rendered
+from vprbench.datasets.rendering.journey import Rendered, World
 from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
@@ -30,18 +30,9 @@ class Slate:
 
 
 def little_journey(skipped=(1, 4), **asked):
-    journey = Rendered("the little journey", "hour", ("dawn", "midday"), 3, 20, skipped, Slate, version=7)
-    defaults = {
-        "name": "little",
-        "places": 8,
-        "references": ["dawn"],
-        "query": "midday",
-        "first_query_place": None,
-        "query_places": None,
-        "tolerance": 0,
-        "seed": 0,
-    }
-    return journey.dataset(**defaults | asked)
+    world = World("the little journey", "hour", ("dawn", "midday"), 3, 20, skipped, Slate, version=7)
+    little = type("Little", (Rendered,), {"world": world})
+    return little(**{"name": "little", "places": 8, "references": ["dawn"], "query": "midday"} | asked).build()
 
 
 def queried(dataset):

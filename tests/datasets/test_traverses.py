@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from vprbench.datasets.traverses import check_recorded, places_of, recorded_split, right_places, set_aside, split
+from vprbench.datasets.readers.traverses import (
+    check_recorded,
+    places_of,
+    recorded_split,
+    right_places,
+    set_aside,
+    split,
+)
 from vprbench.errors import BadInput
 
 
