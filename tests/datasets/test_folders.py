@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from image_folders import REAL, needs_real_frames
+from image_folders import REAL, needs_real_frames, rights
 
 from vprbench.datasets.folders import folders
 from vprbench.datasets.readers.image_files import images_in
@@ -31,10 +31,6 @@ def numbered(n):
 
 def at(*positions):
     return [f"@{east}@{north}@{i}@.png" for i, (east, north) in enumerate(positions)]
-
-
-def rights(dataset):
-    return [right.tolist() for right in dataset.positives]
 
 
 def answer(**arguments):

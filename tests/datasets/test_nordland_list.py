@@ -4,13 +4,10 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from checkout import SHARED
+from image_folders import REAL, needs_real_frames
 
 from vprbench.datasets.nordland import chosen_names, published_frames
 from vprbench.errors import BadInput
-
-REAL = SHARED / "data" / "nordland_64x32"
-needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
 
 LINES = [f"images-{frame:05d}.png\n" for frame in published_frames()]
 
@@ -46,5 +43,5 @@ def test_2761_names_have_a_number_divisible_by_ten():
 
 @needs_real_frames
 def test_the_names_divisible_by_ten_are_those_of_the_public_64x32_frames():
-    listed = (REAL / "frames_clean_qvpr.txt").read_text().split()
+    listed = (REAL / "nordland_64x32" / "frames_clean_qvpr.txt").read_text().split()
     assert [Path(name).stem for name in chosen_names(1, 2761, 10)] == [Path(name).stem for name in listed]

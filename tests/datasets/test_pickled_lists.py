@@ -189,6 +189,11 @@ def test_a_file_that_would_fill_the_memory_or_is_no_list_is_refused(write, kind)
     refusal(write(BOMBS[kind]))
 
 
+@pytest.mark.parametrize("kind", ["a place in the memo beyond the file", "a place in the memo, as text"])
+def test_no_room_is_made_for_a_memo_larger_than_the_file(write, kind):
+    assert "beyond its own size" in refusal(write(BOMBS[kind]))
+
+
 def test_a_file_that_is_too_large_is_refused_by_its_size(tmp_path):
     path = tmp_path / "ground_truth_new.npy"
     with path.open("wb") as file:

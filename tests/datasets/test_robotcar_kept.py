@@ -297,14 +297,6 @@ def test_the_table_may_be_somewhere_else(root: Path, tmp_path: Path) -> None:
     assert shows_all(dataset(root, calibration=str(tmp_path)))
 
 
-def test_missing_raw_frames_are_counted(root: Path) -> None:
-    for place in (1, 3):
-        (raw_folder(root, "rain") / f"{STAMPS['rain'][place]}.png").unlink()
-    with pytest.raises(NotThere, match="2 of 4 expected frames are missing") as error:
-        dataset(root)
-    assert f"{STAMPS['rain'][1]}.png is missing from {raw_folder(root, 'rain')}" in str(error.value)
-
-
 def test_a_colour_file_among_raw_frames_is_named_when_it_is_read(root: Path) -> None:
     path = raw_folder(root, "sun") / f"{STAMPS['sun'][2]}.png"
     PillowImage.new("RGB", (16, 12)).save(path)
