@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, MatFileError, NotThere, read_mat
 
-from .file_dataset import Unmatched, dataset_of_files
-from .frame_folders import root_folder
-from .image_files import check_listed
-from .positions import are_metres, by_radius
+from .readers.file_dataset import Unmatched, dataset_of_files
+from .readers.frame_folders import root_folder
+from .readers.image_files import check_listed
+from .readers.positions import are_metres, by_radius
+from .readers.recipes import function_of
 
 _NAMES, _UTM, _QUERY_NAMES, _QUERY_UTM = 1, 2, 3, 4  # fields by position, as Relja/netvlad writes them
 
@@ -24,56 +26,59 @@ _LAYOUT = (
 )
 
 
-def dbstruct(
-    name: str = "dbstruct",
-    root: str | None = None,
-    mat: str | None = None,
-    database_folder: str = "",
-    query_folder: str = "",
-    database_suffix: str | None = None,
-    radius_metres: float = 25.0,
-    unmatched: Unmatched = "keep",
-) -> Dataset:
-    """Return the images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
+@dataclass(frozen=True)
+class DbStruct:
+    """The images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
     database image is a place; right is what lies within `radius_metres` of a query, the radius included. Raises
     NotThere for missing files, BadInput for a file without such a structure.
     """
-    top = root_folder(name, root, "the images that the .mat file names", _LAYOUT)
-    if mat is None:
-        raise NotThere(f"dataset.mat is not set: {_LAYOUT}")
-    file = top / Path(mat).expanduser()
-    fields = _read(file)
-    named = _names(file, fields, _NAMES)
-    database = [top / database_folder / entry for entry in named]
-    if database_suffix is not None:
-        database = [path.with_suffix(database_suffix) for path in database]
-    queries = [top / query_folder / entry for entry in _names(file, fields, _QUERY_NAMES)]
-    check_listed(
-        database, f"the database of {file.name}", "set dataset.root, dataset.database_folder or dataset.database_suffix"
-    )
-    check_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
-    return dataset_of_files(
-        name,
-        database,
-        queries,
-        by_radius(
-            _positions(file, fields, _UTM, len(database)),
-            _positions(file, fields, _QUERY_UTM, len(queries)),
-            radius_metres,
-        ),
-        unmatched,
-        {
-            "protocol": "dbstruct",
-            "mat": file.name,
-            "database_folder": database_folder,
-            "query_folder": query_folder,
-            "database_suffix": database_suffix,
-            "radius_metres": radius_metres,
-        },
-    )
+
+    name: str = "dbstruct"
+    root: str | None = None
+    mat: str | None = None
+    database_folder: str = ""
+    query_folder: str = ""
+    database_suffix: str | None = None
+    radius_metres: float = 25.0
+    unmatched: Unmatched = "keep"
+
+    def build(self) -> Dataset:
+        """Return the dataset of these options, after a check that every image is there."""
+        top = root_folder(self.name, self.root, "the images that the .mat file names", _LAYOUT)
+        if self.mat is None:
+            raise NotThere(f"dataset.mat is not set: {_LAYOUT}")
+        file = top / Path(self.mat).expanduser()
+        fields = _read(file)
+        database = [top / self.database_folder / entry for entry in _names(file, fields, _NAMES)]
+        if self.database_suffix is not None:
+            database = [path.with_suffix(self.database_suffix) for path in database]
+        queries = [top / self.query_folder / entry for entry in _names(file, fields, _QUERY_NAMES)]
+        advice = "set dataset.root, dataset.database_folder or dataset.database_suffix"
+        check_listed(database, f"the database of {file.name}", advice)
+        check_listed(queries, f"the queries of {file.name}", "set dataset.root or dataset.query_folder")
+        metres = _positions(file, fields, _UTM, len(database))
+        query_metres = _positions(file, fields, _QUERY_UTM, len(queries))
+        return dataset_of_files(
+            self.name,
+            database,
+            queries,
+            by_radius(metres, query_metres, self.radius_metres),
+            self.unmatched,
+            {
+                "protocol": "dbstruct",
+                "mat": file.name,
+                "database_folder": self.database_folder,
+                "query_folder": self.query_folder,
+                "database_suffix": self.database_suffix,
+                "radius_metres": self.radius_metres,
+            },
+        )
+
+
+dbstruct = function_of(DbStruct)
 
 
 def _read(file: Path) -> tuple[Any, ...]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .file_dataset import GroundTruth, Unmatched, dataset_of_files
-from .image_files import images_in
-from .utm_names import by_names
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.image_files import images_in
+from .readers.utm_names import by_names
 
 _ADVICE = "give a folder of images"
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .csv_tables import read_csv
-from .file_dataset import GroundTruth, Unmatched, dataset_of_files
-from .image_files import check_listed
-from .positions import METRES_WANTED, are_metres, by_radius, earth_centred
+from .readers.csv_tables import read_csv
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.image_files import check_listed
+from .readers.positions import METRES_WANTED, are_metres, by_radius, earth_centred
 
 Kind = Literal["place", "east_north", "lat_lon"]
 

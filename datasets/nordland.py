@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 from vprbench.api import BadInput, Dataset, FrameFolder, Images
 
-from .frame_folders import check_folders, root_folder
-from .traverses import Evaluation, check_recorded, dataset_of, recorded_split
+from .readers.frame_folders import check_folders, root_folder
+from .readers.recipes import function_of
+from .readers.traverses import Evaluation, Split, Traverses, check_recorded, dataset_of, recorded_split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -27,25 +30,9 @@ _PATCH_NETVLAD = (
 )
 
 
-def nordland(
-    name: str = "nordland",
-    root: str | None = None,
-    references: list[str] | None = None,
-    query: str = "summer",
-    stride: int = 8,
-    places: int = 3300,
-    query_places: int = 2700,
-    first_query_place: int = 600,
-    tolerance: int = 0,
-    frame_multiple: int = 1,
-    default_root: str | None = None,
-    source: str = _SOURCE,
-    protocol: Protocol = "vprtempo",
-    query_stride: int = 1,
-    suffix: Suffix = ".png",
-    download: str = "nordland",
-) -> Dataset:
-    """Return Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
+@dataclass(frozen=True)
+class Nordland:
+    """Nordland as `places` places, every `stride`-th name of the published list (VPRTempo 64154e5).
 
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
@@ -54,35 +41,74 @@ def nordland(
     `default_root` (relative to the checkout) where it exists, else the folder of the `download`; `source` says in
     messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
     """
-    seasons = ["spring", "fall"] if references is None else references
-    check_recorded("Nordland", "season", SEASONS, seasons, query)
-    _check_protocol(protocol, stride, frame_multiple)
-    names = chosen_names(stride, places, frame_multiple, suffix)
-    evaluation: Evaluation = "vprsnn" if protocol == "vprsnn" else "vprtempo"
-    parts = recorded_split(evaluation, places, first_query_place, query_places, tolerance, query_stride)
-    layout = f"get the frames from {source}, and set dataset.root so that <root>/{seasons[0]}/{names[0]} is the first"
-    top = root_folder(name, root, "the seasons", layout, download, default_root)
-    used = {query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
-    counts = _whole_counts(frame_multiple)
-    folders = {season: FrameFolder(top / season, tuple(used[season]), counts, _WRONG_COUNTS) for season in used}
-    check_folders([*folders.values()], layout, "dataset.suffix")
-    return dataset_of(
-        name,
-        parts,
-        seasons,
-        query,
-        lambda shown: Images.from_files([folders[season].path / names[place] for season, place in shown]),
-        {
-            "protocol": protocol,
-            "references": seasons,
-            "query": query,
-            "stride": stride,
-            **parts.record(),
-            "frame_multiple": frame_multiple,
-        },
-        [*folders.values()],
-        [_PATCH_NETVLAD.format(tolerance)] if protocol == "patchnetvlad" else [],
-    )
+
+    name: str = "nordland"
+    root: str | None = None
+    references: list[str] | None = None
+    query: str = "summer"
+    stride: int = 8
+    places: int = 3300
+    query_places: int = 2700
+    first_query_place: int = 600
+    tolerance: int = 0
+    frame_multiple: int = 1
+    default_root: str | None = None
+    source: str = _SOURCE
+    protocol: Protocol = "vprtempo"
+    query_stride: int = 1
+    suffix: Suffix = ".png"
+    download: str = "nordland"
+
+    def build(self) -> Dataset:
+        """Return the dataset of these options, after a look at what is in the folders of the seasons."""
+        seasons = ["spring", "fall"] if self.references is None else self.references
+        check_recorded("Nordland", "season", SEASONS, seasons, self.query)
+        _check_protocol(self.protocol, self.stride, self.frame_multiple)
+        names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix)
+        parts = self._split()
+        used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
+        folders = self._folders(used, seasons[0])
+        return dataset_of(
+            self.name,
+            parts,
+            Traverses(
+                seasons,
+                self.query,
+                lambda shown: Images.from_files([folders[season].path / names[place] for season, place in shown]),
+                [*folders.values()],
+            ),
+            {
+                "protocol": self.protocol,
+                "references": seasons,
+                "query": self.query,
+                "stride": self.stride,
+                **parts.record(),
+                "frame_multiple": self.frame_multiple,
+            },
+            [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
+        )
+
+    def _split(self) -> Split:
+        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
+        asked = (self.places, self.first_query_place, self.query_places, self.tolerance, self.query_stride)
+        return recorded_split(evaluation, *asked)
+
+    def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
+        """Return the folder of each season, with the names used of it; raises NotThere where some are missing."""
+        layout = (
+            f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
+            "first"
+        )
+        top = root_folder(self.name, self.root, "the seasons", layout, self.download, self.default_root)
+        counts = _whole_counts(self.frame_multiple)
+        folders = {
+            season: FrameFolder(top / season, tuple(names), counts, _WRONG_COUNTS) for season, names in used.items()
+        }
+        check_folders([*folders.values()], layout, "dataset.suffix")
+        return folders
+
+
+nordland = function_of(Nordland)
 
 
 def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .file_dataset import Unmatched, dataset_of_files
-from .frame_folders import root_folder
-from .image_files import check_listed, images_in
-from .utm_names import Zones, by_names
+from .readers.file_dataset import Unmatched, dataset_of_files
+from .readers.frame_folders import root_folder
+from .readers.image_files import check_listed, images_in
+from .readers.recipes import function_of
+from .readers.utm_names import Zones, by_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -17,17 +19,9 @@ _LAYOUT = (
 )
 
 
-def utm_folders(
-    name: str = "utm_folders",
-    root: str | None = None,
-    split: str = "test",
-    database: str = "database",
-    queries: str = "queries",
-    radius_metres: float = 25.0,
-    unmatched: Unmatched = "keep",
-    zones: Zones = "error",
-) -> Dataset:
-    """Return the images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
+@dataclass(frozen=True)
+class UtmFolders:
+    """The images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
 
     The two folders lie in `<root>/images/<split>`, in `<root>/<split>` or in `root` itself. Where a file
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
@@ -37,27 +31,43 @@ def utm_folders(
     place (`zones` apart). Raises NotThere for what is missing, BadInput for names without a position and for a
     list that is no text.
     """
-    layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
-    top = root_folder(name, root, f"{database}/ and {queries}/", layout)
-    found, holding = _holding(top, split, (database, queries), layout)
-    lists = [_list_beside(holding / folder).name for folder in (database, queries) if _listed(holding / folder)]
-    references, asked = _images(holding / database, layout), _images(holding / queries, layout)
-    return dataset_of_files(
-        name,
-        references,
-        asked,
-        by_names(references, asked, radius_metres, zones),
-        unmatched,
-        {
-            "protocol": "utm_folders",
-            "split": found,
-            "database": database,
-            "queries": queries,
-            **({"lists": lists} if lists else {}),
-            "radius_metres": radius_metres,
-            "zones": zones,
-        },
-    )
+
+    name: str = "utm_folders"
+    root: str | None = None
+    split: str = "test"
+    database: str = "database"
+    queries: str = "queries"
+    radius_metres: float = 25.0
+    unmatched: Unmatched = "keep"
+    zones: Zones = "error"
+
+    def build(self) -> Dataset:
+        """Return the dataset of these options."""
+        folders = self.database, self.queries
+        layout = f"{_LAYOUT} so that <root>/images/{self.split} holds {self.database}/ and {self.queries}/"
+        top = root_folder(self.name, self.root, f"{self.database}/ and {self.queries}/", layout)
+        found, holding = _holding(top, self.split, folders, layout)
+        lists = [beside.name for folder in folders if (beside := _list_beside(holding / folder)).is_file()]
+        references, asked = (_images(holding / folder, layout) for folder in folders)
+        return dataset_of_files(
+            self.name,
+            references,
+            asked,
+            by_names(references, asked, self.radius_metres, self.zones),
+            self.unmatched,
+            {
+                "protocol": "utm_folders",
+                "split": found,
+                "database": self.database,
+                "queries": self.queries,
+                **({"lists": lists} if lists else {}),
+                "radius_metres": self.radius_metres,
+                "zones": self.zones,
+            },
+        )
+
+
+utm_folders = function_of(UtmFolders)
 
 
 def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
@@ -73,9 +83,9 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
 
 def _images(folder: Path, layout: str) -> list[Path]:
     """Return the images of a folder: those of the list beside it where there is one, else all, by their paths."""
-    if not _listed(folder):
-        return images_in(folder, "dataset.root", layout, order="plain")
     beside = _list_beside(folder)
+    if not beside.is_file():
+        return images_in(folder, "dataset.root", layout, order="plain")
     try:
         named = [line for line in beside.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except UnicodeDecodeError as error:
@@ -85,10 +95,6 @@ def _images(folder: Path, layout: str) -> list[Path]:
     files = [folder / line for line in named]
     check_listed(files, beside.name, f"restore them, or delete {beside} to use all images of the folder")
     return files
-
-
-def _listed(folder: Path) -> bool:
-    return _list_beside(folder).is_file()
 
 
 def _list_beside(folder: Path) -> Path:

@@ -9,11 +9,11 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .csv_tables import read_csv
-from .file_dataset import GroundTruth, Unmatched, dataset_of_files
-from .frame_folders import root_folder
-from .image_files import images_in
-from .pickled_lists import read_lists
+from .readers.csv_tables import read_csv
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.frame_folders import root_folder
+from .readers.image_files import images_in
+from .readers.pickled_lists import read_lists
 
 OutOfRange = Literal["error", "clip"]
 

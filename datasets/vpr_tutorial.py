@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .file_dataset import GroundTruth, Unmatched, dataset_of_files
-from .frame_folders import root_folder
-from .image_files import images_in
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.frame_folders import root_folder
+from .readers.image_files import images_in
 
 Strictness = Literal["hard", "soft"]
 

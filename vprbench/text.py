@@ -1,10 +1,29 @@
-"""Names and messages as a terminal shall see them: nothing in them is obeyed, and none begins a line of its own."""
+"""Words for people: numbers with their nouns, lists cut short, and messages that a terminal shows and never obeys."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
+
+_NAMED = 5  # of a list in a sentence
+
+
+def some(names: Sequence[str], separator: str = ", ") -> str:
+    """Return the first five names, and how many more there are."""
+    listed = separator.join(names[:_NAMED])
+    return f"{listed} and {len(names) - _NAMED} more" if len(names) > _NAMED else listed
+
+
+def plural(number: int, one: str) -> str:
+    """Return a number with its noun, as in "1 query" and "2,761 queries"."""
+    many = f"{one[:-1]}ies" if one.endswith("y") else f"{one}s"
+    return f"{number:,} {one if number == 1 else many}"
+
+
+def be(names: Sequence[str]) -> str:
+    """Return the verb for so many."""
+    return "is" if len(names) == 1 else "are"
 
 
 def printable(text: str, but: str = "") -> str:

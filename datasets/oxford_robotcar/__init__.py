@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from vprbench.api import Dataset, Images, data_folder
 
-from ..frame_folders import root_folder
-from ..traverses import Evaluation, check_recorded, dataset_of, recorded_split, right_places
+from ..readers.frame_folders import root_folder
+from ..readers.recipes import function_of
+from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, recorded_split, right_places
 from .calibration import STEREO_LEFT
 from .lists import RECORDINGS, every, lists_folder, published_timestamps, vprsnn_timestamps
 from .recordings import Recordings
@@ -19,23 +22,9 @@ _REGISTER = "https://mrgdatashare.robots.ox.ac.uk/register/"
 _ALSO_TOLERATED = (1, 2, 3)  # places: neighbours in the lists are not always neighbours on the road
 
 
-def oxford_robotcar(
-    name: str = "oxford_robotcar",
-    root: str | None = None,
-    references: list[str] | None = None,
-    query: str = "dusk",
-    stride: int = 7,
-    places: int = 450,
-    query_places: int = 360,
-    first_query_place: int = 90,
-    tolerance: int = 0,
-    protocol: Evaluation = "vprtempo",
-    image_list: Literal["vprtempo", "vprsnn"] = "vprtempo",
-    lists: str | None = None,
-    processed: str | None = None,
-    calibration: str | None = None,
-) -> Dataset:
-    """Return Oxford RobotCar as `places` places, every `stride`-th row of a published list, one for each traverse.
+@dataclass(frozen=True)
+class OxfordRobotcar:
+    """Oxford RobotCar as `places` places, every `stride`-th row of a published list, one for each traverse.
 
     The k-th rows of all traverses show the same place. `references` are the traverses of the map (sun and rain if
     None). The `query_places` queries begin at place `first_query_place`; right is a place at most `tolerance` places
@@ -50,52 +39,82 @@ def oxford_robotcar(
     there or from `<root>/<traverse>`. Raises NotThere for a missing root, frames, lists or distortion table, BadInput
     for other arguments and for files that are not what they should be.
     """
-    chosen = ["sun", "rain"] if references is None else references
-    check_recorded("Oxford RobotCar", "traverse", RECORDINGS, chosen, query)
-    traverses = [*dict.fromkeys([*chosen, query])]
-    layout = (
+
+    name: str = "oxford_robotcar"
+    root: str | None = None
+    references: list[str] | None = None
+    query: str = "dusk"
+    stride: int = 7
+    places: int = 450
+    query_places: int = 360
+    first_query_place: int = 90
+    tolerance: int = 0
+    protocol: Evaluation = "vprtempo"
+    image_list: Literal["vprtempo", "vprsnn"] = "vprtempo"
+    lists: str | None = None
+    processed: str | None = None
+    calibration: str | None = None
+
+    def build(self) -> Dataset:
+        """Return the dataset of these options, after a look at what is in the folders of the recordings."""
+        chosen = ["sun", "rain"] if self.references is None else self.references
+        check_recorded("Oxford RobotCar", "traverse", RECORDINGS, chosen, self.query)
+        traverses = [*dict.fromkeys([*chosen, self.query])]
+        layout = _layout(traverses, chosen[0])
+        asked = (self.places, self.first_query_place, self.query_places, self.tolerance)
+        parts = recorded_split(self.protocol, *asked)
+        top, stamps = self._stamps(traverses, layout)
+        names = {traverse: [f"{stamp}.png" for stamp in listed] for traverse, listed in stamps.items()}
+        wanted = {**names, self.query: [names[self.query][place] for place in parts.needed_of_query()]}
+        wanted |= {traverse: names[traverse] for traverse in chosen}  # the query may be one of them
+        recordings = Recordings(top, wanted, STEREO_LEFT, layout, self.processed, self.calibration)
+
+        def frames(shown: Sequence[tuple[str, int]]) -> Images:
+            return recordings.images([(traverse, names[traverse][place]) for traverse, place in shown])
+
+        used = {traverse: [stamps[traverse][place] for place in parts.mapped] for traverse in chosen}
+        asked_stamps = [stamps[self.query][place] for place in parts.queried]
+        rows = {**used, "queries": asked_stamps}
+        positives = right_places(parts.queried, parts.mapped, self.tolerance)
+        return dataset_of(
+            self.name,
+            parts,
+            Traverses(chosen, self.query, frames, recordings.folders()),
+            {
+                "protocol": self.protocol,
+                "image_list": self.image_list,
+                "references": chosen,
+                "query": self.query,
+                "stride": self.stride,
+                **parts.record(),
+                "also_tolerance_places": [*_ALSO_TOLERATED],
+                "repeated_images": {which: len(listed) - len(set(listed)) for which, listed in rows.items()},
+                "steps_back_in_time": {which: steps_back(listed) for which, listed in rows.items()},
+            },
+            [*recordings.remarks(), *remarks(used, asked_stamps, positives, self.tolerance)],
+        )
+
+    def _stamps(self, traverses: Sequence[str], layout: str) -> tuple[Path, dict[str, list[int]]]:
+        """Return the root, and the timestamps of each traverse, one a place; raises NotThere and BadInput."""
+        if self.image_list == "vprtempo":  # arguments that its lists do not fit are refused before a look at the root
+            stamps = {
+                traverse: every(published_timestamps(traverse), self.stride, self.places) for traverse in traverses
+            }
+            return root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD), stamps
+        top = root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD)
+        folder = lists_folder(self.lists, [top, data_folder(_DOWNLOAD)])
+        listed = {traverse: vprsnn_timestamps(folder, traverse) for traverse in traverses}
+        return top, {traverse: every(stamps, self.stride, self.places) for traverse, stamps in listed.items()}
+
+
+oxford_robotcar = function_of(OxfordRobotcar)
+
+
+def _layout(traverses: Sequence[str], first: str) -> str:
+    """Return what a person has to do to have the frames of the traverses."""
+    return (
         f"register at {_REGISTER} for stereo/left of {', '.join(RECORDINGS[traverse] for traverse in traverses)}, and "
-        f"set dataset.root so that <root>/{RECORDINGS[chosen[0]]}/stereo/left holds raw frames and <root>/models the "
+        f"set dataset.root so that <root>/{RECORDINGS[first]}/stereo/left holds raw frames and <root>/models the "
         "distortion table of https://github.com/ori-mrg/robotcar-dataset-sdk, or that "
-        f"<root>/{chosen[0]}/<timestamp>.png are processed frames"
-    )
-    parts = recorded_split(protocol, places, first_query_place, query_places, tolerance)
-    if image_list == "vprtempo":  # arguments that its lists do not fit are refused before anything is looked for
-        stamps = {traverse: every(published_timestamps(traverse), stride, places) for traverse in traverses}
-    top = root_folder(name, root, "the traverses", layout, _DOWNLOAD)
-    if image_list != "vprtempo":
-        folder = lists_folder(lists, [top, data_folder(_DOWNLOAD)])
-        stamps = {traverse: every(vprsnn_timestamps(folder, traverse), stride, places) for traverse in traverses}
-
-    file_names = {traverse: [f"{stamp}.png" for stamp in listed] for traverse, listed in stamps.items()}
-    wanted = {**file_names, query: [file_names[query][place] for place in parts.needed_of_query()]}
-    wanted |= {traverse: file_names[traverse] for traverse in chosen}  # the query may be one of them
-    recordings = Recordings(top, wanted, STEREO_LEFT, layout, processed, calibration)
-
-    def frames(shown: Sequence[tuple[str, int]]) -> Images:
-        return recordings.images([(traverse, file_names[traverse][place]) for traverse, place in shown])
-
-    used = {traverse: [stamps[traverse][place] for place in parts.mapped] for traverse in chosen}
-    asked = [stamps[query][place] for place in parts.queried]
-    rows = {**used, "queries": asked}
-    positives = right_places(parts.queried, parts.mapped, tolerance)
-    return dataset_of(
-        name,
-        parts,
-        chosen,
-        query,
-        frames,
-        {
-            "protocol": protocol,
-            "image_list": image_list,
-            "references": chosen,
-            "query": query,
-            "stride": stride,
-            **parts.record(),
-            "also_tolerance_places": [*_ALSO_TOLERATED],
-            "repeated_images": {which: len(listed) - len(set(listed)) for which, listed in rows.items()},
-            "steps_back_in_time": {which: steps_back(listed) for which, listed in rows.items()},
-        },
-        recordings.folders(),
-        [*recordings.remarks(), *remarks(used, asked, positives, tolerance)],
+        f"<root>/{first}/<timestamp>.png are processed frames"
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vprbench.api import BadInput, FrameFolder, Images, open_image
 
-from ..frame_folders import check_folders, files_in
+from ..readers.frame_folders import check_folders, files_in
 from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable
 from .kept import KeptFrames, is_made_with, recorded_calibration
 from .lists import RECORDINGS

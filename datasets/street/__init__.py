@@ -3,40 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
-from vprbench.api import Dataset
-
-from ..rendering.journey import Rendered
-from ..traverses import Evaluation
+from ..readers.recipes import function_of
+from ..rendering.journey import Rendered, World
 from .renderer import VERSION, Renderer
 from .weather import WEATHERS
 
-_DRIVE = Rendered(
-    journey="the city street",
-    kind="traverse",
-    known=tuple(WEATHERS),
-    fewest_places=10,
-    most_places=27_000,
-    skipped=(1, 5),
-    painter=Renderer,
-    version=VERSION,
-)
 
-
-def street(
-    name: str = "street",
-    places: int = 450,
-    references: Sequence[str] = ("sun", "rain"),
-    query: str = "dusk",
-    first_query_place: int | None = None,
-    query_places: int | None = None,
-    tolerance: int = 0,
-    seed: int = 0,
-    protocol: Evaluation = "vprtempo",
-    query_shift: int = 0,
-    unanswerable: int = 0,
-) -> Dataset:
-    """Return traverses of one drive in several weathers, as RGB frames of 160 x 90.
+@dataclass(frozen=True)
+class Street(Rendered):
+    """Traverses of one drive in several weathers, as RGB frames of 160 x 90.
 
     Place k of a seed looks the same however many places are asked for: more places are a longer drive. Without
     `first_query_place` the first fifth of the places is not queried (90 of 450, as the VPRTempo paper does with Oxford
@@ -50,16 +28,21 @@ def street(
     >>> street(places=100).queries.names[0]
     'dusk/place-00020'
     """
-    return _DRIVE.dataset(
-        name,
-        places,
-        references,
-        query,
-        first_query_place,
-        query_places,
-        tolerance,
-        seed,
-        protocol,
-        query_shift,
-        unanswerable,
+
+    name: str = "street"
+    places: int = 450
+    references: Sequence[str] = ("sun", "rain")
+    query: str = "dusk"
+    world: ClassVar = World(
+        journey="the city street",
+        kind="traverse",
+        known=tuple(WEATHERS),
+        fewest_places=10,
+        most_places=27_000,
+        skipped=(1, 5),
+        painter=Renderer,
+        version=VERSION,
     )
+
+
+street = function_of(Street)

@@ -3,40 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
-from vprbench.api import Dataset
-
-from ..rendering.journey import Rendered
-from ..traverses import Evaluation
+from ..readers.recipes import function_of
+from ..rendering.journey import Rendered, World
 from .renderer import VERSION, Renderer
 from .seasons import SEASONS
 
-_JOURNEY = Rendered(
-    journey="the synthetic journey",
-    kind="season",
-    known=tuple(SEASONS),
-    fewest_places=10,
-    most_places=27_000,
-    skipped=(2, 11),
-    painter=Renderer,
-    version=VERSION,
-)
 
-
-def synthetic(
-    name: str = "synthetic",
-    places: int = 3300,
-    references: Sequence[str] = ("spring", "fall"),
-    query: str = "summer",
-    first_query_place: int | None = None,
-    query_places: int | None = None,
-    tolerance: int = 0,
-    seed: int = 0,
-    protocol: Evaluation = "vprtempo",
-    query_shift: int = 0,
-    unanswerable: int = 0,
-) -> Dataset:
-    """Return traverses of one journey in several seasons, as RGB frames of 160 x 90.
+@dataclass(frozen=True)
+class Synthetic(Rendered):
+    """Traverses of one journey in several seasons, as RGB frames of 160 x 90.
 
     Place k of a seed looks the same however many places are asked for: more places are a longer journey.
     Without `first_query_place` the first 2/11 of the places are not queried (600 of 3300, as in the VPRTempo
@@ -50,16 +28,21 @@ def synthetic(
     >>> synthetic(places=100, query="winter").queries.names[0]
     'winter/place-00018'
     """
-    return _JOURNEY.dataset(
-        name,
-        places,
-        references,
-        query,
-        first_query_place,
-        query_places,
-        tolerance,
-        seed,
-        protocol,
-        query_shift,
-        unanswerable,
+
+    name: str = "synthetic"
+    places: int = 3300
+    references: Sequence[str] = ("spring", "fall")
+    query: str = "summer"
+    world: ClassVar = World(
+        journey="the synthetic journey",
+        kind="season",
+        known=tuple(SEASONS),
+        fewest_places=10,
+        most_places=27_000,
+        skipped=(2, 11),
+        painter=Renderer,
+        version=VERSION,
     )
+
+
+synthetic = function_of(Synthetic)

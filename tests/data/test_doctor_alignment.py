@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from doctored import PLACES, notes, season, wrong
+from doctored import PLACES, season
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
@@ -82,16 +82,6 @@ def test_where_all_reference_traverses_say_the_same_the_queries_are_told_to_be_s
     assert found.text.startswith("summer is shifted against each of the 2 reference traverses: all of it shows what ")
 
 
-def test_a_missing_frame_shifts_all_that_follow() -> None:
-    queries = season(1)
-    del queries[35]
-
-    (found,) = compared([season(0)], queries)
-
-    assert found.level == "error"  # 24 of 59 queries are answered wrongly
-    assert "image 35 to image 58 (24 of 59 queries) show what spring shows 1 place later" in found.text
-
-
 def test_a_part_in_the_middle_is_found_with_its_ends_and_is_a_warning_where_it_is_small() -> None:
     references, queries = season(0, 400), season(1, 400)
     queries[100:130] = season(1, 400)[105:135]
@@ -100,14 +90,6 @@ def test_a_part_in_the_middle_is_found_with_its_ends_and_is_a_warning_where_it_i
 
     assert found.level == "warning"
     assert "image 100 to image 129 (30 of 400 queries) show what spring shows 5 places later" in found.text
-
-
-def test_a_reversed_traverse_is_an_error() -> None:
-    (found,) = compared([season(0)], season(1)[::-1])
-
-    assert found.level == "error"
-    assert found.text.startswith("summer runs the other way than spring (likeness 0.")
-    assert "image 30 of summer with image 29 of spring" in found.advice
 
 
 def test_a_shift_within_the_tolerance_is_only_noted() -> None:
@@ -155,14 +137,6 @@ def test_every_fifth_frame_as_a_query_is_compared_with_the_place_it_stands_for()
     assert "all of it shows what spring shows 3 places later" in shifted.text
 
 
-def test_a_query_without_a_right_place_is_left_out() -> None:
-    right = [[] if place in (5, 30) else [place] for place in range(PLACES)]
-
-    (found,) = compared([season(0)], season(1), right)
-
-    assert "are aligned" in found.text
-
-
 def test_an_unordered_ground_truth_says_nothing_of_shifts() -> None:
     order = np.random.default_rng(0).permutation(PLACES)
 
@@ -198,10 +172,3 @@ def test_a_traverse_is_described_the_same_in_any_light() -> None:
     dark, light = offsets.described(small), offsets.described(small * np.uint8(2))
 
     assert np.einsum("ij,ij->i", dark, light).min() > 0.99
-
-
-def test_notes_alone_are_given_for_what_is_aligned() -> None:
-    found = compared([season(0), season(2)], season(1))
-
-    assert not wrong(found)
-    assert len(notes(found, "alignment")) == 2

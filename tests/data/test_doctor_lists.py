@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from doctored import NAMES, PLACES, notes, wrong
+from doctored import NAMES, PLACES, coded, notes
 from little import picture
 
 from vprbench.api.dataset import Dataset
@@ -40,34 +40,69 @@ def checked(
     )
 
 
-def test_names_that_a_list_repeats_are_noted() -> None:
-    names = [*NAMES[:58], "003.png", "003.png"]
-
-    found = checked(names=names)
-
-    assert notes(found, "names") == ["the list of sun repeats 1 name, 2 times in 60 images: 003.png"]
+def places(count: int, skipped: Sequence[int] = ()) -> list[list[int]]:
+    """Return the place of its own for each query, none for some."""
+    return [[] if query in skipped else [query] for query in range(count)]
 
 
-def test_a_query_list_in_dictionary_order_is_an_error_where_the_references_are_in_natural_order() -> None:
-    ((level, check, text),) = [
-        found for found in wrong(checked(names=PLAIN, query_names=sorted(PLAIN))) if found[1] == "order"
-    ]
+PAST_THE_GAP = [*range(10), 8, *range(11, 30), *range(55, 60)]
+SHUFFLED = [[int(place)] for place in np.random.default_rng(0).permutation(PLACES)]
+AROUND = [range(max(0, query - 1), min(20, query + 2)) for query in range(20)]
+FINDINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "a name twice too often": ({"names": [*NAMES[:58], "003.png", "003.png"]}, ["note names: 1 2 60 003"]),
+    "queries in dictionary order": (
+        {"names": PLAIN, "query_names": sorted(PLAIN)},
+        ["error order: 10 11 2", "warning names: 10 12 10 2"],
+    ),
+    "all in dictionary order": ({"names": sorted(PLAIN), "query_names": sorted(PLAIN)}, ["warning order: 10 11 2"]),
+    "a file missing in the midst": (
+        {"names": [name for name in NAMES if name != "020.png"], "query_names": NAMES[:59]},
+        ["warning names: 38 59 021 022"],
+    ),
+    "references that begin at another file": ({"more": [[*NAMES[1:], NAMES[0]]]}, ["warning names: 60 60 001 000"]),
+    "queries of every other place": (
+        {"query_names": NAMES[:20], "right": [[2 * query] for query in range(20)]},
+        ["note ground truth: 40 60"],
+    ),
+    "names of another scheme": ({"query_names": [f"frame{number:03d}.png" for number in range(PLACES)]}, []),
+    "queries without a right place": (
+        {"right": places(PLACES, (4, 9, 14))},
+        ["warning ground truth: 3 60 1 95.0 004 009 014", "note ground truth: 3 60"],
+    ),
+    "such queries, asked for": (
+        {"right": places(PLACES, (4,)), "unmatched": "keep"},
+        ["note ground truth: 1 60 1 98.3 004", "note ground truth: 1 60"],
+    ),
+    "no right place at all": (
+        {"right": [[]] * PLACES},
+        ["error ground truth: 60 60 1 0.0 000 001 002 003 004 55", "note ground truth: 60 60"],
+    ),
+    "most places right": (
+        {"right": [range(45)] * PLACES},
+        ["warning ground truth: 60 60 10 60 75.0", "note ground truth: 15 60"],
+    ),
+    # 18 queries with 3 of 20 places and 2 with 2 of 20, which is no more than 10 %
+    "few places, a wide tolerance": (
+        {"names": NAMES[:20], "query_names": NAMES[:20], "right": AROUND, "tolerance_places": 1},
+        ["note ground truth: 18 20 10 20 14.5"],
+    ),
+    "places that are never right": ({"query_names": NAMES[:48]}, ["note ground truth: 12 60"]),
+    "more right than the tolerance allows": (
+        {"right": [*places(7), [6, 7, 8, 9], *places(PLACES)[8:]], "tolerance_places": 1},
+        ["warning ground truth: 1 3 1 007"],
+    ),
+    "a step back and a leap": (
+        {"query_names": NAMES[: len(PAST_THE_GAP)], "right": [[middle] for middle in PAST_THE_GAP]},
+        ["note ground truth: 26 60", "note ground truth: 1 010", "note ground truth: 1 030"],
+    ),
+    "no order at all": ({"right": SHUFFLED, "query_names": [f"q{name}" for name in NAMES]}, []),
+}
 
-    assert (level, check) == ("error", "order")
-    assert text == (
-        "dusk is in dictionary order, not in the order of the numbers: ... 10.png, 11.png, 2.png ...; the other "
-        "traverses are in the order of the numbers"
-    )
 
-
-def test_dictionary_order_everywhere_is_a_warning_for_places_still_fit() -> None:
-    (found,) = wrong(checked(names=sorted(PLAIN), query_names=sorted(PLAIN)))
-
-    assert found == (
-        "warning",
-        "order",
-        "sun and dusk are in dictionary order, not in the order of the numbers: ... 10.png, 11.png, 2.png ...",
-    )
+@pytest.mark.parametrize("lists", FINDINGS)
+def test_the_cheap_checks_find_in_lists(lists: str, tmp_path: Path) -> None:
+    given, expected = FINDINGS[lists]
+    assert coded(checked(**given), tmp_path) == expected
 
 
 @pytest.mark.parametrize(
@@ -75,120 +110,6 @@ def test_dictionary_order_everywhere_is_a_warning_for_places_still_fit() -> None
 )
 def test_other_orders_are_not_taken_for_dictionary_order(names: Sequence[str]) -> None:
     assert not [finding for finding in checked(names=names, query_names=names) if finding.check == "order"]
-
-
-def test_a_file_missing_in_the_midst_shows_in_the_names_from_there_on() -> None:
-    found = checked(names=[name for name in NAMES if name != "020.png"], query_names=NAMES[:59])
-
-    assert wrong(found) == [
-        (
-            "warning",
-            "names",
-            "38 of 59 images of dusk are matched with one of another name in sun, though sun holds one of the same "
-            "name; the first is 021.png, matched with 022.png",
-        )
-    ]
-
-
-def test_reference_traverses_are_compared_by_name_too() -> None:
-    ((_, check, text),) = wrong(checked(more=[[*NAMES[1:], NAMES[0]]]))
-
-    assert check == "names"
-    assert text.startswith("60 of 60 images of rain are matched with one of another name in sun")
-
-
-def test_equal_names_mean_nothing_where_the_ground_truth_skips_places() -> None:
-    right = [[2 * query] for query in range(20)]
-
-    assert not wrong(checked(names=NAMES, query_names=NAMES[:20], right=right))
-
-
-def test_names_of_another_scheme_are_not_compared() -> None:
-    assert checked(query_names=[f"frame{number:03d}.png" for number in range(PLACES)]) == ()
-
-
-def test_queries_without_a_right_place_bound_the_recall() -> None:
-    right = [[] if query in (4, 9, 14) else [query] for query in range(PLACES)]
-
-    found = checked(right=right)
-
-    assert wrong(found) == [
-        (
-            "warning",
-            "ground truth",
-            "3 of 60 queries have no right place and count as misses, so that R@1 is at most 95.0%: "
-            "004.png, 009.png, 014.png",
-        )
-    ]
-
-
-def test_queries_without_a_right_place_are_only_noted_where_they_were_asked_for() -> None:
-    right = [[] if query == 4 else [query] for query in range(PLACES)]
-
-    found = checked(right=right, unmatched="keep")
-
-    assert not wrong(found)
-    assert notes(found, "ground truth")[0].startswith("1 of 60 queries have no right place")
-
-
-def test_a_ground_truth_without_any_right_place_is_an_error() -> None:
-    assert [level for level, _, _ in wrong(checked(right=[[]] * PLACES))] == ["error"]
-
-
-def test_a_radius_that_makes_most_places_right_is_a_warning() -> None:
-    found = checked(right=[range(45)] * PLACES)
-
-    assert (
-        "warning",
-        "ground truth",
-        "for 60 of 60 queries more than 10% of the 60 places are right; a guess is right for 75.0% of all",
-    ) in wrong(found)
-
-
-def test_a_wide_tolerance_among_few_places_is_noted() -> None:
-    names = NAMES[:20]
-    right = [range(max(0, query - 1), min(20, query + 2)) for query in range(20)]
-
-    found = checked(names=names, query_names=names, right=right, tolerance_places=1)
-
-    # 18 queries with 3 of 20 places and 2 with 2 of 20, which is no more than 10 %
-    assert not wrong(found)
-    assert notes(found, "ground truth") == [
-        "for 18 of 20 queries more than 10% of the 20 places are right; a guess is right for 14.5% of all"
-    ]
-
-
-def test_places_that_are_never_right_are_counted() -> None:
-    found = checked(query_names=NAMES[:48])
-
-    assert notes(found, "ground truth") == ["12 of 60 places are right for no query: they are there to be mistaken"]
-
-
-def test_more_right_places_than_the_tolerance_allows_are_a_warning() -> None:
-    right = [[query] for query in range(PLACES)]
-    right[7] = [6, 7, 8, 9]
-
-    ((level, _, text),) = wrong(checked(right=right, tolerance_places=1))
-
-    assert level == "warning"
-    assert text == "a tolerance of 1 place allows 3 right at most, but of 1 query more are right: 007.png"
-
-
-def test_a_ground_truth_that_goes_back_and_leaps_is_noted_with_the_query() -> None:
-    middles = [*range(10), 8, *range(11, 30), *range(55, 60)]
-
-    found = checked(query_names=NAMES[: len(middles)], right=[[middle] for middle in middles])
-
-    assert notes(found, "ground truth")[1:] == [
-        "the right place goes back 1 time from one query to the next: at 010.png",
-        "the right place leaps ahead 1 time from one query to the next: at 030.png",
-    ]
-
-
-def test_an_unordered_ground_truth_neither_goes_back_nor_leaps() -> None:
-    order = np.random.default_rng(0).permutation(PLACES)
-
-    assert checked(right=[[int(place)] for place in order], query_names=[f"q{name}" for name in NAMES]) == ()
 
 
 def test_the_notes_of_a_dataset_are_shown(tmp_path: Path) -> None:

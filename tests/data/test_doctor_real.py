@@ -90,13 +90,6 @@ def test_a_frame_of_nordland_that_is_missing_is_found_within_a_few_places() -> N
     assert names[2].endswith(f"the first is {listed[400]}, matched with {clean('winter')[400].name}")
 
 
-def test_a_reversed_season_of_nordland_is_found() -> None:
-    alignment, *_ = wrong(ride(clean("winter")[:400], clean("summer")[:400][::-1]))
-
-    assert alignment[:2] == ("error", "alignment")
-    assert alignment[2].startswith("summer runs the other way than winter")
-
-
 @pytest.mark.parametrize("first", range(0, 2700, 300))
 def test_no_stretch_of_nordland_is_called_shifted(first: int) -> None:
     found = ride(clean("winter")[first : first + 60], clean("summer")[first : first + 60])

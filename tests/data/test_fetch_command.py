@@ -93,10 +93,6 @@ class TestRegistration:
         assert get(entry, root, lambda name, folder: ("fine",)) == 0
         assert re.search(r"/gone answers 404 [^\n]*\n.*\nfine\n$", capsys.readouterr().out)
 
-    def test_it_has_no_parts_to_choose(self, root: Path) -> None:
-        with pytest.raises(BadInput, match="parts: little has no spring: leave parts out"):
-            get(self.ENTRY, root, parts=["spring"])
-
 
 class TestCommand:
     def test_without_a_name_it_lists_what_there_is(self, capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,13 +42,6 @@ def test_parts_of_an_entry_do_not_get_in_each_other_s_way(entry: Download) -> No
     assert not {"archives", "fetched.json"} & {Path(folder).parts[0] for folder in folders}
 
 
-def test_every_season_of_nordland_is_a_part() -> None:
-    entry = KNOWN["nordland"]
-    assert sorted(entry.parts) == ["fall", "spring", "summer", "winter"]
-    assert entry.default == ("spring", "fall", "summer")  # of the VPRTempo paper
-    assert {held.files for part in entry.parts.values() for held in part.holds.values()} == {35768}
-
-
 @pytest.mark.parametrize(
     ("name", "part", "inside", "outside"),
     [

@@ -99,11 +99,6 @@ class TestParts:
         summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
         return little(parts={"spring": spring(server.serve("/spring", SPRING)), "summer": summer})
 
-    def test_all_are_fetched(self, both: Download, root: Path) -> None:
-        get(both, root)
-        assert visible(root) == [*COMPLETE, "summer", "summer/1.png", "summer/2.png"]
-        assert sorted(recorded(root)) == ["spring", "summer"]
-
     def test_only_those_that_are_named_are_fetched(self, both: Download, root: Path, server: Server) -> None:
         get(both, root, parts=["summer"])
         assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
@@ -154,17 +149,6 @@ class TestAddresses:
         assert [path for path, _ in server.asked] == ["/one", "/two"]
         assert not (root / "spring").exists()
 
-    def test_a_redirect_is_followed(self, server: Server, root: Path) -> None:
-        old = server.serve("/old", b"", location=server.serve("/spring", SPRING))
-        get(little(parts={"spring": spring(old, sha256=SHA256, size_bytes=len(SPRING))}), root)
-        assert visible(root) == COMPLETE
-
-    def test_a_file_of_another_size_than_stated_is_refused(self, server: Server, root: Path) -> None:
-        url = server.serve("/spring", SPRING)
-        with pytest.raises(NotThere, match=rf"gave {len(SPRING)} bytes, expected 7: it was deleted"):
-            get(little(parts={"spring": spring(url, size_bytes=7)}), root)
-        assert visible(root) == ["archives"]
-
 
 @contextmanager
 def interrupting(title: str) -> Iterator[None]:
@@ -193,11 +177,6 @@ class TestInterruptions:
         get(entry, root)
         assert visible(root) == COMPLETE
         assert {wanted for _, wanted in server.asked} - {None} == {f"bytes={CHUNK}-"}
-
-    def test_a_broken_download_goes_on_where_it_broke(self, server: Server, root: Path) -> None:
-        get(little(parts={"spring": spring(server.serve("/spring", SPRING, breaks_after=CHUNK))}), root)
-        assert visible(root) == COMPLETE
-        assert {f"bytes={CHUNK}-", f"bytes={2 * CHUNK}-"} <= {wanted for _, wanted in server.asked}
 
     def test_a_server_that_stalls_is_left_for_the_next(self, server: Server, root: Path) -> None:
         stalling, url = server.serve("/stalling", SPRING, stalls_after=0), server.serve("/spring", SPRING)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -15,21 +16,23 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from little import numbers_in, pictures
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.datasets import nordland as nordland_module
 from vprbench.datasets.folders import folders
 from vprbench.datasets.nordland import chosen_names, nordland
 from vprbench.datasets.oxford_robotcar import lists
 from vprbench.datasets.oxford_robotcar.lists import every, published_timestamps
-from vprbench.datasets.traverses import (
+from vprbench.datasets.readers.traverses import (
     Evaluation,
     Split,
+    Traverses,
     check_recorded,
     dataset_of,
     recorded_split,
     right_places,
     set_aside,
 )
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput
 
 quickly = settings(derandomize=True, deadline=None, max_examples=100, database=None)
 
@@ -167,14 +170,11 @@ def test_right_are_exactly_the_places_of_the_map_that_lie_within_the_tolerance(g
 def made(given: Asked, traverses: list[int], query: int) -> Dataset:
     """Return the dataset of pictures whose number is 1000 times their traverse's and their place's together."""
     names = [*map(str, traverses)]
-    return dataset_of(
-        "made",
-        given.split(),
-        names,
-        str(query),
-        lambda shown: pictures([1000 * int(traverse) + place for traverse, place in shown]),
-        {},
-    )
+
+    def frames(shown: Sequence[tuple[str, int]]) -> Images:
+        return pictures([1000 * int(traverse) + place for traverse, place in shown])
+
+    return dataset_of("made", given.split(), Traverses(names, str(query), frames), {})
 
 
 traversed = st.lists(st.integers(0, 4), min_size=1, max_size=3, unique=True)
@@ -257,16 +257,6 @@ def test_the_places_of_robotcar_are_rows_of_the_list_in_its_order_however_often_
     assert every(published_timestamps(traverse), stride, places) == [rows[k * stride] for k in range(places)]
 
 
-@quickly
-@given(st.sampled_from(["sun", "rain", "dusk"]), anything, anything)
-def test_rows_of_any_numbers_are_as_many_as_asked_for_or_are_refused(traverse: str, stride: int, places: int) -> None:
-    if min(stride, places) < 1 or places > len(range(0, 3369, stride)):
-        with pytest.raises(BadInput, match=r"^dataset\."):
-            every(published_timestamps(traverse), stride, places)
-    else:
-        assert len(every(published_timestamps(traverse), stride, places)) == places
-
-
 # Nordland as a whole, over empty files
 
 
@@ -300,26 +290,6 @@ def test_a_query_of_nordland_is_named_like_the_references_of_one_of_its_right_pl
         assert asked in [names[place] for place in right]
     for folder in dataset.folders:
         assert [*folder.used] == sorted({*folder.used})
-
-
-@quickly
-@given(
-    stride=anything,
-    places=anything,
-    query_places=anything,
-    first_query_place=anything,
-    tolerance=anything,
-    frame_multiple=anything,
-    query_stride=anything,
-    protocol=st.sampled_from(["vprtempo", "vprsnn", "patchnetvlad", "27k", "vprbench", "sift", ""]),
-    references=st.lists(st.sampled_from([*SEASONS, "autumn", ""])),
-    query=st.sampled_from([*SEASONS, "autumn", ""]),
-)
-def test_whatever_is_asked_of_nordland_where_there_are_no_frames_is_refused_in_one_line(**asked_for: Any) -> None:
-    with pytest.raises(BadInput) as error:
-        nordland(root="/no such folder", **asked_for)
-    assert "\n" not in str(error.value)
-    assert isinstance(error.value, NotThere) == ("/no such folder" in str(error.value))
 
 
 @quickly

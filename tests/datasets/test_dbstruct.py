@@ -50,10 +50,6 @@ def test_right_is_what_lies_within_the_radius_the_edge_included(root):
     assert "1 of 2 queries have no reference within 25 m" in dataset.notes[0]
 
 
-def test_another_radius_is_followed(root):
-    assert rights(read(root, radius_metres=40)) == [[0, 1], [1, 2]]
-
-
 def test_fields_are_taken_by_their_position_whatever_their_names(root):
     renamed = dict(zip("abcdefgh", structure().values(), strict=True))
     savemat(root / "set.mat", {"dbStruct": renamed})

@@ -4,11 +4,10 @@ import os
 from pathlib import Path
 
 import pytest
-from image_folders import REAL, needs_real_frames
-from PIL import Image as PillowImage
+from image_folders import REAL, needs_real_frames, rights
 
 from vprbench.datasets.folders import folders
-from vprbench.datasets.image_files import images_in
+from vprbench.datasets.readers.image_files import images_in
 from vprbench.errors import BadInput
 
 
@@ -32,10 +31,6 @@ def numbered(n):
 
 def at(*positions):
     return [f"@{east}@{north}@{i}@.png" for i, (east, north) in enumerate(positions)]
-
-
-def rights(dataset):
-    return [right.tolist() for right in dataset.positives]
 
 
 def answer(**arguments):
@@ -156,36 +151,6 @@ def test_a_folder_that_links_lead_to_twice_is_refused_by_name(fill):
     assert str(top / "link") in answer(references=[str(top)], queries=fill("b", numbered(1)))
 
 
-def test_the_images_are_those_of_the_files(tmp_path):
-    for folder, level in (("a", 10), ("b", 20)):
-        (tmp_path / folder).mkdir()
-        PillowImage.new("RGB", (4, 3), (level, 0, 0)).save(tmp_path / folder / "1.png")
-    dataset = folders(references=[str(tmp_path / "a")], queries=str(tmp_path / "b"))
-    assert (dataset.references[0][0, 0, 0], dataset.queries[0][0, 0, 0]) == (10, 20)
-
-
-def test_the_query_of_a_number_is_the_place_of_that_number(fill):
-    dataset = folders(references=[fill("a", numbered(3))], queries=fill("b", numbered(3)))
-    assert rights(dataset) == [[0], [1], [2]]
-
-
-def test_the_tolerance_ends_where_the_traverse_ends(fill):
-    dataset = folders(references=[fill("a", numbered(5))], queries=fill("b", numbered(5)), tolerance=2)
-    assert rights(dataset) == [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4], [1, 2, 3, 4], [2, 3, 4]]
-
-
-def test_there_may_be_fewer_queries_than_places(fill):
-    dataset = folders(references=[fill("a", numbered(5))], queries=fill("b", numbered(2)))
-    assert (dataset.n_places, rights(dataset)) == (5, [[0], [1]])
-
-
-def test_several_folders_are_traverses_of_the_same_places(fill):
-    references = [fill("a", numbered(3)), fill("b", numbered(3))]
-    dataset = folders(references=references, queries=fill("c", numbered(3)))
-    assert dataset.places.tolist() == [0, 1, 2, 0, 1, 2]
-    assert dataset.n_places == 3
-
-
 def test_folders_of_unequal_counts_are_each_named_with_theirs(fill):
     first, second = fill("a", numbered(3)), fill("b", numbered(4))
     message = answer(references=[first, second], queries=fill("c", numbered(3)))
@@ -201,25 +166,7 @@ def test_queries_beyond_the_last_place_are_counted_and_the_first_is_named(fill):
     assert "dataset.unmatched=keep" in message
 
 
-def test_queries_beyond_the_last_place_are_kept_as_misses_where_asked(fill):
-    dataset = folders(references=[fill("a", numbered(2))], queries=fill("b", numbered(4)), unmatched="keep")
-    assert rights(dataset) == [[0], [1], [], []]
-
-
 # 7-24-25, 15-20-25 and the axis: exactly 25 m away.
-@pytest.mark.parametrize(("east", "north"), [(7, 24), (15, -20), (25, 0), (0, -25)])
-def test_a_reference_exactly_at_the_radius_is_right(fill, east, north):
-    references = fill("a", at((543256, 4178906)))
-    queries = fill("b", at((543256 + east, 4178906 + north)))
-    assert rights(folders(references=[references], queries=queries, ground_truth="utm")) == [[0]]
-
-
-def test_a_reference_just_beyond_the_radius_is_wrong(fill):
-    references, queries = fill("a", at((0, 0))), fill("b", at((25.001, 0)))
-    dataset = folders(references=[references], queries=queries, ground_truth="utm", unmatched="keep")
-    assert rights(dataset) == [[]]
-
-
 def test_every_reference_within_the_radius_is_right_and_a_place_of_its_own(fill):
     first = fill("a", at((0, 0), (10, 0), (20, 0)))
     second = fill("b", at((11, 0)))
@@ -237,31 +184,6 @@ def test_a_position_may_have_decimals_leading_zeros_and_further_fields(fill):
     assert rights(dataset) == [[0]]
 
 
-def test_an_at_sign_in_a_folder_name_does_not_matter(fill):
-    references, queries = fill("me@home@9@9/a", at((0, 0))), fill("me@home@9@9/b", at((3, 4)))
-    dataset = folders(references=[references], queries=queries, ground_truth="utm", radius_metres=5)
-    assert rights(dataset) == [[0]]
-
-
-def test_queries_too_far_from_every_reference_are_counted_and_the_first_is_named(fill):
-    queries = fill("b", at((0, 0), (100, 0), (200, 0)))
-    message = answer(references=[fill("a", at((0, 1)))], queries=queries, ground_truth="utm")
-    assert "2 of 3 queries have no reference within 25 m" in message
-    assert str(Path(queries) / "@100@0@1@.png") in message
-
-
-def test_queries_too_far_from_every_reference_are_kept_as_misses_where_asked(fill):
-    queries = fill("b", at((0, 0), (100, 0)))
-    dataset = folders(references=[fill("a", at((0, 1)))], queries=queries, ground_truth="utm", unmatched="keep")
-    assert rights(dataset) == [[0], []]
-
-
-def test_queries_too_far_from_every_reference_are_left_out_where_asked(fill):
-    queries = fill("b", at((100, 0), (0, 0)))
-    dataset = folders(references=[fill("a", at((0, 0)))], queries=queries, ground_truth="utm", unmatched="drop")
-    assert (dataset.queries.names, rights(dataset)) == (("@0@0@1@.png",), [[0]])
-
-
 @pytest.mark.parametrize(
     "name", ["1.png", "@12@.png", "@east@north@.png", "@12.png", "@@@.png", "@nan@4@.png", "@1@-1e308@.png"]
 )
@@ -271,14 +193,6 @@ def test_a_name_without_a_position_is_named(fill, name, side):
     references, queries = fill("references", names["references"]), fill("queries", names["queries"])
     message = answer(references=[references], queries=queries, ground_truth="utm")
     assert str(Path(references).parent / side / name) in message
-
-
-@pytest.mark.parametrize("radius", [0, -1])
-def test_a_radius_of_nothing_is_refused(fill, radius):
-    message = answer(
-        references=[fill("a", at((0, 0)))], queries=fill("b", at((0, 0))), ground_truth="utm", radius_metres=radius
-    )
-    assert f"dataset.radius_metres={radius}" in message
 
 
 def test_a_negative_tolerance_is_refused(fill):

@@ -1,18 +1,17 @@
 """Nordland: the places of the paper, what may be asked of it, and folders in which something is missing."""
 
-import numpy as np
+from functools import partial
+
 import pytest
-from checkout import SHARED
+from image_folders import answer, needs_real_frames, reds
 from PIL import Image as PillowImage
 
-from vprbench.datasets.nordland import nordland, published_frames
-from vprbench.errors import BadInput, NotThere
-
-REAL = SHARED / "data" / "nordland_64x32"
-needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
+from vprbench.datasets.nordland import nordland
+from vprbench.errors import NotThere
 
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
 TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on
+refusal = partial(answer, nordland)
 SEASON_LEVEL = {"spring": 10, "summer": 20, "fall": 30, "winter": 40}
 
 
@@ -34,94 +33,16 @@ def tiny_root(tmp_path):
     return tmp_path
 
 
-@pytest.fixture(scope="module")
-def paper(tmp_path_factory):
-    """The dataset of the paper over empty files: nothing is read."""
-    root = tmp_path_factory.mktemp("nordland")
-    (root / "spring").mkdir()
-    for frame in published_frames()[::8]:
-        (root / "spring" / f"images-{frame:05d}.png").touch()
-    for season in ("fall", "summer"):
-        (root / season).symlink_to(root / "spring")
-    return nordland(root=str(root))
-
-
-def answer(kind=BadInput, **arguments):
-    with pytest.raises(BadInput) as error:
-        nordland(**arguments)
-    assert type(error.value) is kind
-    assert "\n" not in str(error.value)
-    return str(error.value)
-
-
-def reds(images):
-    return [int(image[0, 0, 0]) for image in images]
-
-
-def test_the_paper_asks_2700_queries_of_3300_places_in_two_traverses(paper):
-    assert (len(paper.queries), paper.n_places, len(paper.references)) == (2700, 3300, 6600)
-
-
-def test_the_first_query_of_the_paper_is_place_600_and_nothing_else_is_right(paper):
-    assert paper.queries.names[0] == "images-07029.png"
-    assert paper.positives[0].tolist() == [600]
-
-
-def test_the_last_query_of_the_paper_is_place_3299(paper):
-    assert paper.queries.names[-1] == "images-34160.png"
-    assert paper.positives[-1].tolist() == [3299]
-
-
-def test_every_query_is_named_like_the_reference_of_its_right_place(paper):
-    names = np.array(paper.references.names)
-    assert [names[right[0]] for right in paper.positives] == list(paper.queries.names)
-
-
-def test_both_traverses_of_the_paper_show_the_same_places(paper):
-    assert paper.places.tolist() == [*range(3300), *range(3300)]
-
-
 def test_two_seasons_are_two_traverses_in_the_order_asked_for(tiny_root):
     dataset = nordland(root=str(tiny_root), references=["winter", "spring"], **TINY)
     assert reds(dataset.references) == [40, 41, 42, 43, 44, 45, 10, 11, 12, 13, 14, 15]
     assert dataset.places.tolist() == [0, 1, 2, 3, 4, 5] * 2
 
 
-def test_without_references_spring_and_fall_are_the_map(tiny_root):
-    assert reds(nordland(root=str(tiny_root), **TINY).references)[::6] == [10, 30]
-
-
 def test_queries_are_those_of_the_query_season_from_the_first_query_place_on(tiny_root):
     dataset = nordland(root=str(tiny_root), query="winter", **TINY)
     assert reds(dataset.queries) == [42, 43, 44, 45]
     assert [right.tolist() for right in dataset.positives] == [[2], [3], [4], [5]]
-
-
-def test_queries_may_end_before_the_last_place(tiny_root):
-    dataset = nordland(root=str(tiny_root), stride=2, places=6, query_places=2, first_query_place=1)
-    assert reds(dataset.queries) == [21, 22]
-
-
-def test_the_query_season_may_be_the_map(tiny_root):
-    dataset = nordland(root=str(tiny_root), references=["summer"], query="summer", **TINY)
-    assert reds(dataset.references)[2:] == reds(dataset.queries)
-
-
-def test_the_tolerance_ends_where_the_list_ends(tiny_root):
-    dataset = nordland(root=str(tiny_root), stride=2, places=6, query_places=6, first_query_place=0, tolerance=2)
-    assert [right.tolist() for right in dataset.positives] == [
-        [0, 1, 2],
-        [0, 1, 2, 3],
-        [0, 1, 2, 3, 4],
-        [1, 2, 3, 4, 5],
-        [2, 3, 4, 5],
-        [3, 4, 5],
-    ]
-
-
-def test_places_before_the_first_query_place_are_right_within_the_tolerance(tiny_root):
-    dataset = nordland(root=str(tiny_root), tolerance=1, **TINY)
-    assert dataset.positives[0].tolist() == [1, 2, 3]
 
 
 def test_frames_of_the_query_season_outside_the_queries_may_be_missing(tiny_root):
@@ -135,10 +56,6 @@ def test_the_places_before_the_first_query_are_held_out_in_every_season(tiny_roo
     assert held_out.places.tolist() == [0, 1, 0, 1]
     assert reds(held_out.queries) == [40, 41]
     assert (held_out.right.tolist(), held_out.in_map) == ([0, 1], True)
-
-
-def test_without_places_before_the_first_query_none_are_held_out(tiny_root):
-    assert nordland(root=str(tiny_root), stride=2, places=6, query_places=6, first_query_place=0).held_out is None
 
 
 # numpy's RandomState(42) draws of six places first 0, then 1, then 5.
@@ -166,23 +83,8 @@ def test_the_places_that_vprsnn_sets_aside_are_held_out(vprsnn):
 
 def test_frames_of_places_that_vprsnn_sets_aside_have_to_be_there(tiny_root):
     (tiny_root / "summer" / "images-00202.png").unlink()
-    message = answer(NotThere, root=str(tiny_root), **SET_ASIDE)
+    message = refusal(kind=NotThere, root=str(tiny_root), **SET_ASIDE)
     assert f"images-00202.png is missing from {tiny_root / 'summer'} (1 of 5 expected frames" in message
-
-
-def test_the_record_names_the_protocol_of_vprsnn_and_what_it_sets_aside(vprsnn):
-    assert dict(vprsnn.protocol) == {
-        "protocol": "vprsnn",
-        "references": ["spring", "fall"],
-        "query": "winter",
-        "stride": 2,
-        "places": 6,
-        "query_places": 2,
-        "reference_places": 3,
-        "held_out_places": 3,
-        "tolerance_places": 0,
-        "frame_multiple": 1,
-    }
 
 
 def test_the_protocol_says_everything_that_was_selected(tiny_root):
@@ -204,13 +106,13 @@ def test_the_protocol_says_everything_that_was_selected(tiny_root):
 
 
 def test_no_root_is_answered_with_the_option_and_where_the_frames_are():
-    message = answer(NotThere)
+    message = refusal(kind=NotThere)
     assert "dataset.root is not set" in message
     assert "Somayeh-h/Nordland" in message
 
 
 def test_a_root_that_does_not_exist_is_named(tmp_path):
-    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in answer(NotThere, root=str(tmp_path / "nowhere"))
+    assert f"dataset.root={tmp_path / 'nowhere'} is no folder" in refusal(kind=NotThere, root=str(tmp_path / "nowhere"))
 
 
 @pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
@@ -221,35 +123,25 @@ def test_without_a_root_the_download_that_all_protocols_share_is_taken(tiny_root
 
 def test_without_a_root_frames_of_another_size_are_another_download(tiny_root, no_downloads):
     (no_downloads / "nordland").symlink_to(tiny_root)
-    message = answer(NotThere, name="nordland_64x32", download="nordland_64x32", **TINY)
+    message = refusal(kind=NotThere, name="nordland_64x32", download="nordland_64x32", **TINY)
     assert message.startswith("dataset.root is not set: nordland_64x32 needs")
     assert message.endswith(f"or call that folder {no_downloads / 'nordland_64x32'}")
 
 
-def test_a_root_comes_before_the_download(tiny_root, no_downloads):
-    (no_downloads / "nordland").mkdir()
-    assert len(nordland(root=str(tiny_root), **TINY).queries) == 4
-
-
 def test_a_default_root_that_does_not_exist_is_no_root():
-    assert "dataset.root is not set" in answer(NotThere, default_root="../no/such/folder")
+    assert "dataset.root is not set" in refusal(kind=NotThere, default_root="../no/such/folder")
 
 
 def test_a_missing_season_is_named(tiny_root):
     (tiny_root / "fall").rename(tiny_root / "autumn")
-    assert str(tiny_root / "fall") in answer(NotThere, root=str(tiny_root), **TINY)
-
-
-def test_a_missing_season_is_answered_with_the_option_to_set(tiny_root):
-    (tiny_root / "fall").rename(tiny_root / "autumn")
-    assert "dataset.root" in answer(NotThere, root=str(tiny_root), **TINY)
+    assert str(tiny_root / "fall") in refusal(kind=NotThere, root=str(tiny_root), **TINY)
 
 
 @pytest.mark.parametrize(("season", "n_wanted"), [("fall", 6), ("summer", 4)])
 def test_missing_frames_are_counted_and_the_first_is_named(tiny_root, season, n_wanted):
     for frame in (208, 212):
         (tiny_root / season / f"images-{frame:05d}.png").unlink()
-    message = answer(NotThere, root=str(tiny_root), **TINY)
+    message = refusal(kind=NotThere, root=str(tiny_root), **TINY)
     assert f"images-00208.png is missing from {tiny_root / season}" in message
     assert f"2 of {n_wanted} expected frames are missing" in message
 
@@ -258,7 +150,7 @@ def test_a_folder_under_the_name_of_a_frame_is_no_frame(tiny_root):
     frame = tiny_root / "fall" / "images-00208.png"
     frame.unlink()
     frame.mkdir()
-    assert f"{frame.name} is missing from {tiny_root / 'fall'}" in answer(NotThere, root=str(tiny_root), **TINY)
+    assert f"{frame.name} is missing from {tiny_root / 'fall'}" in refusal(kind=NotThere, root=str(tiny_root), **TINY)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +168,7 @@ def test_a_season_in_another_numbering_is_known_by_its_count(tiny_root, count, t
     for number in range(count - 5):
         (tiny_root / "fall" / f"{number}.png").touch()
     (tiny_root / "fall" / "README.md").touch()
-    message = answer(NotThere, root=str(tiny_root), **TINY)
+    message = refusal(kind=NotThere, root=str(tiny_root), **TINY)
     assert f"images-00208.png is missing from {tiny_root / 'fall'} (1 of 6 expected frames are missing, " in message
     assert told in message
     assert "dataset.root" in message
@@ -285,7 +177,7 @@ def test_a_season_in_another_numbering_is_known_by_its_count(tiny_root, count, t
 def test_frames_that_were_converted_are_answered_with_the_suffix_to_set(tiny_root):
     for path in [*tiny_root.rglob("*.png")]:
         path.rename(path.with_suffix(".jpg"))
-    message = answer(NotThere, root=str(tiny_root), **TINY)
+    message = refusal(kind=NotThere, root=str(tiny_root), **TINY)
     assert message.endswith("images-00206.jpg is there: pass dataset.suffix=.jpg")
     assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
 
@@ -306,23 +198,16 @@ def test_a_whole_season_has_35768_frames_and_a_filtered_one_those_of_the_list(ti
         assert {*folder.wrong_counts} == {24_570, 28_865}
 
 
-def test_a_few_missing_frames_are_named_and_wanted_back(tiny_root):
-    (tiny_root / "fall" / "images-00208.png").unlink()
-    message = answer(NotThere, root=str(tiny_root), **TINY)
-    assert message.startswith(f"images-00208.png is missing from {tiny_root / 'fall'} (1 of 6 expected frames")
-    assert message.endswith("copy or download them again; none is skipped, for that would shift all that follow")
-
-
 def test_a_folder_that_lacks_most_frames_is_answered_with_the_option_to_set(tiny_root):
     for frame in TINY_FRAMES[2:]:
         (tiny_root / "fall" / f"images-{frame:05d}.png").unlink()
-    assert "set dataset.root so that" in answer(NotThere, root=str(tiny_root), **TINY)
+    assert "set dataset.root so that" in refusal(kind=NotThere, root=str(tiny_root), **TINY)
 
 
 def test_what_an_unfinished_download_left_is_no_root(tiny_root, no_downloads):
     (no_downloads / "nordland" / "archives").mkdir(parents=True)
     (no_downloads / "nordland" / ".fetch.lock").touch()
-    message = answer(NotThere, **TINY)
+    message = refusal(kind=NotThere, **TINY)
     assert message.startswith("dataset.root is not set: nordland needs")
     assert message.endswith("nordland (which holds no frames yet: a download was not finished)")
 
@@ -355,19 +240,7 @@ def test_a_download_comes_before_the_default_root(tiny_root, no_downloads, tmp_p
     ids=lambda value: ", ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else "",
 )
 def test_a_bad_option_is_named_in_one_line(arguments, message):
-    assert message in answer(**arguments)
-
-
-@pytest.mark.parametrize("option", [{"references": ["spring", "autumn"]}, {"query": "autumn"}])
-def test_an_unknown_season_is_named_among_those_there_are(option):
-    message = answer(**option)
-    assert "autumn" in message
-    assert "spring, summer, fall, winter" in message
-
-
-@pytest.mark.parametrize("option", [{"references": ["spring", "autumn"]}, {"query": "autumn"}])
-def test_an_unknown_season_is_answered_with_the_option_it_came_from(option):
-    assert f"dataset.{next(iter(option))}" in answer(**option)
+    assert message in refusal(**arguments)
 
 
 @needs_real_frames

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from image_folders import lists
 
-from vprbench.datasets.pickled_lists import read_lists
+from vprbench.datasets.readers.pickled_lists import read_lists
 from vprbench.errors import BadInput
 
 quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
@@ -112,12 +112,15 @@ def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypat
     asked, call = {
         "os.system": (f"{os.system.__module__}.system", Calls(os.system, "touch called")),
         "eval": ("eval", Calls(eval, code)),
-        "partial": ("functools.partial", Calls(functools.partial(eval, code))),
+        "partial": ("DICT", Calls(functools.partial(eval, code))),
         "open": ("open", Calls(open, "called", "w")),
     }[kind]
     content = pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol)
     Path("stored").write_bytes(content)
-    assert f"{asked}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
+    step = (
+        "the step DICT" if (kind, protocol) == ("partial", 0) else "the step EMPTY_DICT" if kind == "partial" else asked
+    )
+    assert f"{step}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
     assert not Path("called").exists()
 
 
@@ -184,6 +187,11 @@ BOMBS = {
 @pytest.mark.parametrize("kind", BOMBS)
 def test_a_file_that_would_fill_the_memory_or_is_no_list_is_refused(write, kind):
     refusal(write(BOMBS[kind]))
+
+
+@pytest.mark.parametrize("kind", ["a place in the memo beyond the file", "a place in the memo, as text"])
+def test_no_room_is_made_for_a_memo_larger_than_the_file(write, kind):
+    assert "beyond its own size" in refusal(write(BOMBS[kind]))
 
 
 def test_a_file_that_is_too_large_is_refused_by_its_size(tmp_path):

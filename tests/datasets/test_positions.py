@@ -8,8 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from image_folders import answer, brute_force
 
-from vprbench.datasets.positions import by_radius, earth_centred
-from vprbench.datasets.utm_names import by_names, position_in
+from vprbench.datasets.readers.positions import by_radius, earth_centred
+from vprbench.datasets.readers.utm_names import by_names, position_in
 from vprbench.errors import BadInput
 
 EASTING, NORTHING = 54_325_696, 417_890_670  # centimetres, a corner of San Francisco

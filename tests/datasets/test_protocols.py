@@ -1,10 +1,7 @@
-"""Two ways to split a dataset's places are never mixed; what was stored before there were two stays what it was."""
+"""Two ways to split the places of a dataset are never mixed."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from assembled import table
-from little import a_failure, a_run
+from little import a_run
 from stored_runs import ABACUS, NORDLAND, PLANNED, ROWS, SAD, answers, run
 
 from vprbench.cli import main
@@ -24,7 +21,7 @@ from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ColumnAsked, groups
 from vprbench.paper.table.quantities import RECALL
 from vprbench.plugins import registry
-from vprbench.run.record import Failure, Run
+from vprbench.run.record import Run
 from vprbench.run.store import Store
 from vprbench.tuning.places import cut, querying, searchable
 
@@ -153,81 +150,6 @@ def test_fewer_places_are_another_protocol_than_the_papers_whoever_is_followed()
     stored = run(hits=[1] * 360, n_places=360, protocol=record("vprsnn", 450, 90))
     first, *_ = RECALL.differences(SAD, PLANNED, None, stored)
     assert first == ("counts", "other protocol: 360 queries of 360 places; the paper's: 2,700 of 3,300")
-
-
-# What was stored before there were two
-
-
-ONE_PROTOCOL = {name: value for name, value in SYNTHETIC.items() if name != "protocol"}
-OLD_RECORD = {
-    "places": 12,
-    "references": ["spring", "fall"],
-    "query": "summer",
-    "first_query_place": 2,
-    "query_places": 10,
-    "tolerance_places": 0,
-}
-
-
-def read_back(folder: Path, dataset: Mapping[str, Any], protocol: Mapping[str, Any]) -> Run:
-    """Store a run as a version did whose datasets had one protocol, and read it."""
-    store = Store(folder)
-    store.prepare()
-    store.save(a_run(config={**a_run().config, "dataset": dict(dataset)}, protocol=dict(protocol)))
-    (found,) = store.runs()
-    return found
-
-
-def test_an_older_run_counts_as_one_of_vprtempos_protocol(tmp_path: Path) -> None:
-    found = read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
-    assert found.config["dataset"] == SYNTHETIC
-    assert found.protocol == record("vprtempo")
-
-
-@pytest.mark.parametrize("name", ["nordland", "nordland_64x32", "oxford_robotcar", "street"])
-def test_so_does_one_of_every_dataset_that_gained_a_protocol(tmp_path: Path, name: str) -> None:
-    dataset = {option: value for option, value in config(name).items() if option != "protocol"}
-    assert read_back(tmp_path, dataset, OLD_RECORD).config["dataset"]["protocol"] == "vprtempo"
-
-
-@pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
-def test_a_run_that_names_its_protocol_is_read_as_it_was_stored(tmp_path: Path, protocol: str) -> None:
-    found = read_back(tmp_path, {**SYNTHETIC, "protocol": protocol}, record(protocol))
-    assert (found.config["dataset"]["protocol"], found.protocol) == (protocol, record(protocol))
-
-
-def test_a_dataset_of_somebody_else_is_given_no_protocol(tmp_path: Path) -> None:
-    theirs = {**ONE_PROTOCOL, "_target_": "theirs.journeys.river"}
-    found = read_back(tmp_path, theirs, OLD_RECORD)
-    assert (found.config["dataset"], found.protocol) == (theirs, OLD_RECORD)
-
-
-def test_an_older_run_stands_in_the_column_of_its_protocol_beside_newer_ones(tmp_path: Path) -> None:
-    old = read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
-    beside = run(dataset=SYNTHETIC, protocol=record("vprtempo"))
-    older_run = run(dataset=old.config["dataset"], protocol=old.protocol, day="2024-01-01")
-    first, second = groups([older_run, beside], [], [column("vprtempo"), column("vprsnn")], ROWS)
-    assert set(map(id, first.runs)) == {id(older_run), id(beside)}
-    assert second.runs == ()
-
-
-def test_an_older_failure_is_none_of_the_other_protocol(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    store.prepare()
-    store.save_failure(a_failure(method="sad", dataset="synthetic", config={"dataset": ONE_PROTOCOL, "seed": 0}))
-    failures: list[Failure] = [*store.failures()]
-    first, second = groups([], failures, [column("vprtempo"), column("vprsnn")], ROWS)
-    assert (len(first.failures), len(second.failures)) == (1, 0)
-
-
-def test_a_stored_run_stays_as_it_is_on_disk(tmp_path: Path) -> None:
-    read_back(tmp_path, ONE_PROTOCOL, OLD_RECORD)
-    (path,) = tmp_path.rglob("run.json")
-    content = json.loads(path.read_text("utf-8"))
-    assert content["protocol"] == OLD_RECORD
-    before = hashlib.sha256(path.read_bytes()).hexdigest()
-    [*Store(tmp_path).runs()]
-    assert hashlib.sha256(path.read_bytes()).hexdigest() == before
 
 
 # Searches of settings

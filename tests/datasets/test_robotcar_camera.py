@@ -111,19 +111,7 @@ def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path: Pat
     assert difference.mean() < 0.5
 
 
-def test_at_the_last_pixel_the_frame_ends_but_does_not_lie_outside(tmp_path: Path) -> None:
-    x, y = grid()
-    seen = processed(mosaic(uniform((90, 80, 70))), calibration(tmp_path, np.minimum(x + 0.75, 15), y))
-    np.testing.assert_array_equal(seen, uniform((90, 80, 70)))
-
-
 # Tables
-
-
-def test_the_real_camera_is_that_of_the_published_calibration() -> None:
-    assert (STEREO_LEFT.width, STEREO_LEFT.height) == (1280, 960)
-    assert STEREO_LEFT.focal_lengths == (983.044006, 983.044006)
-    assert STEREO_LEFT.principal_point == (643.646973, 493.378998)
 
 
 def refusal(path: Path) -> str:
@@ -213,3 +201,9 @@ def test_a_truncated_raw_frame_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be read as an image") as error:
         read_raw(path, SMALL)
     assert str(path) in str(error.value)
+
+
+def test_at_the_last_pixel_the_frame_ends_but_does_not_lie_outside(tmp_path: Path) -> None:
+    x, y = grid()
+    seen = processed(mosaic(uniform((90, 80, 70))), calibration(tmp_path, np.minimum(x + 0.75, 15), y))
+    np.testing.assert_array_equal(seen, uniform((90, 80, 70)))

@@ -76,10 +76,6 @@ def shows_all(found: Dataset) -> bool:
     return all((image == uniform(colour)).all() for image, colour in zip(seen, expected, strict=True))
 
 
-def test_raw_frames_are_shown_in_colour(root: Path) -> None:
-    assert shows_all(dataset(root))
-
-
 def test_nothing_is_processed_or_written_before_a_frame_is_looked_at(root: Path, processings: list[None]) -> None:
     before = sorted(root.rglob("*"))
     dataset(root)
@@ -110,16 +106,6 @@ def test_beside_them_stands_how_they_were_made(root: Path) -> None:
     assert record["calibration_sha256"] == sha256(table.read_bytes()).hexdigest()
     assert (record["width"], record["height"], record["focal_lengths"]) == (16, 12, [9.0, 9.0])
     assert record["code_version"] == kept.VERSION
-
-
-def test_a_run_notes_the_distortion_table(root: Path) -> None:
-    digest = sha256((root / "models" / TABLE).read_bytes()).hexdigest()
-    told = f"frames of sun, rain, dusk: demosaiced and undistorted here, with the distortion table {digest[:8]}"
-    assert told in dataset(root).notes
-
-
-def test_the_folders_of_a_dataset_are_those_of_the_raw_frames(root: Path) -> None:
-    assert [folder.path for folder in dataset(root).folders] == [raw_folder(root, name) for name in RECORDINGS]
 
 
 # What is made anew
@@ -182,13 +168,6 @@ def test_another_distortion_table_makes_the_frames_anew_and_so_does_the_first_on
     assert len(processings) == 3
     np.testing.assert_array_equal(dataset(root).queries[0], straight)
     assert len(processings) == 3
-
-
-def test_a_raw_frame_that_was_replaced_is_processed_anew(root: Path) -> None:
-    dataset(root).queries[0]
-    source = raw_folder(root, "sun") / f"{STAMPS['sun'][3]}.png"
-    (raw_folder(root, "dusk") / f"{STAMPS['dusk'][1]}.png").write_bytes(source.read_bytes())
-    assert (dataset(root).queries[0] == uniform(colour_of("sun", 3))).all()
 
 
 def test_frames_of_an_earlier_version_of_the_code_are_made_anew(
@@ -318,14 +297,6 @@ def test_the_table_may_be_somewhere_else(root: Path, tmp_path: Path) -> None:
     assert shows_all(dataset(root, calibration=str(tmp_path)))
 
 
-def test_missing_raw_frames_are_counted(root: Path) -> None:
-    for place in (1, 3):
-        (raw_folder(root, "rain") / f"{STAMPS['rain'][place]}.png").unlink()
-    with pytest.raises(NotThere, match="2 of 4 expected frames are missing") as error:
-        dataset(root)
-    assert f"{STAMPS['rain'][1]}.png is missing from {raw_folder(root, 'rain')}" in str(error.value)
-
-
 def test_a_colour_file_among_raw_frames_is_named_when_it_is_read(root: Path) -> None:
     path = raw_folder(root, "sun") / f"{STAMPS['sun'][2]}.png"
     PillowImage.new("RGB", (16, 12)).save(path)
@@ -362,3 +333,10 @@ def test_a_run_on_raw_frames_tells_tolerances_calibration_and_ceiling(
     assert "R@1 at tolerance 0 can reach 100.00 % at most" in told
     assert main([*asked, *small, *quick, "output=json"]) == 0
     assert json.loads(capsys.readouterr().out)["recall_at_1_within_3_places"] == 1.0
+
+
+def test_a_raw_frame_that_was_replaced_is_processed_anew(root: Path) -> None:
+    dataset(root).queries[0]
+    source = raw_folder(root, "sun") / f"{STAMPS['sun'][3]}.png"
+    (raw_folder(root, "dusk") / f"{STAMPS['dusk'][1]}.png").write_bytes(source.read_bytes())
+    assert (dataset(root).queries[0] == uniform(colour_of("sun", 3))).all()

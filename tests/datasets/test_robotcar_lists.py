@@ -11,7 +11,6 @@ import yaml
 from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
-from vprbench.datasets.oxford_robotcar import oxford_robotcar
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, vprsnn_timestamps
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
@@ -148,12 +147,6 @@ def test_the_protocol_names_the_list_so_that_two_lists_are_never_taken_for_one(r
     assert protocol["also_tolerance_places"] == [1, 2, 3]
 
 
-def test_no_place_shares_an_image_so_the_ceiling_is_100(root: Path) -> None:
-    (told,) = [note for note in asked(root=str(root)).notes if "R@1 at" in note]
-    assert told.startswith("0 of 375 places in sun, 0 of 375 places in rain and 0 of 375 queries show an image")
-    assert told.endswith("R@1 at tolerance 0 can reach 100.00 % at most")
-
-
 def test_the_list_can_be_chosen_by_its_option_too(root: Path) -> None:
     config = yaml.safe_load(registry.entries("dataset")["oxford_robotcar"].path.read_text("utf-8"))
     lists = {"image_list": "vprsnn", "stride": 8, "lists": str(root / "lists")}
@@ -181,8 +174,3 @@ def test_missing_lists_are_answered_with_where_they_belong(root: Path, tmp_path:
         f"ORC_{{Sun,Rain,Dusk}}_timestamps.csv from dataset_imagenames/ of https://github.com/QVPR/VPRSNN to {root}"
         in (str(error.value))
     )
-
-
-def test_too_many_places_are_refused_with_how_many_there_are(root: Path) -> None:
-    with pytest.raises(BadInput, match="the list of 3876 names at stride 8 has 485 places"):
-        oxford_robotcar(root=str(root), image_list="vprsnn", stride=8, places=486)

@@ -39,10 +39,6 @@ def test_a_query_without_a_right_reference_is_an_error_where_asked(root):
     assert "@900@0@" in message
 
 
-def test_a_smaller_radius_is_followed(root):
-    assert rights(utm_folders(root=str(root), radius_metres=10)) == [[0], [1, 2], []]
-
-
 def test_queries_that_all_go_are_no_dataset(root):
     assert "leaves none" in answer(utm_folders, root=str(root), radius_metres=1, unmatched="drop")
 

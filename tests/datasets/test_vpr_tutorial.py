@@ -43,10 +43,6 @@ def test_both_walks_by_day_may_be_the_map(gardens):
     assert len(used(dataset)) == 9
 
 
-def test_fewer_images_are_the_first_of_every_walk(gardens):
-    assert reds(gardens_point(root=str(gardens), images=12).queries) == [*range(12)]
-
-
 def test_missing_images_are_counted_with_what_to_do(gardens):
     message = answer(gardens_point, root=str(gardens), kind=NotThere)
     assert "holds 20 of 200 images" in message
@@ -105,11 +101,6 @@ def test_a_transposed_matrix_is_called_so(drives):
     np.savez(drives / "GT.npz", GThard=HARD.T)
     message = answer(read, drives)
     assert "has the shape (4, 3) (it is transposed); wanted is (3, 4)" in message
-
-
-def test_a_matrix_for_another_number_of_images_is_refused(drives):
-    (drives / "jan" / "03.jpg").unlink()
-    assert "has the shape (3, 4); wanted is (3, 3)" in answer(read, drives)
 
 
 def test_a_matrix_of_objects_is_not_unpickled(drives):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ PLACES = 60
 NAMES = [f"{place:03d}.png" for place in range(PLACES)]
 
 _STEP = 24  # pixels from place to place; a frame is 64 wide
+_NUMBER = re.compile(r"\d+x\d+|\d[\d,.]*(?<![,.])")
 
 
 def season(number: int, places: int = PLACES) -> list[Image]:
@@ -94,3 +96,11 @@ def wrong(found: Sequence[Finding]) -> list[tuple[str, str, str]]:
 def notes(found: Sequence[Finding], check: str) -> list[str]:
     """Return the texts of a check's notes."""
     return [finding.text for finding in found if finding.level == "note" and finding.check == check]
+
+
+def coded(found: Sequence[Finding], folder: Path) -> list[str]:
+    """Return level, check, numbers and numbered names of every finding, without the path of the tests' `folder`."""
+    return [
+        f"{one.level} {one.check}: {' '.join(re.findall(_NUMBER, one.text.replace(str(folder), '')))}".rstrip()
+        for one in found
+    ]

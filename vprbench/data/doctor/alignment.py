@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.dataset import Dataset
+from vprbench.text import plural
 
 from . import offsets
-from .finding import Finding, Level, plural
+from .finding import Finding, Level
 from .looking import Looks
 from .offsets import Descriptors, Shifts
 from .traverse import Traverse, advances, middles_of, traverses_of

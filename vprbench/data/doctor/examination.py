@@ -91,15 +91,15 @@ def _of_files(dataset: Dataset, known: Sequence[Contents | None]) -> Iterator[Fi
             yield from check(found)
 
 
-def _unused(found: Contents) -> list[Finding]:
+def _unused(found: Contents) -> Iterator[Finding]:
     """Look at images that are not used, as far as they are not too many."""
     unused = found.unused
     if not unused:
-        return []
+        return
     chosen = np.linspace(0, len(unused) - 1, min(len(unused), _UNUSED_LOOKED_AT)).astype(int)
     images = Images.from_files([found.folder.path / unused[number] for number in chosen])
     looks = look_at(images, f"looking at what {found.folder.path.name} holds beside")
-    return files.unused_images(found, len(images), int(looks.black.sum()))
+    yield from files.unused_images(found, len(images), int(looks.black.sum()))
 
 
 def _of_traverse(seen: Seen) -> Iterator[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +12,9 @@ import numpy as np
 
 from vprbench.api.dataset import FrameFolder
 from vprbench.api.image_formats import is_beside, is_image_name
+from vprbench.text import be, plural, some
 
-from .finding import Finding, be, plural, some
+from .finding import Finding
 
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
@@ -100,99 +101,88 @@ def no_folder(folder: FrameFolder) -> Finding:
     return Finding("error", "files", f"{folder.path} is no folder", "put the frames there, or name the right folder")
 
 
-def missing_files(found: Contents) -> list[Finding]:
+def missing_files(found: Contents) -> Iterator[Finding]:
     """Find files that the dataset wants and the folder lacks."""
     if not found.missing:
-        return []
+        return
     wanted = plural(len(set(found.folder.used)), "frame")
-    return [
-        Finding(
-            "error",
-            "files",
-            f"{len(found.missing):,} of {wanted} are missing from {found.folder.path}: {some(found.missing)}",
-            "put them back: a frame that is skipped shifts all that follow against the ground truth",
-        )
-    ]
+    yield Finding(
+        "error",
+        "files",
+        f"{len(found.missing):,} of {wanted} are missing from {found.folder.path}: {some(found.missing)}",
+        "put them back: a frame that is skipped shifts all that follow against the ground truth",
+    )
 
 
-def empty_files(found: Contents) -> list[Finding]:
+def empty_files(found: Contents) -> Iterator[Finding]:
     """Find used files without a single byte."""
     if not found.empty:
-        return []
-    return [
-        Finding(
-            "error",
-            "files",
-            f"{plural(len(found.empty), 'file')} of {found.folder.path} {be(found.empty)} empty (0 bytes): "
-            f"{some(found.empty)}",
-            "copy or download them again; the disk may have been full",
-        )
-    ]
+        return
+    yield Finding(
+        "error",
+        "files",
+        f"{plural(len(found.empty), 'file')} of {found.folder.path} {be(found.empty)} empty (0 bytes): "
+        f"{some(found.empty)}",
+        "copy or download them again; the disk may have been full",
+    )
 
 
-def impostors(found: Contents) -> list[Finding]:
+def impostors(found: Contents) -> Iterator[Finding]:
     """Find used files that are something else under the name of an image."""
-    return [
-        Finding(
+    for kind, names in found.impostors.items():
+        yield Finding(
             "error",
             "files",
             f"{plural(len(names), 'file')} of {found.folder.path} {be(names)} {kind}: {some(names)}",
             "download them again, and look at how the download answers",
         )
-        for kind, names in found.impostors.items()
-    ]
 
 
-def count(found: Contents) -> list[Finding]:
+def count(found: Contents) -> Iterator[Finding]:
     """Find a number of images that is not that of the right copy."""
     number, folder = len(found.images), found.folder
     if meaning := folder.wrong_counts.get(number):
         advice = "get the copy that the dataset's description names: the same file names show other places in this one"
-        return [Finding("error", "count", f"{folder.path} holds {plural(number, 'image')}: {meaning}", advice)]
+        yield Finding("error", "count", f"{folder.path} holds {plural(number, 'image')}: {meaning}", advice)
+        return
     if not folder.counts or number in folder.counts:
-        return []
+        return
     right = " or ".join(f"{known:,}" for known in folder.counts)
-    return [
-        Finding(
-            "warning" if number > max(folder.counts) else "note",
-            "count",
-            f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
-            "make sure that it is the copy that the dataset's description names",
-        )
-    ]
+    yield Finding(
+        "warning" if number > max(folder.counts) else "note",
+        "count",
+        f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
+        "make sure that it is the copy that the dataset's description names",
+    )
 
 
-def strangers(found: Contents) -> list[Finding]:
+def strangers(found: Contents) -> Iterator[Finding]:
     """Tell of files that are neither images that can be read nor of a kind that lies beside frames."""
     if not found.strangers:
-        return []
-    return [
-        Finding(
-            "note",
-            "files",
-            f"{plural(len(found.strangers), 'file')} of {found.folder.path} {be(found.strangers)} no image that can be "
-            f"read, and not used: {some(found.strangers)}",
-            "if it is a frame, save it as PNG or JPEG and list it; else move it away",
-        )
-    ]
+        return
+    yield Finding(
+        "note",
+        "files",
+        f"{plural(len(found.strangers), 'file')} of {found.folder.path} {be(found.strangers)} no image that can be "
+        f"read, and not used: {some(found.strangers)}",
+        "if it is a frame, save it as PNG or JPEG and list it; else move it away",
+    )
 
 
-def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> list[Finding]:
+def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterator[Finding]:
     """Tell how many images of the folder are not used, and how many of those `looked_at` are black."""
     unused = found.unused
     if not unused:
-        return []
+        return
     of_these = "of these" if looked_at == len(unused) else f"of {looked_at:,} of these that were looked at"
     dark = f"; {of_these} {black:,} {'is' if black == 1 else 'are'} black, as in tunnels" if black else ""
-    return [
-        Finding(
-            "note",
-            "unused",
-            f"{found.folder.path.name} holds {plural(len(found.images), 'image')}, of which the dataset uses "
-            f"{len(found.used):,} and leaves {len(unused):,} out{dark}",
-            "",
-        )
-    ]
+    yield Finding(
+        "note",
+        "unused",
+        f"{found.folder.path.name} holds {plural(len(found.images), 'image')}, of which the dataset uses "
+        f"{len(found.used):,} and leaves {len(unused):,} out{dark}",
+        "",
+    )
 
 
 def _suspects(sizes: Mapping[str, int]) -> Iterable[str]:

@@ -10,9 +10,10 @@ from typing import Literal
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
+from vprbench.text import plural
 
 from .examination import examine
-from .finding import Finding, plural
+from .finding import Finding
 
 _WIDTH = 110
 _MARGIN = 10

@@ -89,25 +89,25 @@ def set_aside(places: int, count: int) -> Numbers:
     return np.sort(np.random.RandomState(_SET_ASIDE_SEED).permutation(places)[:count]).astype(np.int64)
 
 
+@dataclass(frozen=True)
+class Traverses:
+    """Which traverses are mapped and queried, and where their frames come from."""
+
+    references: Sequence[str]
+    query: str
+    frames: Callable[[Sequence[tuple[str, int]]], Images]  # of (traverse, place), numbered along the journey
+    folders: Sequence[FrameFolder] = ()  # that the frames lie in
+
+    def shown(self, traverses: Sequence[str], places: Numbers) -> Images:
+        """Return the images of the places, one traverse after the other."""
+        return self.frames([(traverse, place) for traverse in traverses for place in places.tolist()])
+
+
 def dataset_of(
-    name: str,
-    parts: Split,
-    references: Sequence[str],
-    query: str,
-    frames: Callable[[Sequence[tuple[str, int]]], Images],
-    protocol: Mapping[str, Any],
-    folders: Sequence[FrameFolder] = (),
-    notes: Sequence[str] = (),
+    name: str, parts: Split, traverses: Traverses, protocol: Mapping[str, Any], notes: Sequence[str] = ()
 ) -> Dataset:
-    """Return the dataset of a split of the traverses `references` and `query`.
-
-    `frames` gives the images of (traverse, place), places by their numbers along the journey; `folders` are those that
-    they lie in, and `notes` what a reader of results has to know.
-    """
-
-    def shown(traverses: Sequence[str], places: Numbers) -> Images:
-        return frames([(traverse, place) for traverse in traverses for place in places.tolist()])
-
+    """Return the dataset of a split of traverses; `notes` are what a reader of results has to know."""
+    references, query, shown = traverses.references, traverses.query, traverses.shown
     held_out = (
         HeldOut(
             references=shown(references, parts.held_out),
@@ -128,7 +128,7 @@ def dataset_of(
         protocol=protocol,
         held_out=held_out,
         place_numbers=None if parts.held_out_in_map else parts.mapped,
-        folders=tuple(folders),
+        folders=tuple(traverses.folders),
         notes=tuple(notes),
     )
 
