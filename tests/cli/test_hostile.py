@@ -30,7 +30,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
     (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
     monkeypatch.syspath_prepend(tmp_path / "plugins")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path / "plugins", ROOT / "tests" / "support", ROOT))))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join(map(str, (tmp_path / "plugins", ROOT / "tests" / "support", ROOT)))
+    )
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

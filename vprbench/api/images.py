@@ -6,10 +6,10 @@ import hashlib
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Protocol, overload
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -44,19 +44,6 @@ class ReadingTime:
         self.seconds = min(self.seconds, before + max(0.0, most))
 
 
-class Keeper(Protocol):
-    """Keeps what is computed of a whole sequence of images, of each image a row."""
-
-    def __call__(
-        self,
-        images: Images,
-        arguments: Mapping[str, Any],
-        n_columns: int,
-        fill: Callable[[npt.NDArray[np.uint8]], None],
-    ) -> npt.NDArray[np.uint8]:
-        """Return what was kept under these arguments, (n_images, n_columns), or let `fill` write it now."""
-
-
 class Images(Sequence[Image]):
     """A sequence of RGB images, uint8 (height, width, 3), read when they are looked at.
 
@@ -87,7 +74,6 @@ class Images(Sequence[Image]):
         self._content = content
         self._in_memory = in_memory
         self._report: Callable[[int], None] | None = None
-        self.keeper: Keeper | None = None
         self.names = tuple(names)
         self.reading = ReadingTime()
 
@@ -166,11 +152,6 @@ class Images(Sequence[Image]):
             finally:
                 readers.shutdown(cancel_futures=True)
 
-    @property
-    def are_files(self) -> bool:
-        """Whether the images are decoded from files."""
-        return self._files is not None
-
     def decoded_bytes(self) -> int:
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
         if self._files is None and not self._in_memory:
@@ -193,25 +174,14 @@ class Images(Sequence[Image]):
 
     def unnamed(self) -> Images:
         """Return the same images under names that say nothing."""
-        view = self._whole()
+        view = self[:]
         view.names = tuple(f"image {i}" for i in range(len(self)))
         return view
 
     def watched(self, report: Callable[[int], None]) -> Images:
         """Return the same images; `report` is told now and then how many an iteration has handed out."""
-        view = self._whole()
-        view._report = report
-        return view
-
-    def kept_by(self, keeper: Keeper) -> Images:
-        """Return the same images; what is computed of all of them alone may be had from `keeper`."""
-        view = self._whole()
-        view.keeper = keeper
-        return view
-
-    def _whole(self) -> Images:
         view = self[:]
-        view.keeper = self.keeper
+        view._report = report
         return view
 
     def in_memory(self) -> Images:

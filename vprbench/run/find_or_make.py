@@ -21,7 +21,6 @@ from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
 from vprbench.run.descriptor_cache import DescriptorCache
-from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
@@ -61,11 +60,10 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         else:
             for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
                 insist_on_writing(place)
-            caches = _caches(store, threads) if settings.cache else (None, None)
+            # absolute, for a method may change the working folder
+            cache = DescriptorCache(store.root.absolute() / "descriptors") if settings.cache else None
             with progress_shown(f"{name} on {dataset.name}"), chdir("."):
-                run = runner.run(
-                    name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
-                )
+                run = runner.run(name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, cache)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = dataclasses.replace(run, tuned_on=tuned_on)
@@ -108,12 +106,6 @@ def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run |
 def _checked(dataset: Dataset) -> Dataset:
     """Return a dataset that the cheap checks find no error in; what they warn of is among its notes."""
     return dataclasses.replace(dataset, notes=(*dataset.notes, *insist(dataset)))
-
-
-def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
-    """Return what keeps descriptors, and what keeps preprocessed frames, beside the runs."""
-    root = store.root.absolute()  # for a method may change the working folder
-    return DescriptorCache(root / "descriptors"), Preprocessed(root / "preprocessed", threads)
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:

@@ -29,7 +29,6 @@ from vprbench.run.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import learn
 from vprbench.run.note import Note, noted
-from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.record import Run, content_key
 from vprbench.run.sources import source_hash
 from vprbench.run.stopwatch import Protocol, Stopwatch, Timing, synchroniser
@@ -112,15 +111,13 @@ def run(
     threads: int,
     files: networks.Files = _NO_FILES,
     cache: DescriptorCache | None = None,
-    preprocessed: Preprocessed | None = None,
 ) -> Run:
     """Fit a method or load its network, score every query and measure its rates.
 
     `config` holds what was asked for (method, dataset, seed, device, depth), the run's also the hash of the code and
     the timing protocol; raises whatever the method raises.
     A network is stored before the first query; whether it can be is seen before it is trained. Descriptors worth
-    keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case. `preprocessed`
-    keeps the frames of a fit; what an earlier run spent on those that it has already counts as part of the fit.
+    keeping are kept in `cache` and taken from there; the sample that is timed is encoded in any case.
     """
     device = config["device"]
     data = data_record(dataset)
@@ -132,7 +129,7 @@ def run(
 
     described = Described.of(cache if files.load is None else None, method, config)
     with ledger() as resumed:
-        learnt = learn(stopwatch, method, dataset, config["method"], key, files, described, resumed, preprocessed)
+        learnt = learn(stopwatch, method, dataset, config["method"], key, files, described, resumed)
 
         before = dataset.queries.reading.seconds
         answers = _Answers(dataset, config["depth"])

@@ -24,7 +24,7 @@ class Settings:
     threads: int | None = None  # None: all cores this process may use
     results: str = "results"
     force: bool = False
-    cache: bool = True  # keep descriptors of networks and preprocessed frames, and take those of an earlier run
+    cache: bool = True  # keep descriptors of networks, and take those of an earlier run
     output: Literal["row", "json"] = "row"
     depth: int = 100
     frames: bool = True  # keep small pictures of the dataset, for figures and report
