@@ -22,7 +22,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.run import rows
-from vprbench.run.data_record import DataRecord, data_record
+from vprbench.run.identity import DataRecord, data_record
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 from vprbench.storage import hashes

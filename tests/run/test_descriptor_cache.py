@@ -12,7 +12,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.descriptors import DescriptorCache
 
 
 def some(n_images=10, n_dimensions=4, seed=0):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
-from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
+from little_runs import asked_for, kinds, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import progress
@@ -25,6 +25,7 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run import runner
+from vprbench.run.identity import run_key
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 
@@ -240,7 +241,7 @@ def test_waiting_for_views_of_one_traverse_counts_once(clock: Clock) -> None:
 
 
 def key(method: Method, held: HeldOut | None) -> str:
-    return runner.run_key(method, CONFIG, replace(journey(6, 4), held_out=held), "f", QUICK, 1)
+    return run_key(asked_for(method, replace(journey(6, 4), held_out=held)))
 
 
 def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_alone() -> None:
@@ -278,7 +279,7 @@ class Sharpened(Prototypes):
 
 def stored(path: Path, method: Method, dataset: Dataset, load: bool = False) -> Run:
     files = networks.Files(load=path) if load else networks.Files(save=path)
-    return runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, files)
+    return runner.run(asked_for(method, dataset, files=files), "key")
 
 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path: Path) -> None:

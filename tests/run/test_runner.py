@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in, picture
-from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
+from little_runs import asked_for, quiet_surroundings, run_of, table
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
@@ -20,8 +20,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, outcome
-from vprbench.run import runner
-from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run import answers, runner
+from vprbench.run.descriptors import DescriptorCache
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -99,7 +99,7 @@ def test_scores_of_another_type_are_kept_as_float32() -> None:
 
 
 def test_a_small_matrix_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_LARGEST_MATRIX", 1200)
+    monkeypatch.setattr(answers, "_LARGEST_MATRIX", 1200)
     scores = table(300, 4)
     run = run_of(Lookup(scores), journey(300, 4))
     assert run.scores is not None
@@ -107,7 +107,7 @@ def test_a_small_matrix_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_matrix_beyond_the_limit_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_LARGEST_MATRIX", 1199)
+    monkeypatch.setattr(answers, "_LARGEST_MATRIX", 1199)
     assert run_of(Lookup(table(300, 4)), journey(300, 4)).scores is None
 
 
@@ -207,7 +207,7 @@ def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
     cache = DescriptorCache(tmp_path) if cached else None
-    runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, cache=cache)
+    runner.run(asked_for(method, dataset, cache=cache), "key")
     assert len(method.names) > 3 * 6
     assert all(name.startswith("image ") for name in method.names)
 
@@ -255,8 +255,8 @@ def test_an_error_of_the_method_reaches_the_caller() -> None:
 def test_many_places_are_scored_in_smaller_blocks_and_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     scores, dataset = table(300, 40, 5), journey(300, 40)
     usual = run_of(Lookup(scores), dataset)
-    monkeypatch.setattr(runner, "_BLOCK_CELLS", 40 * 7)
-    monkeypatch.setattr(runner, "_RANKED_CELLS", 40 * 3)
+    monkeypatch.setattr(answers, "_BLOCK_CELLS", 40 * 7)
+    monkeypatch.setattr(answers, "_RANKED_CELLS", 40 * 3)
     method = Lookup(scores)
     blocked = run_of(method, dataset)
     assert [len(numbers) for numbers in method.asked[1:44]] == [7] * 42 + [6]

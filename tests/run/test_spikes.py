@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, pictures
-from little_runs import quiet_surroundings
+from little_runs import quiet_surroundings, run_of
 from stopped_clock import Clock
 
 from vprbench.api import images
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.api.method import Method
+from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -27,12 +27,9 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.conformance import Journey
 from vprbench.run import runner
 from vprbench.run.note import Note
-from vprbench.run.record import Run
-from vprbench.run.spikes import LayerSpikes, summary
-from vprbench.run.stopwatch import Protocol
+from vprbench.run.spikes import summary
 from vprbench.run.store import Store
 
-QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
 
 
@@ -119,11 +116,6 @@ class Ticking(Lookup):
 class Failing(Ticking):
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
         raise KeyError("the layer\nis gone")
-
-
-def run_of(method: Method, dataset: Dataset) -> Run:
-    config = {"method": {"_target_": "little.Lookup"}, "dataset": {}, "seed": 0, "device": "cpu", "depth": 3}
-    return runner.run("little", method, dataset, config, "key", "fingerprint", QUICK, 1)
 
 
 def test_a_run_keeps_the_spikes_of_every_query_where_they_are_few() -> None:

@@ -20,15 +20,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import stopwatch
-from vprbench.run.stopwatch import (
-    Protocol,
-    Stopwatch,
-    Timing,
-    best_batch,
-    offline_rate,
-    percentile_bound,
-    streaming_rate,
-)
+from vprbench.run.rates import best_batch, offline_rate, percentile_bound, streaming_rate
+from vprbench.run.stopwatch import Protocol, Stopwatch, Timing
 
 MS = 1_000_000  # nanoseconds
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import chdir
 from dataclasses import dataclass
-from typing import Any
 
 from vprbench import progress
 from vprbench.api.arrays import Places
@@ -18,6 +17,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run.descriptors import Described
 from vprbench.run.note import Note, noted
+from vprbench.run.request import Request
 from vprbench.run.stopwatch import Stopwatch
 
 
@@ -43,20 +43,12 @@ class Learnt:
         return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
 
 
-def learn(
-    stopwatch: Stopwatch,
-    method: Method,
-    dataset: Dataset,
-    arguments: Mapping[str, Any],
-    key: str,
-    files: networks.Files,
-    described: Described | None,
-    resumed: Resumed,
-) -> Learnt:
-    """Load the method's network, or fit and calibrate the method and store its network where that was asked for.
+def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described | None, resumed: Resumed) -> Learnt:
+    """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
     What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit.
     """
+    method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
     if files.load is not None:
         progress.report("load", 0.0)
         wanted = networks.origin(method, arguments, dataset)
@@ -69,16 +61,8 @@ def learn(
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
     before = _reading_seconds(read)
     progress.report("fit", 0.0)
-    references, places = dataset.references.watched(_reading(len(dataset.references))), _read_only(dataset.places)
-    from_cache = False
     with chdir("."), stopwatch.lap() as fit:  # a method may leave the folder that the other paths start from
-        if described is None:
-            method.fit(references, places)
-        else:
-            assert isinstance(method, DescriptorMethod)
-            method.insist_on_index(len(references))
-            descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
-            method.fit_descriptors(descriptors, places)
+        from_cache = _fit(method, dataset, described)
         if held_out is not None:
             progress.report("calibrate", 0.0)
             try:
@@ -92,12 +76,22 @@ def learn(
     notes = tuple(_fit_notes(resumed.seconds, held_out))
     if from_cache:
         return Learnt(load_seconds=fit[0], notes=notes, from_cache=True)
-    return Learnt(
-        fit_seconds=seconds,
-        fit_compute_seconds=computing,
-        earlier_seconds=resumed.seconds,
-        notes=notes,
-    )
+    return Learnt(fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=notes)
+
+
+def _fit(method: Method, dataset: Dataset, described: Described | None) -> bool:
+    """Fit a method; returns whether `described` had kept the descriptors of the references already."""
+    total = len(dataset.references)
+    references = dataset.references.watched(lambda done: progress.report("fit, reading images", done / total))
+    places = _read_only(dataset.places)
+    if described is None:
+        method.fit(references, places)
+        return False
+    assert isinstance(method, DescriptorMethod)
+    method.insist_on_index(total)
+    descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
+    method.fit_descriptors(descriptors, places)
+    return from_cache
 
 
 def _hidden(held_out: HeldOut) -> HeldOut:
@@ -124,11 +118,6 @@ def _fit_notes(resumed_seconds: float, held_out: HeldOut | None) -> Iterator[Not
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
         yield Note("calibrated", text)
-
-
-def _reading(total: int) -> Callable[[int], None]:
-    """Return what reports how many references a fit has read, as a stage of its own."""
-    return lambda done: progress.report("fit, reading images", done / total)
 
 
 def _read_only(places: Places) -> Places:
