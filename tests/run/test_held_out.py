@@ -25,7 +25,6 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run import runner
-from vprbench.run.identity import run_key
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 
@@ -241,7 +240,7 @@ def test_waiting_for_views_of_one_traverse_counts_once(clock: Clock) -> None:
 
 
 def key(method: Method, held: HeldOut | None) -> str:
-    return run_key(asked_for(method, replace(journey(6, 4), held_out=held)))
+    return asked_for(method, replace(journey(6, 4), held_out=held)).key()
 
 
 def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_alone() -> None:

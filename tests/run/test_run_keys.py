@@ -23,7 +23,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.plugins.networks import Files
 from vprbench.run import harness, machine
-from vprbench.run.identity import code_hash, fingerprint, run_key
+from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.sources import meaning
 from vprbench.run.stopwatch import Protocol
 
@@ -41,7 +41,7 @@ METHOD = Lookup(np.ones((6, 4), np.float32))
 def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int = 1, **changes: Any) -> str:
     dataset = dataset or journey(6, 4)
     asked = asked_for(METHOD, dataset, protocol, threads, **changes)
-    return run_key(replace(asked, fingerprint=fingerprint(dataset)))
+    return replace(asked, fingerprint=fingerprint(dataset)).key()
 
 
 def test_a_run_asked_for_again_has_the_same_key() -> None:
@@ -87,7 +87,7 @@ def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any])
 
 def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_training() -> None:
     files = [Files(sha256=network) for network in (None, "a" * 64, "b" * 64, None)]
-    keys = [run_key(asked_for(METHOD, journey(6, 4), files=given)) for given in files]
+    keys = [asked_for(METHOD, journey(6, 4), files=given).key() for given in files]
     assert len(set(keys)) == 3
     assert keys[0] == keys[3]
 

@@ -21,7 +21,7 @@ from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
 from vprbench.run.descriptors import DescriptorCache
-from vprbench.run.identity import fingerprint, run_key
+from vprbench.run.identity import fingerprint
 from vprbench.run.record import Run
 from vprbench.run.request import Request
 from vprbench.run.settings import Settings, n_threads
@@ -38,7 +38,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
     asked["method"], tuned_on = registry.declared(name, asked["method"])
     process, refused = os.getpid(), _refused(store)
     request = _request(name, asked, settings, store)
-    key = run_key(request)
+    key = request.key()
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))

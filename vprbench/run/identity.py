@@ -3,53 +3,53 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict
-from typing import TypedDict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method, calibration
+from vprbench.api.method import Method
 from vprbench.run import harness, machine
 from vprbench.run.record import content_key
-from vprbench.run.request import Request
 from vprbench.run.sources import source_hash
+from vprbench.run.stopwatch import Protocol
 
 
-class DataRecord(TypedDict):
-    """The frames of a dataset, references first and then queries, each in its order."""
+@dataclass(frozen=True)
+class Identity:
+    """All that can change the outcome of a run or the times it measures."""
 
-    names_sha256: str  # of all names, joined by line feeds, in UTF-8
-    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None where an image is no file
-    images: int  # a frame that is used twice counts twice
-    bytes: int | None  # of all files together; None where an image is no file
+    method_class: str  # its name alone: where its file lies does not count
+    code: str  # its hash
+    config: Mapping[str, Any]  # what was asked for: method, seed, device, depth, files
+    dataset: Dataset
+    images: str  # their fingerprint
+    held_out: str | None  # fingerprint of the places that the method chooses its settings by
+    timing: Protocol
+    threads: int
+    network: str | None = None  # hash of the file that the run loads; a run that trains has another key
 
-
-def run_key(request: Request) -> str:
-    """Return the hash of all that can change the outcome of a run or the times it measures.
-
-    Where files lie does not count: of the module of the method's class its name alone.
-    A run that loads a network has the hash of that file in its key, a run that trains has none.
-    """
-    config, dataset = request.config, request.dataset
-    arguments = {name: value for name, value in config["method"].items() if name not in ("_target_", "device")}
-    held_out = calibration(request.method, dataset)
-    return content_key(
-        {
-            "method": {"class": type(request.method).__qualname__, **arguments},
-            "code": code_hash(type(request.method)),
-            "dataset": dataset.name,
-            "protocol": dict(dataset.protocol),
-            "images": request.fingerprint,
-            "held_out": None if held_out is None else held_out.fingerprint(),
-            "files": config.get("files", []),
-            "seed": config["seed"],
-            "device": machine.device_class(config["device"]),
-            "threads": request.threads,
-            "depth": config["depth"],
-            "timing": asdict(request.protocol),
-            "libraries": machine.library_versions(),
-            "network": request.files.sha256,
-        }
-    )
+    def key(self) -> str:
+        """Return the hash of all of it."""
+        arguments = {name: value for name, value in self.config["method"].items() if name not in ("_target_", "device")}
+        return content_key(
+            {
+                "method": {"class": self.method_class, **arguments},
+                "code": self.code,
+                "dataset": self.dataset.name,
+                "protocol": dict(self.dataset.protocol),
+                "images": self.images,
+                "held_out": self.held_out,
+                "files": self.config.get("files", []),
+                "seed": self.config["seed"],
+                "device": machine.device_class(self.config["device"]),
+                "threads": self.threads,
+                "depth": self.config["depth"],
+                "timing": asdict(self.timing),
+                "libraries": machine.library_versions(),
+                "network": self.network,
+            }
+        )
 
 
 def code_hash(method: type[Method]) -> str:
@@ -66,6 +66,15 @@ def fingerprint(dataset: Dataset) -> str:
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
     return digest.hexdigest()
+
+
+class DataRecord(TypedDict):
+    """The frames of a dataset, references first and then queries, each in its order."""
+
+    names_sha256: str  # of all names, joined by line feeds, in UTF-8
+    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None where an image is no file
+    images: int  # a frame that is used twice counts twice
+    bytes: int | None  # of all files together; None where an image is no file
 
 
 def data_record(dataset: Dataset) -> DataRecord:

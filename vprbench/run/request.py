@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method
+from vprbench.api.method import Method, calibration
 from vprbench.plugins import networks
 from vprbench.run.descriptors import DescriptorCache
+from vprbench.run.identity import Identity, code_hash
 from vprbench.run.stopwatch import Protocol
 
 _NO_FILES = networks.Files()
@@ -28,3 +29,18 @@ class Request:
     threads: int
     files: networks.Files = _NO_FILES  # networks to load or to store
     cache: DescriptorCache | None = None  # for descriptors worth keeping
+
+    def key(self) -> str:
+        """Return the hash of all that can change the outcome of the run or the times it measures."""
+        held_out = calibration(self.method, self.dataset)
+        return Identity(
+            method_class=type(self.method).__qualname__,
+            code=code_hash(type(self.method)),
+            config=self.config,
+            dataset=self.dataset,
+            images=self.fingerprint,
+            held_out=None if held_out is None else held_out.fingerprint(),
+            timing=self.protocol,
+            threads=self.threads,
+            network=self.files.sha256,
+        ).key()
