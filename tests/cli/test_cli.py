@@ -118,54 +118,39 @@ def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_remov
     assert {*temporary.iterdir()} <= {old}
 
 
-def test_a_run_prints_one_json_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=sad", *QUICK, "output=json"]) == 0
-    row = json.loads(capsys.readouterr().out)
-    assert set(row) >= KEYS
-
-
-def test_a_repeated_run_answers_from_the_store(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     rows = []
-    for _ in range(2):
-        main(["method=sad", *QUICK, "output=json"])
+    for options in ([], [], ["force=true"]):
+        assert main(["method=sad", *QUICK, "output=json", *options]) == 0
         rows.append(json.loads(capsys.readouterr().out))
-    assert [row.pop("from_store") for row in rows] == [False, True]
+    assert set(rows[0]) >= KEYS
+    assert [row.pop("from_store") for row in rows] == [False, True, False]
     assert rows[0] == rows[1]
 
 
-def test_force_runs_again_although_the_answer_is_stored(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["method=sad", *QUICK])
-    capsys.readouterr()
-    assert main(["method=sad", *QUICK, "output=json", "force=true"]) == 0
-    assert json.loads(capsys.readouterr().out)["from_store"] is False
-
-
-def test_the_row_names_recall_interval_rates_memory_and_folder(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["method=sad", *QUICK])
-    printed = capsys.readouterr().out
-    assert re.search(r"R@1 % \[95 %\]", printed)
-    assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed)
-    assert "streaming Hz enc/match/total" in printed
-    assert "offline Hz enc/match/total" in printed
-    assert "peak MB" in printed
-    assert "stored in results/synthetic/sad-" in printed
-
-
-def test_a_run_from_the_store_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["method=sad", *QUICK])
-    capsys.readouterr()
-    main(["method=sad", *QUICK])
-    assert "from the store: results/synthetic/sad-" in capsys.readouterr().out
-
-
-def test_progress_goes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["method=sad", *QUICK])
-    assert "sad on synthetic: fit" in capsys.readouterr().err
-
-
-def test_nothing_but_the_results_folder_is_made() -> None:
-    main(["method=sad", *QUICK])
+def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_it_was_asked_with(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    main(["method=sad", "method.patch=7", *QUICK])
+    printed = capsys.readouterr()
+    assert re.search(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", printed.out)
+    for column in (
+        "R@1 % [95 %]",
+        "streaming Hz enc/match/total",
+        "offline Hz enc/match/total",
+        "peak MB",
+        "sad patch=7",
+    ):
+        assert column in printed.out
+    assert "stored in results/synthetic/sad-" in printed.out
+    assert "sad on synthetic: fit" in printed.err
     assert [path.name for path in Path().iterdir()] == ["results"]
+    main(["method=sad", *QUICK])
+    printed = capsys.readouterr()
+    assert "from the store: results/synthetic/sad-" in printed.out
+    assert "patch=7" not in printed.out
 
 
 def test_a_sweep_runs_every_combination_and_survives_a_failing_cell() -> None:
@@ -267,13 +252,14 @@ def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
     assert "15 rules: 14 kept, 1 excepted, 0 broken" in capsys.readouterr().out
 
 
-def test_help_names_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
+@pytest.mark.parametrize("arguments", [["--help"], ["table", "--help"]])
+def test_help_names_the_commands_and_changes_nothing(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 0
     printed = capsys.readouterr().out
     assert all(
-        f"vprbench {command}" in printed
-        for command in ("method=", "-m", "table", "list", "check", "bench", "gpu-check")
+        f"vprbench {name}" in printed for name in ("method=", "-m", "table", "list", "check", "bench", "gpu-check")
     )
+    assert list(Path().iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -382,17 +368,14 @@ def test_missing_frames_are_counted_and_the_first_is_named(capsys: pytest.Captur
     assert "images-07029.png is missing from summer (2700 of 2700 expected frames are missing" in line
 
 
-def test_a_truncated_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("bad", ["queries/2.png", "references/1.png"])
+def test_a_truncated_image_and_a_file_that_is_none_are_named_by_their_path(
+    capsys: pytest.CaptureFixture[str], bad: str
+) -> None:
     references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
-    whole = (queries / "2.png").read_bytes()
-    (queries / "2.png").write_bytes(whole[: len(whole) // 2])
-    assert "queries/2.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
-
-
-def test_a_file_that_is_no_image_is_named_by_its_path(capsys: pytest.CaptureFixture[str]) -> None:
-    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
-    (references / "1.png").write_text("not an image")
-    assert "references/1.png cannot be read as an image" in refused(own_frames(references, queries), capsys)
+    whole = Path(bad).read_bytes()
+    Path(bad).write_bytes(whole[: len(whole) // 2] if bad.startswith("queries") else b"not an image")
+    assert f"{bad} cannot be read as an image" in refused(own_frames(references, queries), capsys)
 
 
 def test_queries_without_a_match_are_counted_and_the_first_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -400,22 +383,16 @@ def test_queries_without_a_match_are_counted_and_the_first_is_named(capsys: pyte
     assert "2 of 5 queries have no reference within 0 places (first: queries/3.png)" in line
 
 
-def test_images_of_differing_sizes_grey_or_with_alpha_are_accepted() -> None:
-    frames(Path("references"), 3)
+def test_images_of_differing_sizes_grey_with_alpha_or_black_are_accepted(capsys: pytest.CaptureFixture[str]) -> None:
+    references, queries = frames(Path("references"), 3), frames(Path("queries"), 6)
     frames(Path("more"), 2, (30, 20), "L")
     frames(Path("alpha"), 1, (24, 24), "RGBA")
-    Path("more/0.png").rename("references/3.png")
-    Path("more/1.png").rename("references/4.png")
-    Path("alpha/0.png").rename("references/5.png")
-    assert main(own_frames(Path("references"), frames(Path("queries"), 6))) == 0
-
-
-def test_an_all_black_image_is_accepted(capsys: pytest.CaptureFixture[str]) -> None:
-    references, queries = frames(Path("references"), 4), frames(Path("queries"), 4)
+    for number, path in enumerate(("more/0.png", "more/1.png", "alpha/0.png"), 3):
+        Path(path).rename(references / f"{number}.png")
     for folder in (references, queries):
         PillowImage.new("RGB", (16, 12)).save(folder / "1.png")
     assert main([*own_frames(references, queries), "output=json"]) == 0
-    assert json.loads(capsys.readouterr().out)["queries"] == 4
+    assert json.loads(capsys.readouterr().out)["queries"] == 6
 
 
 def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -474,46 +451,19 @@ def test_a_damaged_record_is_named_set_aside_and_run_again(
     assert len(list(folder.parent.glob(f".damaged-{folder.name}-*"))) == 1
 
 
-def test_a_method_that_fails_ends_with_code_1_and_is_recorded(
+def test_a_method_that_fails_ends_with_code_1_and_is_recorded_without_the_name_of_a_persons_home(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from vprbench.methods.sad import SAD
-
-    def fail(*_: object) -> None:
-        raise RuntimeError("the method's own trouble")
-
-    monkeypatch.setattr(SAD, "match", fail)
-    assert main(["method=sad", *QUICK]) == 1
-    assert "vprbench: sad failed: RuntimeError: the method's own trouble" in capsys.readouterr().err
-    (failure,) = Path("results").rglob("failure.json")
-    assert json.loads(failure.read_text())["error"] == "RuntimeError: the method's own trouble"
-
-
-def test_help_of_a_command_changes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["table", "--help"]) == 0
-    assert "python -m vprbench table" in capsys.readouterr().out
-    assert list(Path().iterdir()) == []
-
-
-def test_results_may_lie_in_a_folder_with_a_space_and_letters_from_abroad(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=sad", *QUICK, "results=min m\u00e5ling", "output=json"]) == 0
-    assert Path(json.loads(capsys.readouterr().out)["run_folder"]).parts[0] == "min m\u00e5ling"
-
-
-def test_a_stored_run_is_shown_under_the_words_it_was_asked_with(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["method=sad", "method.patch=7", *QUICK])
-    assert "sad patch=7" in capsys.readouterr().out
-    main(["method=sad", *QUICK])
-    assert "patch=7" not in capsys.readouterr().out
-
-
-def test_a_stored_failure_does_not_name_a_persons_home(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*_: object) -> None:
         raise RuntimeError(f"{Path.home() / 'photos'} is strange")
 
     monkeypatch.setattr("vprbench.methods.sad.SAD.match", fail)
     assert main(["method=sad", *QUICK]) == 1
+    assert "vprbench: sad failed: RuntimeError: ~/photos is strange" in capsys.readouterr().err
     (failure,) = Path("results").rglob("failure.json")
     assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"
+
+
+def test_results_may_lie_in_a_folder_with_a_space_and_letters_from_abroad(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=sad", *QUICK, "results=min m\u00e5ling", "output=json"]) == 0
+    assert Path(json.loads(capsys.readouterr().out)["run_folder"]).parts[0] == "min m\u00e5ling"

@@ -12,7 +12,6 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.cli import main
-from vprbench.errors import BadInput, NotThere
 from vprbench.run.record import Failure
 from vprbench.run.store import Store
 
@@ -26,47 +25,33 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def test_a_failure_is_found_again(store: Store) -> None:
+def test_of_two_failures_the_last_is_found_under_its_configuration_alone(store: Store) -> None:
     store.save_failure(a_failure())
-    assert store.failure("little", "journey", a_run().config) == a_failure()
-
-
-def test_of_two_failures_the_last_stays(store: Store) -> None:
-    store.save_failure(a_failure())
-    store.save_failure(a_failure(error="ValueError: no"))
-    found = store.failure("little", "journey", a_run().config)
-    assert found is not None
-    assert found.error == "ValueError: no"
-
-
-def test_a_failure_of_another_configuration_is_not_found(store: Store) -> None:
-    store.save_failure(a_failure())
+    store.save_failure(a_failure(error="ValueError: no", missing=True))
+    assert store.failure("little", "journey", a_run().config) == a_failure(error="ValueError: no", missing=True)
     assert store.failure("little", "journey", {**a_run().config, "seed": 4}) is None
 
 
-def test_a_failure_is_no_run(store: Store) -> None:
-    store.save_failure(a_failure())
-    assert list(store.runs()) == []
-
-
-def test_a_failure_vanishes_when_the_run_succeeds(store: Store) -> None:
-    store.save_failure(a_failure())
-    store.save(a_run())
-    assert store.failure("little", "journey", a_run().config) is None
-
-
-def test_a_failure_leaves_the_runs_of_its_method_in_place(store: Store) -> None:
-    store.save(a_run())
+def test_a_failure_is_no_run_leaves_runs_in_place_and_vanishes_when_the_run_succeeds(store: Store) -> None:
+    store.save(a_run(n_references=20))
     store.save_failure(a_failure())
     assert [run.n_references for run in store.runs()] == [20]
+    store.save(a_run())
+    assert store.failure("little", "journey", a_run().config) is None
 
 
 def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
 
 
-def test_a_damaged_failure_is_none(store: Store) -> None:
-    cut(store.save_failure(a_failure()) / "failure.json")
+def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    folder = store.save_failure(a_failure())
+    cut(folder / "failure.json")
+    store.save_failure(a_failure(config={"seed": 8}))
+    assert [failure.config for failure in store.failures()] == [{"seed": 8}]
+    assert [(record.levelno, str(folder) in record.getMessage()) for record in caplog.records] == [
+        (logging.WARNING, True)
+    ]
     assert store.failure("little", "journey", a_run().config) is None
 
 
@@ -82,23 +67,6 @@ def test_every_failure_is_found_whatever_its_dataset(store: Store) -> None:
         ("journey", 2),
         ("voyage", 1),
     ]
-
-
-def test_a_damaged_failure_is_named_and_hides_no_other(store: Store, caplog: pytest.LogCaptureFixture) -> None:
-    folder = store.save_failure(a_failure())
-    cut(folder / "failure.json")
-    store.save_failure(a_failure(config={"seed": 8}))
-    assert [failure.config for failure in store.failures()] == [{"seed": 8}]
-    assert [(record.levelno, str(folder) in record.getMessage()) for record in caplog.records] == [
-        (logging.WARNING, True)
-    ]
-
-
-def test_environment_and_what_is_missing_come_back(store: Store) -> None:
-    store.save_failure(a_failure(missing=True))
-    (failure,) = store.failures()
-    assert failure.missing is True
-    assert failure.environment["time_utc"] == "2025-02-01T12:00:00Z"
 
 
 def key_of_an_earlier_version(config: dict[str, Any]) -> str:
@@ -117,16 +85,11 @@ def earlier_failure(store: Store) -> Path:
     return folder
 
 
-def test_a_failure_that_an_earlier_version_stored_is_read(store: Store) -> None:
-    earlier_failure(store)
+def test_a_failure_that_an_earlier_version_stored_is_read_and_removed_when_the_run_succeeds(store: Store) -> None:
+    folder = earlier_failure(store)
     (failure,) = store.failures()
     assert (failure.error, failure.environment, failure.missing) == ("ValueError: no", {}, False)
     assert store.failure("little", "journey", failure.config) == failure
-
-
-def test_a_run_that_succeeds_removes_its_failure_of_an_earlier_version(store: Store) -> None:
-    folder = earlier_failure(store)
-    (failure,) = store.failures()
     store.save(a_run(config=failure.config))
     assert not folder.exists()
 
@@ -201,7 +164,3 @@ def test_a_failure_told_as_json_says_whether_something_was_missing(
 def test_a_method_that_does_not_exist_is_no_stored_failure() -> None:
     assert main(["method=sda", *QUICK]) == 2
     assert not Path("results").exists()
-
-
-def test_what_is_not_there_is_for_the_user_to_mend() -> None:
-    assert issubclass(NotThere, BadInput)

@@ -8,7 +8,7 @@ import numpy as np
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.run.runner import _Answers
+from vprbench.run.answers import Answers
 
 N_PLACES = 27_592  # Nordland, every frame
 BLOCK = 128
@@ -28,14 +28,14 @@ def endless() -> Dataset:
 
 def peak_bytes(n_blocks: int) -> int:
     """The most memory that collecting the answers to so many blocks of queries takes."""
-    answers = _Answers(endless(), depth=100)
+    answers = Answers(endless(), depth=100)
     scores = np.random.default_rng(0).random((BLOCK, N_PLACES), np.float32)
     tracemalloc.start()
     for _ in range(n_blocks):
         answers.add(BLOCK, scores, 0.0)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert not answers.kept
+    assert answers.scores is None
     return peak
 
 

@@ -22,8 +22,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.run import rows
-from vprbench.run.data_record import DataRecord, data_record
-from vprbench.run.record import Run
+from vprbench.run.identity import DataRecord, data_record
 from vprbench.run.store import Store
 from vprbench.storage import hashes
 
@@ -93,31 +92,22 @@ def test_the_record_of_files_is_as_worked_out_by_hand(winter: list[Path], summer
     }
 
 
-def test_a_renamed_file_changes_the_names_alone(winter: list[Path], summer: list[Path]) -> None:
-    before = record(winter, summer)
-    winter[1] = winter[1].rename(winter[1].with_name("e.png"))
-    assert {name for name, value in record(winter, summer).items() if value != before[name]} == {"names_sha256"}
-
-
-def test_another_content_of_the_same_size_changes_the_content_alone(winter: list[Path], summer: list[Path]) -> None:
-    before = record(winter, summer)
-    winter[1].write_bytes(b"aba")
-    assert {name for name, value in record(winter, summer).items() if value != before[name]} == {"content_sha256"}
-
-
-@pytest.mark.parametrize("order", ["cabad", "bacda"], ids=["of the references", "of the queries"])
-def test_another_order_is_other_data(winter: list[Path], summer: list[Path], order: str) -> None:
-    before = record(winter, summer)
-    wanted = sorted(winter, key=lambda path: order[:3].index(path.stem))
-    after = record(wanted, sorted(summer, key=lambda path: order[3:].index(path.stem)))
-    assert after["names_sha256"] != before["names_sha256"]
-    assert after["content_sha256"] != before["content_sha256"]
-
-
-def test_the_folder_of_the_frames_does_not_count(winter: list[Path], summer: list[Path]) -> None:
+def test_names_content_and_order_change_their_part_of_the_record_and_the_folder_none(
+    winter: list[Path], summer: list[Path]
+) -> None:
     before = record(winter, summer)
     moved = winter[0].parent.rename(winter[0].parent.with_name("elsewhere"))
-    assert record([moved / path.name for path in winter], summer) == before
+    winter = [moved / path.name for path in winter]
+    assert record(winter, summer) == before
+
+    def changed(references: list[Path], queries: list[Path]) -> set[str]:
+        return {name for name, value in record(references, queries).items() if value != before[name]}
+
+    assert changed(winter[::-1], summer) == changed(winter, summer[::-1]) == {"names_sha256", "content_sha256"}
+    winter[1].write_bytes(b"aba")
+    assert changed(winter, summer) == {"content_sha256"}
+    winter[1].write_bytes(b"aaa")
+    assert changed([winter[0], winter[1].rename(moved / "e.png"), winter[2]], summer) == {"names_sha256"}
 
 
 @pytest.mark.parametrize("rendered", ["references", "queries", "both"])
@@ -192,22 +182,15 @@ def test_images_with_a_stamp_and_content_are_not_decoded_to_be_hashed(hashed: st
 # The run
 
 
-@pytest.fixture(scope="module")
-def made() -> Run:
+def test_a_run_records_the_data_it_used_and_has_it_back_from_the_store(tmp_path: Path) -> None:
     with quiet_surroundings():
-        return run_of(Lookup(np.ones((6, 4), np.float32)), journey(6, 4), QUICK)
-
-
-def test_a_run_records_the_data_it_used(made: Run) -> None:
+        made = run_of(Lookup(np.ones((6, 4), np.float32)), journey(6, 4), QUICK)
     assert made.data == data_record(journey(6, 4))
     assert made.data["images"] == 10
-
-
-def test_the_record_comes_back_from_the_store(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     store.prepare()
-    store.save(a_run(data=RECORD))
-    assert [run.data for run in store.runs()] == [RECORD]
+    store.save(made)
+    assert [run.data for run in store.runs()] == [made.data]
 
 
 def test_the_protocol_line_ends_with_the_first_digits_of_the_names() -> None:

@@ -12,7 +12,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.descriptors import DescriptorCache
 
 
 def some(n_images=10, n_dimensions=4, seed=0):
@@ -23,26 +23,17 @@ def in_blocks(descriptors, size=3):
     return iter([descriptors[start : start + size] for start in range(0, len(descriptors), size)])
 
 
-def test_what_was_kept_is_found_again_memory_mapped_and_read_only(tmp_path):
-    cache = DescriptorCache(tmp_path / "descriptors")
-    kept = cache.keep("key", 10, in_blocks(some()), {"method": "m"})
+def test_what_was_kept_is_found_under_its_key_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path):
+    cache = DescriptorCache(tmp_path)
+    assert np.array_equal(cache.keep("key", 10, in_blocks(some()), {"method": "m"}), some())
     found = cache.find("key", 10)
-    assert np.array_equal(kept, some())
     assert np.array_equal(found, some())
     assert isinstance(found, np.memmap)
     assert not found.flags.writeable
-
-
-def test_beside_the_descriptors_stands_what_they_came_from(tmp_path):
-    DescriptorCache(tmp_path).keep("key", 10, in_blocks(some()), {"method": "m"})
+    assert cache.find("other", 10) is None
     about = json.loads((tmp_path / "key.json").read_text())
     assert about == {"method": "m", "n_images": 10, "n_dimensions": 4, "bytes": 160}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["key.json", "key.npy"]
-
-
-def test_another_key_finds_nothing(tmp_path):
-    DescriptorCache(tmp_path).keep("key", 10, in_blocks(some()), {})
-    assert DescriptorCache(tmp_path).find("other", 10) is None
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
-from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
+from little_runs import asked_for, kinds, quiet_surroundings, run_of, table
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench import progress
@@ -89,8 +89,20 @@ def refusal(**changes: Any) -> str:
     return str(error.value)
 
 
-def test_the_number_of_held_out_places_is_counted() -> None:
-    assert held_out().n_places == 3
+def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query_and_its_run_says_so() -> None:
+    method = Choosing(table(6, 4))
+    run = run_of(method, with_held_out())
+    assert method.calls[:3] == ["fit", "calibrate", "encode"]
+    assert method.calls.count("calibrate") == 1
+    assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
+
+
+@pytest.mark.parametrize(("kind", "held"), [(Choosing, None), (Lookup, held_out())])
+def test_without_held_out_places_or_a_choice_nothing_is_calibrated(kind: type[Lookup], held: HeldOut | None) -> None:
+    method = kind(table(6, 4))
+    run = run_of(method, replace(journey(6, 4), held_out=held))
+    assert getattr(method, "given", []) == []
+    assert "calibrated" not in kinds(run)
 
 
 def test_held_out_parts_that_do_not_fit_one_another_are_refused() -> None:
@@ -120,41 +132,21 @@ def test_other_held_out_places_have_another_fingerprint(changes: dict[str, Any])
     assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
 
 
-def test_a_dataset_has_no_held_out_places_unless_it_says_so() -> None:
-    assert journey(6, 4).held_out is None
-
-
 # What a run does with them
 
 
-def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query() -> None:
+def test_a_method_sees_the_held_out_images_without_their_names_their_places_and_what_is_right() -> None:
     method = Choosing(table(6, 4))
-    run_of(method, with_held_out())
-    assert method.calls[:3] == ["fit", "calibrate", "encode"]
-    assert method.calls.count("calibrate") == 1
-
-
-def test_without_held_out_places_nothing_is_calibrated() -> None:
-    method = Choosing(table(6, 4))
-    run = run_of(method, journey(6, 4))
-    assert method.given == []
-    assert "calibrated" not in kinds(run)
-
-
-def test_a_method_sees_the_held_out_images_their_places_and_what_is_right() -> None:
-    method = Choosing(table(6, 4))
-    run_of(method, with_held_out())
+    given = held_out()
+    named = [
+        Images.from_arrays(list(part), [f"place-{i}" for i in range(len(part))])
+        for part in (given.references, given.queries)
+    ]
+    run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
     (seen,) = method.given
     assert numbers_in(seen.references) == [50, 51, 52, 60, 61, 62]
     assert numbers_in(seen.queries) == [72, 71, 70]
     assert (seen.places.tolist(), seen.right.tolist(), seen.in_map) == ([0, 1, 2, 0, 1, 2], [2, 1, 0], False)
-
-
-def test_the_names_of_held_out_images_say_nothing() -> None:
-    method = Choosing(table(6, 4))
-    named = [Images.from_arrays(list(pictures(range(n))), [f"place-{i}" for i in range(n)]) for n in (6, 3)]
-    run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
-    (seen,) = method.given
     assert seen.references.names == tuple(f"image {i}" for i in range(6))
     assert seen.queries.names == ("image 0", "image 1", "image 2")
 
@@ -169,11 +161,6 @@ def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
 
     with pytest.raises(ValueError, match="read-only"):
         run_of(Writing(table(6, 4)), with_held_out())
-
-
-def test_a_run_tells_on_how_many_queries_and_places_it_was_calibrated() -> None:
-    run = run_of(Choosing(table(6, 4)), with_held_out())
-    assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
 
 
 def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
@@ -192,11 +179,6 @@ def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
         calls.append((method.calls.count("calibrate"), "calibrated" in kinds(run)))
     assert calls == [(1, True), (0, False)]
     assert key(Settled(table(6, 4), threshold=0.5), held_out()) == key(Settled(table(6, 4), threshold=0.5), None)
-
-
-def test_a_method_that_chooses_nothing_is_not_said_to_be_calibrated() -> None:
-    run = run_of(Lookup(table(6, 4)), with_held_out())
-    assert "calibrated" not in kinds(run)
 
 
 def test_calibrating_is_a_stage_of_its_own() -> None:
@@ -240,7 +222,7 @@ def test_waiting_for_views_of_one_traverse_counts_once(clock: Clock) -> None:
 
 
 def key(method: Method, held: HeldOut | None) -> str:
-    return runner.run_key(method, CONFIG, replace(journey(6, 4), held_out=held), "f", QUICK, 1)
+    return asked_for(method, replace(journey(6, 4), held_out=held)).key()
 
 
 def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_alone() -> None:
@@ -278,7 +260,7 @@ class Sharpened(Prototypes):
 
 def stored(path: Path, method: Method, dataset: Dataset, load: bool = False) -> Run:
     files = networks.Files(load=path) if load else networks.Files(save=path)
-    return runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, files)
+    return runner.run(asked_for(method, dataset, files=files), "key")
 
 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path: Path) -> None:
@@ -360,16 +342,11 @@ def kept_files(method: Resuming) -> list[Path]:
     return [path for path in method.folder.rglob("*") if path.is_file()]
 
 
-def test_what_an_interrupted_run_spent_counts_and_is_told(resuming: Resuming) -> None:
+def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(resuming: Resuming) -> None:
     interrupt(resuming, "fit")
     run = run_of(resuming, journey(6, 4))
     assert (run.fit_seconds, run.fit_compute_seconds) == (pytest.approx(572), pytest.approx(572))
     assert RESUMED in [note.text for note in run.notes]
-
-
-def test_what_an_interrupted_run_spent_is_no_time_of_the_run_itself(resuming: Resuming) -> None:
-    interrupt(resuming, "fit")
-    run = run_of(resuming, journey(6, 4))
     assert run.method_seconds == pytest.approx(60 + 1 + 6)  # the first query is asked once before
     assert run.harness_seconds == pytest.approx(0)
 

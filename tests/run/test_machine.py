@@ -10,9 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, rise_in_a_window
+from little import a_run
 from little_runs import quiet_surroundings
 
 from vprbench.run import machine
+from vprbench.run.machine import Machine
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -71,3 +73,30 @@ def test_a_run_knows_the_memory_that_its_method_took() -> None:
 
 def test_a_cpu_has_no_device_memory() -> None:
     assert machine.peak_device_memory_bytes("cpu") is None
+
+
+# Which machine
+
+
+def test_a_machine_is_the_same_on_another_day_and_names_what_its_times_depend_on() -> None:
+    environment = a_run().environment
+    here = Machine.of(environment)
+    assert here == Machine.of({**environment, "time_utc": "2026-02-01T12:00:00Z", "load_average": [9.0, 9.0, 9.0]})
+    assert here.line == "Abacus 9, 1 of 2 cores, torch 2.6.0"
+    assert Machine.of({**environment, "accelerator": "Sieve X"}).line == "Abacus 9, 1 of 2 cores, Sieve X, torch 2.6.0"
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "same_hardware"),
+    [
+        ("processor", "Abacus 10", False),
+        ("cores", 4, False),
+        ("accelerator", "Sieve X", False),
+        ("threads", 2, True),
+        ("libraries", {"torch": "2.7.0"}, True),
+    ],
+)
+def test_another_part_is_another_machine(part: str, value: object, same_hardware: bool) -> None:
+    here, there = Machine.of(a_run().environment), Machine.of({**a_run().environment, part: value})
+    assert here != there
+    assert (here.hardware == there.hardware) is same_hardware

@@ -92,19 +92,22 @@ def test_a_field_comes_back_as_it_was_stored(store: Store, name: str) -> None:
         assert (type(back), back) == (type(given), given)
 
 
-@pytest.mark.parametrize(
-    "name", ["best_score", "top_tied", "top_tied_correct", "above", "tied", "tied_correct", "n_positives"]
-)
-def test_an_array_of_the_outcome_comes_back_bit_by_bit(store: Store, name: str) -> None:
+def test_the_arrays_of_the_outcome_come_back_bit_by_bit(store: Store) -> None:
     awkward = replace(a_run().outcome, best_score=np.array([-np.inf, 1e-45, -0.0, 0.1], np.float32))
     store.save(a_run(outcome=awkward))
-    back, given = getattr(stored(store).outcome, name), getattr(awkward, name)
-    assert (back.dtype, back.tobytes()) == (given.dtype, given.tobytes())
+    for name in ("best_score", "top_tied", "top_tied_correct", "above", "tied", "tied_correct", "n_positives"):
+        back, given = getattr(stored(store).outcome, name), getattr(awkward, name)
+        assert (back.dtype, back.tobytes()) == (given.dtype, given.tobytes()), name
 
 
-def test_the_number_of_places_comes_back(store: Store) -> None:
+def test_numbers_and_arrays_of_the_timing_and_the_number_of_places_come_back(store: Store) -> None:
     store.save(a_run())
-    assert stored(store).outcome.n_places == 10
+    back, given = stored(store), a_run()
+    assert back.outcome.n_places == 10
+    for name in ("first_query_seconds", "warmup_queries", "repeated_seconds", "unseen_seconds"):
+        assert getattr(back.timing, name) == getattr(given.timing, name)
+    for name in ("sample", "answers"):
+        assert getattr(back.timing, name).tolist() == getattr(given.timing, name).tolist()
 
 
 def test_streaming_laps_come_back(store: Store) -> None:
@@ -123,18 +126,6 @@ def test_each_batch_size_keeps_its_own_laps(store: Store) -> None:
     assert [(laps.images_per_call, laps.valid) for laps in back] == [(1, True), (8, False)]
     assert [laps.encode_seconds.tolist() for laps in back] == [[0.010] * 4, [0.040] * 3]
     assert [laps.match_seconds.tolist() for laps in back] == [[0.0025] * 4, [0.010] * 3]
-
-
-@pytest.mark.parametrize("name", ["first_query_seconds", "warmup_queries", "repeated_seconds"])
-def test_a_number_of_the_timing_comes_back(store: Store, name: str) -> None:
-    store.save(a_run())
-    assert getattr(stored(store).timing, name) == getattr(a_run().timing, name)
-
-
-@pytest.mark.parametrize("name", ["sample", "answers"])
-def test_an_array_of_the_timing_comes_back(store: Store, name: str) -> None:
-    store.save(a_run())
-    assert getattr(stored(store).timing, name).tolist() == getattr(a_run().timing, name).tolist()
 
 
 @pytest.mark.parametrize(
@@ -156,55 +147,31 @@ def test_scores_come_back_bit_by_bit(store: Store) -> None:
     assert (back.dtype, back.tobytes()) == (scores.dtype, scores.tobytes())
 
 
-def test_a_run_without_its_matrix_comes_back_without(store: Store) -> None:
-    store.save(a_run(scores=None))
+def test_runs_without_a_matrix_and_without_any_answer_come_back(store: Store) -> None:
+    store.save(replace(unanswerable_run(), scores=None))
     assert stored(store).scores is None
-
-
-def test_a_run_that_nothing_could_answer_comes_back(store: Store) -> None:
-    store.save(unanswerable_run())
     assert stored(store).outcome.above.tolist() == [10, 10, 10, 10]
 
 
-def test_a_run_is_found_only_by_its_own_key(store: Store) -> None:
-    store.save(a_run())
+def test_a_run_lies_where_the_store_says_under_its_own_key_and_is_replaced_as_a_whole(store: Store) -> None:
+    store.save(a_run(n_references=21))
+    assert store.save(a_run(n_references=22)) == store.folder("journey", "little", KEY)
     assert store.find("journey", "little", "f" * 16) is None
-
-
-def test_of_two_runs_of_one_key_the_last_stays(store: Store) -> None:
-    store.save(a_run(n_references=21))
-    store.save(a_run(n_references=22))
     assert [run.n_references for run in store.runs()] == [22]
-
-
-def test_nothing_unfinished_remains_after_a_run_was_replaced(store: Store) -> None:
-    store.save(a_run(n_references=21))
-    store.save(a_run(n_references=22))
     assert unfinished(store) == []
-
-
-def test_a_saved_run_lies_where_the_store_says(store: Store) -> None:
-    assert store.save(a_run()) == store.folder("journey", "little", KEY)
 
 
 # No pickle
 
 
-def test_every_array_of_a_run_is_read_without_pickle(store: Store) -> None:
+def test_a_run_consists_of_a_summary_and_arrays_and_no_pickle(store: Store) -> None:
     folder = store.save(a_run())
-    with np.load(folder / "arrays.npz", allow_pickle=False) as archive:
-        assert all(archive[name].dtype.kind in "iuf" for name in archive.files)
-    assert np.load(folder / "scores.npy", allow_pickle=False).shape == (4, 10)
-
-
-def test_no_file_of_a_run_is_a_pickle(store: Store) -> None:
-    for path in store.save(a_run()).iterdir():
+    assert sorted(path.name for path in folder.iterdir()) == ["arrays.npz", "run.json", "scores.npy"]
+    for path in folder.iterdir():
         with pytest.raises(pickle.UnpicklingError):
             pickle.loads(path.read_bytes())
-
-
-def test_a_run_consists_of_a_summary_and_arrays(store: Store) -> None:
-    assert sorted(path.name for path in store.save(a_run()).iterdir()) == ["arrays.npz", "run.json", "scores.npy"]
+    with np.load(folder / "arrays.npz", allow_pickle=False) as archive:
+        assert all(archive[name].dtype.kind in "iuf" for name in archive.files)
 
 
 def test_an_array_of_objects_is_refused_when_it_is_stored(store: Store) -> None:
@@ -238,44 +205,26 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "missing timing": lambda folder: _change(folder, "timing", {}),
     "checksums of another kind": lambda folder: _change(folder, "sha256", []),
 }
-damage = pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
 
 
-@damage
-def test_a_damaged_run_is_not_found(store: Store, spoil: Callable[[Path], None]) -> None:
-    spoil(store.save(a_run()))
-    assert store.find("journey", "little", KEY) is None
-
-
-@damage
-def test_a_damaged_run_is_named_in_a_warning(
+@pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_run_is_named_set_aside_and_hides_no_other(
     store: Store, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None]
 ) -> None:
-    folder = store.save(a_run())
+    for key in ("a", "b", "c"):
+        store.save(a_run(key=key))
+    folder = store.folder("journey", "little", "b")
     spoil(folder)
-    store.find("journey", "little", KEY)
+    assert store.find("journey", "little", "b") is None
     assert [(record.levelno, str(folder) in record.getMessage()) for record in caplog.records] == [
         (logging.WARNING, True)
     ]
-
-
-@damage
-def test_a_damaged_run_is_set_aside_and_not_deleted(store: Store, spoil: Callable[[Path], None]) -> None:
-    folder = store.save(a_run())
-    spoil(folder)
-    store.find("journey", "little", KEY)
-    assert [path.name.startswith(f".damaged-{folder.name}") for path in folder.parent.iterdir()] == [True]
-
-
-@damage
-def test_other_runs_stay_readable_beside_a_damaged_one(store: Store, spoil: Callable[[Path], None]) -> None:
-    for key in ("a", "b", "c"):
-        store.save(a_run(key=key))
-    spoil(store.folder("journey", "little", "b"))
+    aside, *others = sorted(path.name for path in folder.parent.iterdir())
+    assert (aside.startswith(f".damaged-{folder.name}"), others) == (True, ["little-a", "little-c"])
     assert [run.key for run in store.runs()] == ["a", "c"]
 
 
-@damage
+@pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
 def test_a_damaged_run_can_be_stored_anew(store: Store, spoil: Callable[[Path], None]) -> None:
     spoil(store.save(a_run(n_references=21)))
     store.save(a_run(n_references=22))
@@ -341,11 +290,6 @@ def test_a_dataset_whose_folder_cannot_be_listed_hides_no_other(
     monkeypatch.setattr(Path, "iterdir", refusing)
     assert [run.dataset for run in store.runs()] == ["a", "c"]
     assert [str(store.root / "b") in record.getMessage() for record in caplog.records] == [True]
-
-
-def test_a_run_without_its_summary_is_not_found(store: Store) -> None:
-    (store.save(a_run()) / "run.json").unlink()
-    assert store.find("journey", "little", KEY) is None
 
 
 @pytest.mark.parametrize("layout", [SCHEMA - 1, SCHEMA + 1])
@@ -587,46 +531,21 @@ def test_a_folder_that_became_a_file_is_the_users_to_mend(tmp_path: Path) -> Non
         Store(tmp_path / "file").save(a_run())
 
 
-full_disk = pytest.mark.parametrize("writer", ["savez_compressed", "save"])
-
-
-@pytest.fixture
-def fill_the_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Let a function of numpy write some bytes and then find the disk full."""
-
-    def fill(writer: str) -> None:
-        def refuse(path: Path, *_: Any, **__: Any) -> NoReturn:
-            path.write_bytes(b"half")
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        monkeypatch.setattr(np, writer, refuse)
-
-    return fill
-
-
-@full_disk
-def test_a_full_disk_is_named(store: Store, fill_the_disk: Callable[[str], None], writer: str) -> None:
-    fill_the_disk(writer)
-    with pytest.raises(BadInput, match="No space left on device"):
-        store.save(a_run())
-
-
-@full_disk
-def test_a_full_disk_leaves_no_part_of_a_run(store: Store, fill_the_disk: Callable[[str], None], writer: str) -> None:
-    fill_the_disk(writer)
-    with pytest.raises(BadInput):
-        store.save(a_run())
-    assert [path for path in store.root.rglob("*") if path.is_file()] == []
-
-
-@full_disk
-def test_a_full_disk_leaves_the_earlier_run_whole(
-    store: Store, fill_the_disk: Callable[[str], None], writer: str
+@pytest.mark.parametrize("writer", ["savez_compressed", "save"])
+def test_a_full_disk_is_named_and_leaves_the_earlier_run_and_no_part_of_another(
+    store: Store, monkeypatch: pytest.MonkeyPatch, writer: str
 ) -> None:
+    def refuse(path: Path, *_: Any, **__: Any) -> NoReturn:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     store.save(a_run(n_references=21))
-    fill_the_disk(writer)
-    with pytest.raises(BadInput):
-        store.save(a_run(n_references=22))
+    before = sorted(store.root.rglob("*"))
+    monkeypatch.setattr(np, writer, refuse)
+    for key in (KEY, "other"):
+        with pytest.raises(BadInput, match="No space left on device"):
+            store.save(a_run(n_references=22, key=key))
+    assert sorted(store.root.rglob("*")) == before
     assert stored(store).n_references == 21
 
 
@@ -640,57 +559,22 @@ def test_a_full_disk_found_at_the_last_moment_leaves_the_earlier_run_whole(
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(BadInput, match="No space left"):
         store.save(a_run(n_references=22))
+    with pytest.raises(BadInput, match="No space left"):
+        store.save_failure(a_failure())
     assert stored(store).n_references == 21
 
 
-def test_a_failure_that_cannot_be_stored_is_the_users_to_mend(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_: int) -> NoReturn:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(BadInput, match="No space left"):
-        store.save_failure(a_failure())
-
-
 # 100 bytes end in the arrays, 20 000 in the scores of 400 kB
-real_limits = pytest.mark.parametrize("limit_bytes", [100, 20_000])
-
-
-@pytest.fixture
-def limited(store: Store, processes: Any) -> Callable[[int], str]:
-    """Save a run where the system cuts files off, after an earlier one was saved without a limit."""
-
-    def save(limit_bytes: int) -> str:
-        store.save(a_run())
-        with ProcessPoolExecutor(1, mp_context=processes) as pool:
-            return pool.submit(save_where_no_file_may_exceed, store.root, limit_bytes).result()
-
-    return save
-
-
-@real_limits
-def test_a_file_that_the_system_cuts_off_is_the_users_to_mend(limited: Callable[[int], str], limit_bytes: int) -> None:
-    assert "could not be stored" in limited(limit_bytes)
-
-
-@real_limits
-def test_a_file_that_the_system_cuts_off_is_explained(limited: Callable[[int], str], limit_bytes: int) -> None:
-    assert "(None)" not in limited(limit_bytes)
-
-
-@real_limits
-def test_a_file_that_the_system_cuts_off_leaves_no_partial_folder(
-    store: Store, limited: Callable[[int], str], limit_bytes: int
+@pytest.mark.parametrize("limit_bytes", [100, 20_000], ids=["in the arrays", "in the scores of 400 kB"])
+def test_a_file_that_the_system_cuts_off_is_explained_and_leaves_the_earlier_run_whole(
+    store: Store, processes: Any, limit_bytes: int
 ) -> None:
-    limited(limit_bytes)
+    store.save(a_run())
+    with ProcessPoolExecutor(1, mp_context=processes) as pool:
+        complaint = pool.submit(save_where_no_file_may_exceed, store.root, limit_bytes).result()
+    assert "could not be stored" in complaint
+    assert "(None)" not in complaint
     assert unfinished(store) == []
-
-
-@real_limits
-def test_a_file_that_the_system_cuts_off_leaves_the_earlier_run_whole(
-    store: Store, limited: Callable[[int], str], limit_bytes: int
-) -> None:
-    limited(limit_bytes)
     assert stored(store).n_references == 20
 
 

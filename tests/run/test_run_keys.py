@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 from little import Lookup, journey, picture, pictures
-from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
+from little_runs import QUICK, asked_for, quiet_surroundings, run_of
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.run import harness, machine, runner
+from vprbench.plugins.networks import Files
+from vprbench.run import harness, machine
+from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.sources import meaning
 from vprbench.run.stopwatch import Protocol
 
@@ -38,8 +40,8 @@ METHOD = Lookup(np.ones((6, 4), np.float32))
 
 def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int = 1, **changes: Any) -> str:
     dataset = dataset or journey(6, 4)
-    config: Mapping[str, Any] = {**CONFIG, **changes}
-    return runner.run_key(METHOD, config, dataset, runner.fingerprint(dataset), protocol, threads)
+    asked = asked_for(METHOD, dataset, protocol, threads, **changes)
+    return replace(asked, fingerprint=fingerprint(dataset)).key()
 
 
 def test_a_run_asked_for_again_has_the_same_key() -> None:
@@ -84,10 +86,8 @@ def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any])
 
 
 def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_training() -> None:
-    dataset = journey(6, 4)
-    keys = [
-        runner.run_key(METHOD, CONFIG, dataset, "f", QUICK, 1, network) for network in (None, "a" * 64, "b" * 64, None)
-    ]
+    files = [Files(sha256=network) for network in (None, "a" * 64, "b" * 64, None)]
+    keys = [asked_for(METHOD, journey(6, 4), files=given).key() for given in files]
     assert len(set(keys)) == 3
     assert keys[0] == keys[3]
 
@@ -113,7 +113,7 @@ def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, An
 
 def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
     run = run_of(METHOD, journey(6, 4))
-    assert run.config["code"] == runner.code_hash(type(METHOD))
+    assert run.config["code"] == code_hash(type(METHOD))
     assert run.config["timing"] == {
         "minimum_seconds": 0,
         "minimum_queries": 5,
@@ -156,26 +156,18 @@ def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> type[Method]:
     return module.Given
 
 
-def test_code_that_stays_the_same_has_the_same_hash(given: type[Method]) -> None:
-    assert runner.code_hash(given) == runner.code_hash(given)
-
-
-def test_a_change_in_the_file_of_a_method_changes_its_hash(given: type[Method], tmp_path: Path) -> None:
-    before = runner.code_hash(given)
-    (tmp_path / "plugin" / "given.py").write_text(METHOD_SOURCE.format(value=2))
-    assert runner.code_hash(given) != before
-
-
-def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Method], tmp_path: Path) -> None:
-    before = runner.code_hash(given)
+def test_the_hash_of_a_method_changes_with_its_own_file_alone(given: type[Method], tmp_path: Path) -> None:
+    before = code_hash(given)
     (tmp_path / "other.py").write_text("layers = 3\n")
-    assert runner.code_hash(given) == before
+    assert code_hash(given) == before
+    (tmp_path / "plugin" / "given.py").write_text(METHOD_SOURCE.format(value=2))
+    assert code_hash(given) != before
 
 
 def test_another_harness_changes_the_hash_of_every_method(given: type[Method], monkeypatch: pytest.MonkeyPatch) -> None:
-    before = runner.code_hash(given)
+    before = code_hash(given)
     monkeypatch.setattr(harness, "VERSION", harness.VERSION + 1)
-    assert runner.code_hash(given) != before
+    assert code_hash(given) != before
 
 
 def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None:

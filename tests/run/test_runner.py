@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in, picture
-from little_runs import CONFIG, QUICK, quiet_surroundings, run_of, table
+from little_runs import asked_for, quiet_surroundings, run_of, table
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
@@ -20,8 +20,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, outcome
-from vprbench.run import runner
-from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run import answers, runner
+from vprbench.run.descriptors import DescriptorCache
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,30 +55,29 @@ def test_queries_are_scored_in_order_and_each_once() -> None:
     assert [number for numbers in method.asked[1:4] for number in numbers] == list(range(300))
 
 
-def test_best_places_come_first() -> None:
+def test_best_places_come_first_and_their_scores_in_the_same_order() -> None:
     scores = np.array([[1, 5, 3, 4], [9, 2, 8, 7]], np.float32)
     run = run_of(Lookup(scores), journey(2, 4))
     assert run.top_places.tolist() == [[1, 3, 2], [0, 2, 3]]
-
-
-def test_their_scores_come_in_the_same_order() -> None:
-    scores = np.array([[1, 5, 3, 4], [9, 2, 8, 7]], np.float32)
-    run = run_of(Lookup(scores), journey(2, 4))
     assert run.top_scores.tolist() == [[5, 4, 3], [9, 8, 7]]
 
 
-def test_of_places_that_tie_the_lower_comes_first() -> None:
-    scores = np.array([[2, 1, 2, 1, 2]], np.float32)
-    assert run_of(Lookup(scores), journey(1, 5), depth=5).top_places.tolist() == [[0, 2, 4, 1, 3]]
-
-
-def test_of_places_that_tie_at_the_depth_the_lower_is_kept() -> None:
-    scores = np.array([[0, 1, 1, 1, 9, 1, 1, 1, 1, 1]], np.float32)
-    assert run_of(Lookup(scores), journey(1, 10)).top_places.tolist() == [[4, 1, 2]]
-
-
-def test_no_more_places_are_kept_than_there_are() -> None:
-    assert run_of(Lookup(table(2, 4)), journey(2, 4), depth=100).top_places.shape == (2, 4)
+@pytest.mark.parametrize(
+    ("scores", "depth", "best"),
+    [
+        ([2, 1, 2, 1, 2], 5, [0, 2, 4, 1, 3]),
+        ([0, 1, 1, 1, 9, 1, 1, 1, 1, 1], 3, [4, 1, 2]),
+        ([0, 3, 2, 1], 100, [1, 2, 3, 0]),  # no more than there are
+    ],
+)
+@pytest.mark.parametrize("kind", [np.uint8, np.float64, np.float32])
+def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(
+    scores: list[int], depth: int, best: list[int], kind: type[np.generic]
+) -> None:
+    run = run_of(Lookup(np.array([scores], kind)), journey(1, len(scores)), depth=depth)
+    assert run.top_places.tolist() == [best]
+    assert run.scores is not None
+    assert (run.scores.dtype, run.top_scores.dtype) == (np.float32, np.float32)
 
 
 def test_best_places_of_later_blocks_belong_to_their_queries() -> None:
@@ -86,29 +85,15 @@ def test_best_places_of_later_blocks_belong_to_their_queries() -> None:
     assert run_of(Lookup(scores), journey(300, 40)).top_places[:, 0].tolist() == scores.argmax(axis=1).tolist()
 
 
-def test_scores_of_another_type_are_ranked_as_what_they_are() -> None:
-    scores = np.array([[0, 3, 2, 1]], np.uint8)
-    run = run_of(Lookup(scores), journey(1, 4), depth=4)  # type: ignore[arg-type]
-    assert run.top_places.tolist() == [[1, 2, 3, 0]]
-
-
-def test_scores_of_another_type_are_kept_as_float32() -> None:
-    run = run_of(Lookup(table(2, 4).astype(np.float64)), journey(2, 4))  # type: ignore[arg-type]
-    assert run.scores is not None
-    assert (run.scores.dtype, run.top_scores.dtype) == (np.float32, np.float32)
-
-
-def test_a_small_matrix_is_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_LARGEST_MATRIX", 1200)
+@pytest.mark.parametrize(("limit", "kept"), [(1200, True), (1199, False)])
+def test_a_small_matrix_is_kept_whole_and_no_larger_one(
+    monkeypatch: pytest.MonkeyPatch, limit: int, kept: bool
+) -> None:
+    monkeypatch.setattr(answers, "_LARGEST_MATRIX", limit)
     scores = table(300, 4)
     run = run_of(Lookup(scores), journey(300, 4))
-    assert run.scores is not None
-    assert np.array_equal(run.scores, scores)
-
-
-def test_a_matrix_beyond_the_limit_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_LARGEST_MATRIX", 1199)
-    assert run_of(Lookup(table(300, 4)), journey(300, 4)).scores is None
+    assert (run.scores is not None) is kept
+    assert run.scores is None or np.array_equal(run.scores, scores)
 
 
 # Answers that no method may give
@@ -137,18 +122,11 @@ def test_scores_of_a_wrong_shape_are_refused_with_the_shape_wanted(spoil: Callab
         run_of(Spoilt(table(6, 4)), journey(6, 4))
 
 
-@pytest.mark.parametrize(("value", "name"), [(np.nan, "NaN"), (np.inf, r"\+inf")])
-def test_scores_that_cannot_be_ranked_are_refused_by_name(value: float, name: str) -> None:
-    scores = table(6, 4)
-    scores[2, 3] = value
-    with pytest.raises(BadInput, match=rf"{name}.*query 2\b"):
-        run_of(Lookup(scores), journey(6, 4))
-
-
-def test_a_query_of_a_later_block_is_named_by_its_own_number() -> None:
+@pytest.mark.parametrize(("value", "name", "query"), [(np.nan, "NaN", 2), (np.inf, r"\+inf", 200)])
+def test_scores_that_cannot_be_ranked_are_refused_by_name_and_query(value: float, name: str, query: int) -> None:
     scores = table(300, 4)
-    scores[200, 1] = np.nan
-    with pytest.raises(BadInput, match=r"query 200\b"):
+    scores[query, 3] = value
+    with pytest.raises(BadInput, match=rf"{name}.*query {query}\b"):
         run_of(Lookup(scores), journey(300, 4))
 
 
@@ -207,25 +185,21 @@ def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
     cache = DescriptorCache(tmp_path) if cached else None
-    runner.run("little", method, dataset, CONFIG, "key", "fingerprint", QUICK, 1, cache=cache)
+    runner.run(asked_for(method, dataset, cache=cache), "key")
     assert len(method.names) > 3 * 6
     assert all(name.startswith("image ") for name in method.names)
 
 
-def test_places_given_to_fit_cannot_be_written() -> None:
+def test_places_given_to_fit_cannot_be_written_and_those_of_the_dataset_stay_writable() -> None:
     @dataclass
     class Writing(Lookup):
         def fit(self, references: Images, places: Places) -> Self:
             places[0] = 1
             return self
 
-    with pytest.raises(ValueError, match="read-only"):
-        run_of(Writing(table(6, 4)), journey(6, 4))
-
-
-def test_the_places_of_the_dataset_stay_writable() -> None:
     dataset = journey(6, 4)
-    run_of(Lookup(table(6, 4)), dataset)
+    with pytest.raises(ValueError, match="read-only"):
+        run_of(Writing(table(6, 4)), dataset)
     assert dataset.places.flags.writeable
 
 
@@ -255,8 +229,8 @@ def test_an_error_of_the_method_reaches_the_caller() -> None:
 def test_many_places_are_scored_in_smaller_blocks_and_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     scores, dataset = table(300, 40, 5), journey(300, 40)
     usual = run_of(Lookup(scores), dataset)
-    monkeypatch.setattr(runner, "_BLOCK_CELLS", 40 * 7)
-    monkeypatch.setattr(runner, "_RANKED_CELLS", 40 * 3)
+    monkeypatch.setattr(answers, "_BLOCK_CELLS", 40 * 7)
+    monkeypatch.setattr(answers, "_RANKED_CELLS", 40 * 3)
     method = Lookup(scores)
     blocked = run_of(method, dataset)
     assert [len(numbers) for numbers in method.asked[1:44]] == [7] * 42 + [6]

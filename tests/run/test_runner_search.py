@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in
-from little_runs import CONFIG, QUICK, kinds, quiet_surroundings, run_of, table
+from little_runs import QUICK, asked_for, kinds, quiet_surroundings, run_of, table
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
@@ -22,7 +22,7 @@ from vprbench.api.images import Images
 from vprbench.api.search import Audit
 from vprbench.api.search_indexes import Kind
 from vprbench.run import rows, runner
-from vprbench.run.descriptor_cache import DescriptorCache
+from vprbench.run.descriptors import DescriptorCache
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 
@@ -155,7 +155,7 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
             return kept
 
     queries = journey(n_queries, 300)
-    runner.run("a", Watched(index="hnsw"), queries, CONFIG, "key", "hash", QUICK, 1, cache=DescriptorCache(tmp_path))
+    runner.run(asked_for(Watched(index="hnsw"), queries, cache=DescriptorCache(tmp_path)), "key")
     assert any(tmp_path.iterdir()) is kept
     every = Angles().encode(queries.queries)
     (codes,) = seen

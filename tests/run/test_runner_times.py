@@ -75,16 +75,11 @@ def slow_run(clock: Clock, monkeypatch: pytest.MonkeyPatch, surroundings: Simple
     return run_of(Learning(table(8, 8), clock=clock), slow_journey(clock))
 
 
-def test_fit_seconds_hold_reading_and_computing(slow_run: Run) -> None:
-    assert slow_run.fit_seconds == pytest.approx(0.16 + 0.06)
-
-
-def test_fit_compute_seconds_hold_the_computing_and_not_the_waiting_for_images(slow_run: Run) -> None:
+def test_the_time_of_the_fit_of_computing_of_the_method_and_of_the_harness_are_told_apart(slow_run: Run) -> None:
+    assert slow_run.fit_seconds == pytest.approx(0.16 + 0.06)  # reading and computing
     assert slow_run.fit_compute_seconds == pytest.approx(0.06)
-
-
-def test_the_time_of_the_method_holds_fitting_and_answering_and_not_the_waiting_for_images(slow_run: Run) -> None:
     assert slow_run.method_seconds == pytest.approx(0.06 + 8 * 0.006 + 0.006)  # the first query is asked once before
+    assert slow_run.harness_seconds == pytest.approx(7)
 
 
 @dataclass
@@ -116,21 +111,12 @@ def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
     assert run.harness_seconds == pytest.approx(0)
 
 
-def test_a_second_run_on_the_same_dataset_does_not_count_the_reading_of_the_first(clock: Clock) -> None:
-    dataset = slow_journey(clock)
-    runs = [run_of(Learning(table(8, 8), clock=clock), dataset) for _ in range(2)]
-    assert [run.fit_compute_seconds for run in runs] == pytest.approx([0.06] * 2)
-
-
-def test_a_dataset_that_has_read_its_first_images_already_gives_the_same_compute_seconds(clock: Clock) -> None:
+def test_what_was_read_of_a_dataset_before_a_run_does_not_count(clock: Clock) -> None:
     dataset = slow_journey(clock)
     for i in range(8):
         dataset.references[i]
-    assert run_of(Learning(table(8, 8), clock=clock), dataset).fit_compute_seconds == pytest.approx(0.06)
-
-
-def test_harness_seconds_hold_the_look_at_the_machine_and_no_time_of_the_method(slow_run: Run) -> None:
-    assert slow_run.harness_seconds == pytest.approx(7)
+    runs = [run_of(Learning(table(8, 8), clock=clock), dataset) for _ in range(2)]
+    assert [run.fit_compute_seconds for run in runs] == pytest.approx([0.06] * 2)
 
 
 def test_timing_takes_its_order_from_the_seed_of_the_run() -> None:
@@ -142,15 +128,9 @@ def test_timing_takes_its_order_from_the_seed_of_the_run() -> None:
     assert orders[0] == orders[1] != orders[2]
 
 
-def test_every_stage_is_reported() -> None:
-    stages: list[str] = []
-    with progress.listening(lambda stage, _: stages.append(stage)):
+def test_every_stage_is_reported_and_a_share_rises_to_one_with_the_queries() -> None:
+    told: list[tuple[str, float]] = []
+    with progress.listening(lambda stage, done: told.append((stage, done))):
         run_of(Lookup(table(300, 4)), journey(300, 4))
-    assert list(dict.fromkeys(stages)) == ["fit", "query", "timing"]
-
-
-def test_a_reported_share_rises_to_one_with_the_queries() -> None:
-    shares: list[float] = []
-    with progress.listening(lambda stage, done: shares.append(done) if stage == "query" else None):
-        run_of(Lookup(table(300, 4)), journey(300, 4))
-    assert shares == pytest.approx([128 / 300, 256 / 300, 1])
+    assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
+    assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])

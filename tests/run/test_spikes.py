@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import Lookup, journey, pictures
-from little_runs import quiet_surroundings
+from little import Lookup, journey
+from little_runs import quiet_surroundings, run_of
 from stopped_clock import Clock
 
 from vprbench.api import images
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.api.method import Method
+from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -27,12 +27,9 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.run import runner
 from vprbench.run.note import Note
-from vprbench.run.record import Run
-from vprbench.run.spikes import LayerSpikes, summary
-from vprbench.run.stopwatch import Protocol
+from vprbench.run.spikes import summary
 from vprbench.run.store import Store
 
-QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
 
 
@@ -63,28 +60,22 @@ def test_counts_are_added_up_for_each_query() -> None:
     }
 
 
-def test_an_amplitude_is_one_spike() -> None:
-    layer = only(LayerSpikes("input", np.array([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]]), "amplitude"))
-    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == ([2.0, 1.0], 0.5, 0.5)
+@pytest.mark.parametrize(
+    ("values", "per_query", "active", "amplitude"),
+    [([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]], [2.0, 1.0], 0.5, 0.5), (np.zeros((2, 3)), [0.0, 0.0], 0.0, None)],
+)
+def test_an_amplitude_is_one_spike_and_a_silent_layer_has_none(
+    values: Any, per_query: list[float], active: float, amplitude: float | None
+) -> None:
+    layer = only(LayerSpikes("input", np.array(values), "amplitude"))
+    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == (per_query, active, amplitude)
 
 
-def test_a_silent_layer_has_no_amplitude() -> None:
-    layer = only(LayerSpikes("output", np.zeros((2, 3)), "amplitude"))
-    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == ([0.0, 0.0], 0.0, None)
-
-
-def test_layers_keep_their_order_and_the_number_of_queries() -> None:
-    found = summary([LayerSpikes("b", np.ones((5, 2))), LayerSpikes("a", np.ones((5, 1)))])
+def test_what_is_kept_is_plain_in_the_order_of_the_layers_with_the_number_of_queries() -> None:
+    found = summary([LayerSpikes("b", np.array([[1, 0]] * 5, np.uint8)), LayerSpikes("a", np.ones((5, 1)))])
+    assert json.loads(json.dumps(found)) == found
     assert found is not None
     assert (found["queries"], [layer["name"] for layer in found["layers"]]) == (5, ["b", "a"])
-
-
-def test_what_is_kept_is_plain() -> None:
-    found = summary([LayerSpikes("input", np.array([[1, 0]], np.uint8)), LayerSpikes("output", np.ones((1, 2)))])
-    assert json.loads(json.dumps(found)) == found
-
-
-def test_without_a_layer_nothing_is_kept() -> None:
     assert summary([]) is None
 
 
@@ -116,21 +107,34 @@ class Ticking(Lookup):
         return [LayerSpikes("tick", codes[:, None])]
 
 
-class Failing(Ticking):
-    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
-        raise KeyError("the layer\nis gone")
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (KeyError("the layer\nis gone"), r"no spikes were counted (KeyError: 'the layer\nis gone')"),
+        (None, "no spikes were counted (BadInput: the spikes of layer tick are not all finite and 0 or more)"),
+    ],
+)
+def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error: Exception | None, said: str) -> None:
+    class Failing(Ticking):
+        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+            if error is not None:
+                raise error
+            return [LayerSpikes("tick", -1.0 - codes[:, None])]
+
+    run = run_of(Failing(np.eye(6, dtype=np.float32)), journey(6, 6))
+    assert run.spikes is None
+    assert run.outcome.above.tolist() == [0] * 6
+    assert Note("spikes", said) in run.notes
 
 
-def run_of(method: Method, dataset: Dataset) -> Run:
-    config = {"method": {"_target_": "little.Lookup"}, "dataset": {}, "seed": 0, "device": "cpu", "depth": 3}
-    return runner.run("little", method, dataset, config, "key", "fingerprint", QUICK, 1)
-
-
-def test_a_run_keeps_the_spikes_of_every_query_where_they_are_few() -> None:
+def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_has_them_back_from_the_store(tmp_path: Path) -> None:
     run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
     assert run.spikes is not None
     assert run.spikes["queries"] == 6
     assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    store = Store(tmp_path)
+    store.save(run)
+    assert [back.spikes for back in store.runs()] == [run.spikes]
 
 
 def test_of_many_queries_256_are_asked_for_from_the_first_to_the_last() -> None:
@@ -151,23 +155,6 @@ def test_a_method_without_spikes_is_not_asked_again() -> None:
     assert len(again.asked) == asked + 1
 
 
-def test_spikes_that_cannot_be_counted_lose_no_run() -> None:
-    run = run_of(Failing(np.eye(6, dtype=np.float32)), journey(6, 6))
-    assert run.spikes is None
-    assert run.outcome.above.tolist() == [0] * 6
-    assert Note("spikes", "no spikes were counted (KeyError: 'the layer\\nis gone')") in run.notes
-
-
-def test_impossible_spikes_are_a_note_of_the_run() -> None:
-    class Negative(Ticking):
-        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
-            return [LayerSpikes("tick", -1.0 - codes[:, None])]
-
-    run = run_of(Negative(np.eye(6, dtype=np.float32)), journey(6, 6))
-    (note,) = [note.text for note in run.notes if note.kind == "spikes"]
-    assert note == "no spikes were counted (BadInput: the spikes of layer tick are not all finite and 0 or more)"
-
-
 def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     clock.replaces_those_of([runner, images], monkeypatch)
@@ -185,19 +172,6 @@ def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPa
     assert clock.seconds() > 1000
     assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.007))  # the first query is asked twice
     assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
-
-
-def test_spikes_come_back_from_the_store(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
-    store.save(run)
-    (back,) = store.runs()
-    assert back.spikes == run.spikes
-
-
-def test_a_plain_method_has_no_layers() -> None:
-    method = Lookup(np.eye(3, dtype=np.float32))
-    assert list(method.spikes(method.encode(pictures(range(3))))) == []
 
 
 # VPRTempo

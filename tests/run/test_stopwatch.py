@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import number_in, numbers_in, pictures
+from little import numbers_in, pictures
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Places, Scores
@@ -20,15 +22,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import stopwatch
-from vprbench.run.stopwatch import (
-    Protocol,
-    Stopwatch,
-    Timing,
-    best_batch,
-    offline_rate,
-    percentile_bound,
-    streaming_rate,
-)
+from vprbench.run.rates import best_batch, offline_rate, percentile_bound, streaming_rate
+from vprbench.run.stopwatch import Protocol, Stopwatch, Timing
 
 MS = 1_000_000  # nanoseconds
 
@@ -117,13 +112,9 @@ def streamed(timing: Timing, asked: list[list[int]]) -> list[int]:
 # Known times
 
 
-def test_encode_seconds_are_those_that_the_clock_moved_in_encode() -> None:
+def test_encode_and_match_seconds_are_those_that_the_clock_moved_in_each() -> None:
     timing, _ = measured(short())
     assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
-
-
-def test_match_seconds_are_those_that_the_clock_moved_in_match() -> None:
-    timing, _ = measured(short())
     assert timing.streaming.match_seconds.tolist() == [0.001] * 5
 
 
@@ -132,18 +123,15 @@ def test_the_streaming_rate_is_one_over_the_median_of_all_queries() -> None:
     assert streaming_rate(timing.streaming.total_seconds).hz == pytest.approx(200)  # median 4 ms + 1 ms
 
 
-def test_the_median_is_over_queries_and_not_a_mean() -> None:
+def test_a_streaming_rate_is_of_the_median_and_an_offline_rate_of_the_sum() -> None:
     assert streaming_rate(np.array([0.001, 0.002, 0.010])).p50_seconds == 0.002
+    assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
 
 
 def test_the_offline_rate_is_images_over_time() -> None:
     timing, _ = measured(short(batch_sizes=[4]), encode_costs=lambda numbers: (2 + len(numbers)) * MS, images=8)
     (batches,) = timing.offline
     assert offline_rate(batches.total_seconds, batches.images_per_call) == pytest.approx(4 / 0.007)
-
-
-def test_the_offline_rate_of_uneven_calls_divides_by_their_sum() -> None:
-    assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
 
 
 def test_the_best_batch_is_the_one_of_the_highest_total_rate() -> None:
@@ -221,16 +209,20 @@ def queueing() -> tuple[FakeClock, FakeDevice, Timed]:
     return clock, device, Timed(queue, lambda _: 3 * MS, lambda _: 1 * MS)
 
 
-def test_work_that_encode_leaves_on_the_device_counts_as_encode() -> None:
+def test_work_that_encode_and_match_leave_on_the_device_counts_where_it_was_left() -> None:
     clock, device, method = queueing()
     timing = Stopwatch(short(), clock, device.synchronise).measure(method, pictures(range(5)))
     assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
-
-
-def test_work_that_match_leaves_on_the_device_counts_as_match() -> None:
-    clock, device, method = queueing()
-    timing = Stopwatch(short(), clock, device.synchronise).measure(method, pictures(range(5)))
     assert timing.streaming.match_seconds.tolist() == [0.001] * 5
+
+
+def test_work_queued_in_a_lap_is_counted_and_work_queued_before_is_not() -> None:
+    clock, device, _ = queueing()
+    device.queued = 500 * MS
+    with Stopwatch(short(), clock, device.synchronise).lap() as lap:
+        clock.now += 7 * MS
+        device.queued += 2 * MS
+    assert lap == [0.009]
 
 
 def test_work_queued_before_the_first_query_is_not_counted() -> None:
@@ -238,21 +230,6 @@ def test_work_queued_before_the_first_query_is_not_counted() -> None:
     device.queued = 500 * MS
     timing = Stopwatch(short(warmup_queries=1), clock, device.synchronise).measure(method, pictures(range(5)))
     assert timing.first_query_seconds == pytest.approx(0.004)
-
-
-def test_work_queued_before_a_lap_is_not_counted() -> None:
-    clock, device, _ = queueing()
-    device.queued = 500 * MS
-    with Stopwatch(short(), clock, device.synchronise).lap() as lap:
-        clock.now += 7 * MS
-    assert lap == [0.007]
-
-
-def test_work_queued_in_a_lap_is_counted() -> None:
-    clock, device, _ = queueing()
-    with Stopwatch(short(), clock, device.synchronise).lap() as lap:
-        device.queued += 7 * MS
-    assert lap == [0.007]
 
 
 # Garbage collection
@@ -277,25 +254,19 @@ def test_no_collection_happens_in_the_timed_calls() -> None:
     assert collections == []
 
 
-def test_the_collector_is_on_again_after_a_measurement() -> None:
-    measured(short())
-    assert gc.isenabled()
-
-
-def test_the_collector_is_on_again_after_a_method_that_raises() -> None:
+@pytest.mark.parametrize("enabled", [True, False])
+@pytest.mark.parametrize("broken", [True, False])
+def test_the_collector_is_afterwards_as_it_was_even_after_a_method_that_raises(enabled: bool, broken: bool) -> None:
     def spend(_: int) -> None:
-        raise RuntimeError("broken")
+        if broken:
+            raise ZeroDivisionError
 
-    with pytest.raises(RuntimeError, match="broken"):
-        Stopwatch(short()).measure(Timed(spend, lambda _: 1, lambda _: 1), pictures(range(5)))
-    assert gc.isenabled()
-
-
-def test_a_collector_that_was_off_stays_off() -> None:
-    gc.disable()
+    if not enabled:
+        gc.disable()
     try:
-        measured(short())
-        assert not gc.isenabled()
+        with contextlib.suppress(ZeroDivisionError):
+            Stopwatch(short()).measure(Timed(spend, lambda _: 1, lambda _: 1), pictures(range(5)))
+        assert gc.isenabled() is enabled
     finally:
         gc.enable()
 
@@ -303,76 +274,56 @@ def test_a_collector_that_was_off_stays_off() -> None:
 # Warm-up
 
 
-def test_warm_up_ends_after_ten_queries_that_take_the_same_time() -> None:
-    assert measured(short(warmup_queries=50))[0].warmup_queries == 10
+@pytest.mark.parametrize(
+    ("first", "costs", "most", "queries"),
+    [
+        ([], [3], 50, 10),
+        ([100], [3], 50, 11),  # a slow one is no longer among the last ten
+        ([], [90, 99], 50, 10),  # within ten percent
+        ([], [87, 99], 50, 50),  # twelve percent apart
+        ([], [1, 2], 25, 25),
+    ],
+)
+def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum(
+    first: list[int], costs: list[int], most: int, queries: int
+) -> None:
+    laps = itertools.chain(first, itertools.cycle(costs))
+    assert measured(short(warmup_queries=most), lambda _: next(laps) * MS)[0].warmup_queries == queries
 
 
-def test_warm_up_goes_on_until_a_slow_first_query_is_no_longer_among_the_last_ten() -> None:
-    slow = iter([100] + [3] * 1000)
-    assert measured(short(warmup_queries=50), lambda _: next(slow) * MS)[0].warmup_queries == 11
-
-
-def test_the_first_query_is_reported_on_its_own() -> None:
-    slow = iter([100] + [3] * 1000)
+def test_the_first_query_is_reported_on_its_own_and_no_warm_up_query_is_in_the_streaming_laps() -> None:
+    slow = itertools.chain([100], itertools.repeat(3))
     timing, _ = measured(short(warmup_queries=50), lambda _: next(slow) * MS)
     assert timing.first_query_seconds == pytest.approx(0.101)
-
-
-def test_times_within_ten_percent_are_steady() -> None:
-    uneven = iter([90, 99] * 1000)
-    timing, _ = measured(short(warmup_queries=50), lambda _: next(uneven) * MS)
-    assert timing.warmup_queries == 10
-
-
-def test_times_twelve_percent_apart_are_not_steady() -> None:
-    uneven = iter([87, 99] * 1000)
-    timing, _ = measured(short(warmup_queries=50), lambda _: next(uneven) * MS)
-    assert timing.warmup_queries == 50
-
-
-def test_warm_up_of_an_unsteady_method_ends_at_the_maximum() -> None:
-    uneven = iter([1, 2] * 1000)
-    timing, _ = measured(short(warmup_queries=25), lambda _: next(uneven) * MS)
-    assert timing.warmup_queries == 25
-
-
-def test_no_warm_up_query_is_in_the_streaming_laps() -> None:
-    slow = iter([100] + [3] * 1000)
-    timing, _ = measured(short(warmup_queries=50), lambda _: next(slow) * MS)
     assert timing.streaming.encode_seconds.max() == 0.003
 
 
 # Minima and the maximum: every query takes 4 ms, a pass is 5 images
 
 
-def test_streaming_goes_on_for_the_minimum_seconds() -> None:
-    timing, _ = measured(short(minimum_seconds=0.1))
-    assert len(timing.streaming.total_seconds) == 25  # 0.1 s / 4 ms
+@pytest.mark.parametrize(
+    ("minimum", "calls"),
+    [
+        ({"minimum_seconds": 0.1}, 25),  # 0.1 s / 4 ms
+        ({"minimum_queries": 12}, 15),  # whole passes
+        ({"minimum_passes": 3}, 15),
+    ],
+)
+def test_streaming_goes_on_for_each_minimum(minimum: dict[str, Any], calls: int) -> None:
+    assert len(measured(short(**minimum))[0].streaming.total_seconds) == calls
 
 
-def test_streaming_goes_on_for_the_minimum_queries_in_whole_passes() -> None:
-    timing, _ = measured(short(minimum_queries=12))
-    assert len(timing.streaming.total_seconds) == 15
-
-
-def test_streaming_goes_on_for_the_minimum_passes() -> None:
-    timing, _ = measured(short(minimum_passes=3))
-    assert len(timing.streaming.total_seconds) == 15
-
-
-def test_offline_goes_on_for_the_minimum_seconds() -> None:
-    timing, _ = measured(short(minimum_seconds=0.1, batch_sizes=[5]))
-    assert len(timing.offline[0].total_seconds) == 25
-
-
-def test_offline_counts_images_for_the_minimum_queries() -> None:
-    timing, _ = measured(short(minimum_queries=12, batch_sizes=[5]))
-    assert len(timing.offline[0].total_seconds) == 3
-
-
-def test_offline_counts_images_for_the_minimum_passes() -> None:
-    timing, _ = measured(short(minimum_passes=3, batch_sizes=[2]))
-    assert len(timing.offline[0].total_seconds) == 8  # 15 images
+@pytest.mark.parametrize(
+    ("minimum", "batch", "calls"),
+    [
+        ({"minimum_seconds": 0.1}, 5, 25),
+        ({"minimum_queries": 12}, 5, 3),
+        ({"minimum_passes": 3}, 2, 8),  # 15 images
+    ],
+)
+def test_offline_goes_on_for_each_minimum_and_counts_images(minimum: dict[str, Any], batch: int, calls: int) -> None:
+    timing, _ = measured(short(**minimum, batch_sizes=[batch]))
+    assert len(timing.offline[0].total_seconds) == calls
 
 
 def test_a_measurement_that_meets_its_minima_is_valid() -> None:
@@ -380,19 +331,15 @@ def test_a_measurement_that_meets_its_minima_is_valid() -> None:
     assert [laps.valid for laps in (timing.streaming, *timing.offline)] == [True, True]
 
 
-def test_streaming_ends_at_the_maximum_in_the_middle_of_a_pass() -> None:
+def test_a_measurement_ends_at_the_maximum_in_the_middle_of_a_pass_and_is_invalid() -> None:
     timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
     assert len(timing.streaming.total_seconds) == 8  # the first end after 30 ms is at 32 ms
+    assert (timing.streaming.valid, timing.offline[0].valid) == (False, False)
 
 
-def test_streaming_that_ends_at_the_maximum_is_invalid() -> None:
-    timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
-    assert not timing.streaming.valid
-
-
-def test_offline_that_ends_at_the_maximum_is_invalid() -> None:
-    timing, _ = measured(short(minimum_queries=1000, maximum_seconds=0.03))
-    assert not timing.offline[0].valid
+def test_a_measurement_whose_last_call_meets_all_minima_beyond_the_maximum_is_valid() -> None:
+    timing, _ = measured(short(maximum_seconds=0.002), images=1)
+    assert (timing.streaming.valid, timing.offline[0].valid) == (True, True)
 
 
 def test_queries_that_were_not_reached_have_no_answer() -> None:
@@ -402,36 +349,14 @@ def test_queries_that_were_not_reached_have_no_answer() -> None:
     assert len(reached) == 3
 
 
-def test_streaming_whose_last_query_meets_all_minima_beyond_the_maximum_is_valid() -> None:
-    timing, _ = measured(short(maximum_seconds=0.002), images=1)
-    assert timing.streaming.valid
-
-
-def test_offline_whose_last_call_meets_all_minima_beyond_the_maximum_is_valid() -> None:
-    timing, _ = measured(short(maximum_seconds=0.002), images=1)
-    assert timing.offline[0].valid
-
-
 # Order
 
 
-def test_the_same_seed_asks_in_the_same_order() -> None:
-    first, second = (streamed(*measured(short(minimum_passes=3), images=12, seed=4)) for _ in range(2))
-    assert first == second
-
-
-def test_another_seed_asks_in_another_order() -> None:
-    first, second = (streamed(*measured(short(minimum_passes=3), images=12, seed=seed)) for seed in (4, 5))
-    assert first != second
-
-
-def test_queries_are_shuffled() -> None:
-    assert streamed(*measured(short(), images=12)) != list(range(12))
-
-
-def test_each_pass_asks_each_image_once() -> None:
-    order = streamed(*measured(short(minimum_passes=3), images=12))
-    assert [sorted(order[start : start + 12]) for start in (0, 12, 24)] == [list(range(12))] * 3
+def test_each_pass_asks_each_image_once_in_an_order_that_the_seed_shuffles() -> None:
+    first, again, other = (streamed(*measured(short(minimum_passes=3), images=12, seed=seed)) for seed in (4, 4, 5))
+    assert first == again != other
+    assert first[:12] != list(range(12))
+    assert [sorted(first[start : start + 12]) for start in (0, 12, 24)] == [list(range(12))] * 3
 
 
 def test_images_are_decoded_before_the_clock_runs() -> None:
@@ -503,13 +428,9 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(count: int, share:
     assert percentile_bound(seconds, share) == count - allowed_above
 
 
-def test_a_rate_of_63_queries_has_no_p90() -> None:
-    assert streaming_rate(np.ones(63)).p90_seconds is None
-
-
-def test_a_rate_of_661_queries_has_a_p90_and_no_p99() -> None:
-    rate = streaming_rate(np.ones(661))
-    assert (rate.p90_seconds, rate.p99_seconds) == (1.0, None)
+def test_a_rate_has_the_percentiles_that_its_queries_carry() -> None:
+    rates = [streaming_rate(np.ones(count)) for count in (63, 661, 662)]
+    assert [(rate.p90_seconds, rate.p99_seconds) for rate in rates] == [(None, None), (1.0, None), (1.0, 1.0)]
 
 
 # The protocol
@@ -538,7 +459,3 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name(option: str, value:
 def test_a_protocol_without_any_time_is_refused() -> None:
     with pytest.raises(BadInput, match=r"timing\.maximum_seconds"):
         Protocol(minimum_seconds=0.0, maximum_seconds=0.0)
-
-
-def test_pictures_carry_their_numbers() -> None:
-    assert [number_in(image) for image in pictures([0, 127, 128, 16383])] == [0, 127, 128, 16383]

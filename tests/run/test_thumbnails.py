@@ -93,17 +93,10 @@ def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkey
 # The right frame
 
 
-def test_a_place_is_shown_by_its_first_reference_image(tmp_path: Path) -> None:
+def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path: Path) -> None:
     found = kept(tmp_path, two_traverses())
     assert [level(found.reference(place)) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
-
-
-def test_a_place_has_the_name_of_the_image_that_shows_it(tmp_path: Path) -> None:
-    assert kept(tmp_path, two_traverses()).reference_names == ("r1.png", "r0.png", "r2.png")
-
-
-def test_each_query_is_kept_in_its_order_with_its_name(tmp_path: Path) -> None:
-    found = kept(tmp_path, two_traverses())
+    assert found.reference_names == ("r1.png", "r0.png", "r2.png")
     assert [level(found.query(i)) for i in range(2)] == pytest.approx([35, 15], abs=2)
     assert found.query_names == ("q0.png", "q1.png")
 
@@ -197,17 +190,19 @@ def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> N
     assert np.array_equal(example.reference_image, noise(1))
 
 
-def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(tmp_path: Path) -> None:
-    dataset = world([plain(1)] * 10, range(10), [plain(2)] * 10, [[], *([i] for i in range(1, 8)), [], []])
-    assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == [(1, 1), (3, 3), (5, 5), (7, 7)]
-
-
-def test_of_several_right_places_the_middle_one_is_the_example(tmp_path: Path) -> None:
-    assert kept(tmp_path, world([plain(1)] * 5, range(5), [plain(2)], [[1, 2, 3]])).examples[0].place == 2
-
-
-def test_without_a_right_place_there_is_no_example(tmp_path: Path) -> None:
-    assert kept(tmp_path, world([plain(1)], [0], [plain(2)], [[]])).examples == ()
+@pytest.mark.parametrize(
+    ("right", "examples"),
+    [
+        ([[], *([i] for i in range(1, 8)), [], []], [(1, 1), (3, 3), (5, 5), (7, 7)]),
+        ([[1, 2, 3]], [(0, 2)]),  # the middle one
+        ([[]], []),
+    ],
+)
+def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(
+    tmp_path: Path, right: list[list[int]], examples: list[tuple[int, int]]
+) -> None:
+    dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
+    assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == examples
 
 
 def test_an_example_larger_than_640_pixels_is_made_smaller(tmp_path: Path) -> None:
@@ -291,9 +286,13 @@ def test_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
 # Found again
 
 
-def test_what_was_never_kept_is_none_without_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_never_kept_is_none_without_a_word_whatever_its_hash_begins_with(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     assert thumbnails.find(tmp_path, FINGERPRINT) is None
     assert caplog.records == []
+    kept(tmp_path, two_traverses())
+    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
 
 
 DAMAGES = {
@@ -304,13 +303,16 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
-def test_a_damaged_file_is_none_and_named(tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_file_is_none_and_named_and_made_anew(
+    tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
     assert thumbnails.find(tmp_path, FINGERPRINT) is None
     assert [(record.levelno, str(path(tmp_path)) in record.getMessage()) for record in caplog.records] == [
         (logging.WARNING, True)
     ]
+    assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
 
 
 def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> None:
@@ -325,17 +327,6 @@ def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> N
             assert (found.queries, found.references) == (right.queries, right.references)
             assert (found.query_names, found.reference_names) == (right.query_names, right.reference_names)
     assert lost > 50
-
-
-def test_a_damaged_file_is_made_anew(tmp_path: Path) -> None:
-    kept(tmp_path, two_traverses())
-    path(tmp_path).write_bytes(b"")
-    assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
-
-
-def test_frames_of_a_dataset_whose_hash_begins_alike_are_not_taken_for_its_own(tmp_path: Path) -> None:
-    kept(tmp_path, two_traverses())
-    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
 
 
 def test_nothing_of_it_is_a_pickle(tmp_path: Path) -> None:

@@ -17,10 +17,9 @@ from vprbench.api import images
 from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
-from vprbench.run import preprocessed
 from vprbench.speed import bench, reading, reading_text
-from vprbench.speed.reading import drawn, frame_files, in_own_process, kept_cell, reading_cell
-from vprbench.speed.settings import QUICK, Failed, KeptCell, ReadingCell, Settings
+from vprbench.speed.reading import drawn, frame_files, in_own_process, reading_cell
+from vprbench.speed.settings import QUICK, Failed, ReadingCell, Settings
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 
@@ -38,9 +37,9 @@ def paths(tmp_path: Path) -> list[Path]:
 def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
     """Who reads which file, each in 10 ms."""
     clock = Clock()
-    clock.replaces_those_of([reading, images, preprocessed], monkeypatch)
+    clock.replaces_those_of([reading, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    monkeypatch.setattr(reading.environment, "cores", lambda: [0, 1, 2])
+    monkeypatch.setattr(reading.machine, "cores", lambda: [0, 1, 2])
     found: list[tuple[str, Path]] = []
     for module, who in ((reading, "bare"), (images, "ahead")):
 
@@ -89,17 +88,6 @@ def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_t
     assert cell.peak_memory_bytes > 0
 
 
-def test_a_traverse_is_preprocessed_once_and_then_had_from_the_cache(
-    paths: list[Path], read: list[tuple[str, Path]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("VPRBENCH_HASHES", "set back after the test")
-    cell = kept_cell(quick_settings(), paths)
-    assert [path for _, path in read] == [paths[0], *paths[:256]]
-    assert cell.made_seconds == pytest.approx(2.56)
-    assert cell.again_seconds == [0.0] * 2
-    assert (cell.frames, cell.pixels, cell.kept_bytes) == (256, 144, 256 * 144)
-
-
 def test_what_is_measured_apart_runs_in_another_process_and_its_errors_come_back() -> None:
     assert in_own_process(os.getpid) != os.getpid()
     with pytest.raises(BadInput, match=r"none\.png does not exist"):
@@ -118,10 +106,9 @@ READ = ReadingCell(
     300_000_000,
     4 * 10**8,
 )
-KEPT = KeptCell(3449, 784, 10.0, [0.001, 0.002, 0.004], 2_704_016, 300_000_000, 350_000_000)
 
 
-def told(*cells: ReadingCell | KeptCell | Failed) -> list[str]:
+def told(*cells: ReadingCell | Failed) -> list[str]:
     report: Any = SimpleNamespace(settings=Settings(), reading=list(cells))
     return reading_text.reading(report)
 
@@ -132,13 +119,8 @@ def cells_of(markdown: str) -> list[str]:
 
 def test_a_share_is_the_median_of_those_of_the_turns() -> None:
     # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
-    table = told(READ, KEPT)[2]
+    table = told(READ)[2]
     assert cells_of(table) == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
-
-
-def test_a_kept_traverse_stands_beside_what_making_it_took() -> None:
-    table = told(READ, KEPT)[4]
-    assert cells_of(table) == ["3,449", "10", "345", "2", "1,724,500", "5,000x", "2.7", "300", "350"]
 
 
 def test_what_could_not_be_read_says_why_in_its_row() -> None:
@@ -157,7 +139,7 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
     monkeypatch.setattr(bench.tempfile, "tempdir", str(tmp_path))
     cells = list(bench._reading(quick_settings()))
     failed = Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")
-    assert cells == [failed] * 2
+    assert cells == [failed]
     monkeypatch.setattr(bench, "frame_files", fails)
     assert list(bench._reading(quick_settings())) == [failed]
     assert not list(tmp_path.iterdir())

@@ -14,8 +14,11 @@ import pytest
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
+from vprbench.plugins.networks import Files
 from vprbench.run import machine, runner
+from vprbench.run.descriptors import DescriptorCache
 from vprbench.run.record import Run
+from vprbench.run.request import Request
 from vprbench.run.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
@@ -30,7 +33,21 @@ QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries
 
 
 def run_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK, **changes: Any) -> Run:
-    return runner.run("little", method, dataset, {**CONFIG, **changes}, "key", "fingerprint", protocol, 1)
+    return runner.run(asked_for(method, dataset, protocol, **changes), "key")
+
+
+def asked_for(
+    method: Method,
+    dataset: Dataset,
+    /,
+    protocol: Protocol = QUICK,
+    threads: int = 1,
+    files: Files = Files(),  # noqa: B008 - it is frozen
+    cache: DescriptorCache | None = None,
+    **changes: Any,
+) -> Request:
+    """Return the request of a little run; `changes` are made to its configuration."""
+    return Request("little", method, dataset, {**CONFIG, **changes}, "fingerprint", protocol, threads, files, cache)
 
 
 def table(n_queries: int, n_places: int, levels: int = 1000) -> Scores:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Protocol, overload
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -36,19 +36,6 @@ class ReadingTime:
     def limit(self, before: float, most: float) -> None:
         """Take back what exceeds `most` seconds since there were `before`: other threads worked on while one waited."""
         self.seconds = min(self.seconds, before + max(0.0, most))
-
-
-class Keeper(Protocol):
-    """Keeps what is computed of a whole sequence of images, of each image a row."""
-
-    def __call__(
-        self,
-        images: Images,
-        arguments: Mapping[str, Any],
-        n_columns: int,
-        fill: Callable[[npt.NDArray[np.uint8]], None],
-    ) -> npt.NDArray[np.uint8]:
-        """Return what was kept under these arguments, (n_images, n_columns), or let `fill` write it now."""
 
 
 class Images(Sequence[Image]):
@@ -81,7 +68,6 @@ class Images(Sequence[Image]):
         self._content = content
         self._in_memory = in_memory
         self._report: Callable[[int], None] | None = None
-        self.keeper: Keeper | None = None
         self.names = tuple(names)
         self.reading = ReadingTime()
 
@@ -160,11 +146,6 @@ class Images(Sequence[Image]):
             finally:
                 readers.shutdown(cancel_futures=True)
 
-    @property
-    def are_files(self) -> bool:
-        """Whether the images are decoded from files."""
-        return self._files is not None
-
     def decoded_bytes(self) -> int:
         """Return the bytes of all images once they are decoded: of files by their heads, of others by the first."""
         if self._files is None and not self._in_memory:
@@ -187,25 +168,14 @@ class Images(Sequence[Image]):
 
     def unnamed(self) -> Images:
         """Return the same images under names that say nothing."""
-        view = self._whole()
+        view = self[:]
         view.names = tuple(f"image {i}" for i in range(len(self)))
         return view
 
     def watched(self, report: Callable[[int], None]) -> Images:
         """Return the same images; `report` is told now and then how many an iteration has handed out."""
-        view = self._whole()
-        view._report = report
-        return view
-
-    def kept_by(self, keeper: Keeper) -> Images:
-        """Return the same images; what is computed of all of them alone may be had from `keeper`."""
-        view = self._whole()
-        view.keeper = keeper
-        return view
-
-    def _whole(self) -> Images:
         view = self[:]
-        view.keeper = self.keeper
+        view._report = report
         return view
 
     def in_memory(self) -> Images:

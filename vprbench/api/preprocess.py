@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -55,11 +54,8 @@ class PatchNormalisation:
             raise BadInput(f"method.height={self.height}, method.width={self.width}: give sizes of at least 1 pixel")
 
     def __call__(self, images: Images) -> npt.NDArray[np.uint8]:
-        """Return (n_images, height * width); that of images with a keeper may be what an earlier run made."""
-        n_pixels = self.height * self.width
-        if images.keeper is not None:
-            return images.keeper(images, asdict(self), n_pixels, partial(self._fill, images))
-        levels = np.empty((len(images), n_pixels), np.uint8)
+        """Return (n_images, height * width)."""
+        levels = np.empty((len(images), self.height * self.width), np.uint8)
         self._fill(images, levels)
         return levels
 

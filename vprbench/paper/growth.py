@@ -13,6 +13,7 @@ import numpy.typing as npt
 from vprbench.errors import BadInput
 from vprbench.paper.plan import Boundary, Row
 from vprbench.paper.table import best
+from vprbench.run.machine import Machine
 from vprbench.run.record import Run
 
 _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which runs of one growth differ
@@ -118,7 +119,7 @@ def _conditions(run: Run, at_most: Collection[str]) -> dict[str, Any]:
         "libraries": surroundings.get("libraries"),
         "threads": surroundings.get("threads"),
         "device": run.config["device"],
-        "machine": [surroundings.get(name) for name in ("processor", "cores", "accelerator")],
+        "machine": Machine.of(surroundings).hardware,
     }
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.series import Series
+from vprbench.run.machine import Machine
 from vprbench.run.record import Failure, Run
 
 Device = Literal["cpu", "cuda"]
@@ -276,8 +277,8 @@ def _listed(words: Sequence[str], last: str) -> str:
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def _machine(result: Run | Failure) -> list[Any]:
-    return [result.environment.get(name) for name in ("processor", "cores", "accelerator")]
+def _machine(result: Run | Failure) -> tuple[Any, ...]:
+    return Machine.of(result.environment).hardware
 
 
 def _same_machine(failure: Failure, run: Run) -> bool:

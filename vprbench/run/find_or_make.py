@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 import os
 from collections.abc import Callable
 from contextlib import chdir
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,10 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
-from vprbench.run.descriptor_cache import DescriptorCache
-from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.descriptors import DescriptorCache
+from vprbench.run.identity import fingerprint
 from vprbench.run.record import Run
+from vprbench.run.request import Request
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
@@ -35,50 +36,59 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
     Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
     """
     asked["method"], tuned_on = registry.declared(name, asked["method"])
+    process, refused = os.getpid(), _refused(store)
+    request = _request(name, asked, settings, store)
+    key = request.key()
+    if request.files.save is not None and networks.made_by(request.files.save) == key:
+        # its own, left by a run that was killed before it was stored
+        request = replace(request, files=replace(request.files, replace=True))
+    dataset = request.dataset
+    found = None if settings.force else _usable(store.find(dataset.name, name, key), settings, request.files)
+    if found is None and refused is not None:
+        raise refused
+    with ledger():  # what was trained is kept until the run is stored
+        if found is not None:  # whoever stored it may have asked in other words
+            run = replace(found, config={**found.config, "overrides": asked["overrides"]})
+        else:
+            for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
+                insist_on_writing(place)
+            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
+                run = runner.run(request, key)
+        ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
+        known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
+        run = replace(run, tuned_on=tuned_on)
+        try:
+            folder = store.folder(dataset.name, name, key) if known else store.save(run)
+        except BadInput:
+            # what was measured is shown even if it cannot be kept
+            say(_text(run, None, found is not None, settings))
+            raise
+    ending.tell(code=0)
+    say(_text(run, folder, found is not None, settings))
+    if settings.frames:
+        _keep_frames(store, run, dataset)
+    return 0
+
+
+def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Request:
+    """Return the run that is asked for, its method and dataset built; `asked` is told what both turned out to be."""
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    threads, process = n_threads(settings), os.getpid()
-    refused = _refused(store)
+    threads = n_threads(settings)
     machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
     with chdir("."):
         method = registry.make_method(asked["method"])
-        dataset = _checked(registry.make_dataset(asked["dataset"]))
+        dataset = registry.make_dataset(asked["dataset"])
+        # what the cheap checks warn of is among the dataset's notes
+        dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
-        fingerprint = runner.fingerprint(dataset)
+        images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
-    key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
-    if files.save is not None and networks.made_by(files.save) == key:
-        files = dataclasses.replace(files, replace=True)  # its own, left by a run that was killed before it was stored
-    run = None if settings.force else _usable(store.find(dataset.name, name, key), settings, files)
-    from_store = run is not None
-    if run is None and refused is not None:
-        raise refused
-    with ledger():  # what was trained is kept until the run is stored
-        if run is not None:  # whoever stored it may have asked in other words
-            run = dataclasses.replace(run, config={**run.config, "overrides": asked["overrides"]})
-        else:
-            for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
-                insist_on_writing(place)
-            caches = _caches(store, threads) if settings.cache else (None, None)
-            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
-                run = runner.run(
-                    name, method, dataset, asked, key, fingerprint, settings.timing, threads, files, *caches
-                )
-        ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
-        known = from_store and run.tuned_on == tuned_on  # the yaml may say so only since the run was stored
-        run = dataclasses.replace(run, tuned_on=tuned_on)
-        try:
-            folder = store.folder(dataset.name, name, key) if known else store.save(run)
-        except BadInput:
-            say(_text(run, None, from_store, settings))  # what was measured is shown even if it cannot be kept
-            raise
-    ending.tell(code=0)
-    say(_text(run, folder, from_store, settings))
-    if settings.frames:
-        _keep_frames(store, run, dataset)
-    return 0
+    # absolute, for a method may change the working folder
+    cache = DescriptorCache(store.root.absolute() / "descriptors") if settings.cache else None
+    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache)
 
 
 def _refused(store: Store) -> BadInput | None:
@@ -103,17 +113,6 @@ def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run |
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
     return run
-
-
-def _checked(dataset: Dataset) -> Dataset:
-    """Return a dataset that the cheap checks find no error in; what they warn of is among its notes."""
-    return dataclasses.replace(dataset, notes=(*dataset.notes, *insist(dataset)))
-
-
-def _caches(store: Store, threads: int) -> tuple[DescriptorCache, Preprocessed]:
-    """Return what keeps descriptors, and what keeps preprocessed frames, beside the runs."""
-    root = store.root.absolute()  # for a method may change the working folder
-    return DescriptorCache(root / "descriptors"), Preprocessed(root / "preprocessed", threads)
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import chdir
 from dataclasses import dataclass
-from typing import Any
 
 from vprbench import progress
 from vprbench.api.arrays import Places
@@ -18,7 +17,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run.descriptors import Described
 from vprbench.run.note import Note, noted
-from vprbench.run.preprocessed import Preprocessed
+from vprbench.run.request import Request
 from vprbench.run.stopwatch import Stopwatch
 
 
@@ -29,8 +28,7 @@ class Learnt:
     fit_seconds: float | None = None
     fit_compute_seconds: float | None = None
     load_seconds: float | None = None
-    earlier_seconds: float = 0.0  # the part of a fit that earlier runs had done
-    earlier_reading_seconds: float = 0.0  # of these, spent waiting for images
+    earlier_seconds: float = 0.0  # the part of a fit that an interrupted run had done
     notes: tuple[Note, ...] = ()
     from_cache: bool = False  # the descriptors of the references
 
@@ -42,25 +40,15 @@ class Learnt:
     @property
     def method_seconds(self) -> float:
         """Return the time of this run that went into the method."""
-        earlier = self.earlier_seconds - self.earlier_reading_seconds
-        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - earlier
+        return (self.fit_compute_seconds or 0.0) + (self.load_seconds or 0.0) - self.earlier_seconds
 
 
-def learn(
-    stopwatch: Stopwatch,
-    method: Method,
-    dataset: Dataset,
-    arguments: Mapping[str, Any],
-    key: str,
-    files: networks.Files,
-    described: Described | None,
-    resumed: Resumed,
-    preprocessed: Preprocessed | None = None,
-) -> Learnt:
-    """Load the method's network, or fit and calibrate the method and store its network where that was asked for.
+def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described | None, resumed: Resumed) -> Learnt:
+    """Load the method's network, or fit and calibrate the method and store its network if that was asked for.
 
-    What earlier runs spent on parts of the fit that this one takes over counts as part of it.
+    What an interrupted run spent on parts of the fit that this run takes over counts as part of the fit.
     """
+    method, dataset, files, arguments = request.method, request.dataset, request.files, request.config["method"]
     if files.load is not None:
         progress.report("load", 0.0)
         wanted = networks.origin(method, arguments, dataset)
@@ -69,53 +57,49 @@ def learn(
         return Learnt(load_seconds=load[0], notes=notes)
     destination = networks.prepare(files, method, arguments, dataset)
     given = calibration(method, dataset)
-    kept: Callable[[Images], Images] = _as_they_are if preprocessed is None else preprocessed.kept
-    held_out = None if given is None else _hidden(given, kept)
-    whole = dataset.references if described is not None else kept(dataset.references)
+    held_out = None if given is None else _hidden(given)
     read = [dataset.references, *([held_out.references, held_out.queries] if held_out else [])]
     before = _reading_seconds(read)
     progress.report("fit", 0.0)
-    references, places = whole.watched(_reading(len(whole))), _read_only(dataset.places)
-    from_cache = False
     with chdir("."), stopwatch.lap() as fit:  # a method may leave the folder that the other paths start from
-        if described is None:
-            method.fit(references, places)
-        else:
-            assert isinstance(method, DescriptorMethod)
-            method.insist_on_index(len(references))
-            descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
-            method.fit_descriptors(descriptors, places)
+        from_cache = _fit(method, dataset, described)
         if held_out is not None:
             progress.report("calibrate", 0.0)
             try:
                 method.calibrate(held_out)
             except BadInput as error:
                 raise BadInput(f"choosing settings by held-out places: {error}") from error
-    earlier, earlier_reading = resumed.seconds, 0.0
-    if preprocessed is not None:
-        earlier, earlier_reading = earlier + preprocessed.seconds, preprocessed.reading_seconds
-    seconds = fit[0] + earlier
-    computing = seconds - (_reading_seconds(read) - before) - earlier_reading
+    seconds = fit[0] + resumed.seconds
+    computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
         networks.save(destination, method, key, seconds, computing)
-    notes = tuple(_fit_notes(resumed.seconds, preprocessed, held_out))
+    notes = tuple(_fit_notes(resumed.seconds, held_out))
     if from_cache:
         return Learnt(load_seconds=fit[0], notes=notes, from_cache=True)
-    return Learnt(
-        fit_seconds=seconds,
-        fit_compute_seconds=computing,
-        earlier_seconds=earlier,
-        earlier_reading_seconds=earlier_reading,
-        notes=notes,
-    )
+    return Learnt(fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=notes)
 
 
-def _hidden(held_out: HeldOut, kept: Callable[[Images], Images]) -> HeldOut:
+def _fit(method: Method, dataset: Dataset, described: Described | None) -> bool:
+    """Fit a method; returns whether `described` had kept the descriptors of the references already."""
+    total = len(dataset.references)
+    references = dataset.references.watched(lambda done: progress.report("fit, reading images", done / total))
+    places = _read_only(dataset.places)
+    if described is None:
+        method.fit(references, places)
+        return False
+    assert isinstance(method, DescriptorMethod)
+    method.insist_on_index(total)
+    descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
+    method.fit_descriptors(descriptors, places)
+    return from_cache
+
+
+def _hidden(held_out: HeldOut) -> HeldOut:
     """Return the same places as a method may see them: under names that say nothing, not to be written to."""
     return HeldOut(
-        references=kept(held_out.references).unnamed(),
+        references=held_out.references.unnamed(),
         places=_read_only(held_out.places),
-        queries=kept(held_out.queries).unnamed(),
+        queries=held_out.queries.unnamed(),
         right=_read_only(held_out.right),
         in_map=held_out.in_map,
     )
@@ -126,29 +110,14 @@ def _reading_seconds(read: Iterable[Images]) -> float:
     return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
 
 
-def _as_they_are(images: Images) -> Images:
-    return images
-
-
-def _fit_notes(resumed_seconds: float, preprocessed: Preprocessed | None, held_out: HeldOut | None) -> Iterator[Note]:
+def _fit_notes(resumed_seconds: float, held_out: HeldOut | None) -> Iterator[Note]:
     """Yield what a reader of the training time and of the settings has to know."""
     if resumed_seconds:
         text = f"fit was resumed: the {resumed_seconds:.1f} s that an interrupted run had spent on it are counted"
         yield Note("resumed", text)
-    if preprocessed is not None and preprocessed.images:
-        yield Note(
-            "preprocessed",
-            f"{preprocessed.images} preprocessed frames were taken from the cache: the {preprocessed.seconds:.1f} s "
-            "that reading and preprocessing them took when they were made are counted",
-        )
     if held_out is not None:
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
         yield Note("calibrated", text)
-
-
-def _reading(total: int) -> Callable[[int], None]:
-    """Return what reports how many references a fit has read, as a stage of its own."""
-    return lambda done: progress.report("fit, reading images", done / total)
 
 
 def _read_only(places: Places) -> Places:

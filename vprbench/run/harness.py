@@ -10,6 +10,5 @@ MODULES = (
     *("vprbench.api.images", "vprbench.api.decoding", "vprbench.api.read_ahead", "vprbench.api.image_formats"),
     *("vprbench.api.png", "vprbench.api.png_pixels"),
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.run.stopwatch", "vprbench.run.fitting"),
-    *("vprbench.run.runner", "vprbench.run.descriptors", "vprbench.run.descriptor_cache", "vprbench.run.preprocessed"),
-    *("vprbench.run.machine",),
+    *("vprbench.run.runner", "vprbench.run.answers", "vprbench.run.descriptors", "vprbench.run.machine"),
 )

@@ -9,7 +9,8 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,34 @@ def capture(device: str, threads: int) -> dict[str, Any]:
         "time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "command": sys.argv,
     }
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What the times of a run were measured on, whatever the day."""
+
+    processor: str | None
+    cores: int | None
+    accelerator: str | None
+    threads: int | None  # that the run might use
+    torch: str | None  # its version
+
+    @classmethod
+    def of(cls, environment: Mapping[str, Any]) -> Machine:
+        """Return the machine that `capture` looked at; None for what an environment does not tell."""
+        parts = {name: environment.get(name) for name in ("processor", "cores", "accelerator", "threads")}
+        return cls(**parts, torch=(environment.get("libraries") or {}).get("torch"))
+
+    @property
+    def hardware(self) -> tuple[str | None, int | None, str | None]:
+        """Processor, cores and accelerator: the same under any number of threads and any libraries."""
+        return self.processor, self.cores, self.accelerator
+
+    @property
+    def line(self) -> str:
+        """The machine in one line for people."""
+        accelerator = f", {self.accelerator}" if self.accelerator else ""
+        return f"{self.processor}, {self.threads} of {self.cores} cores{accelerator}, torch {self.torch}"
 
 
 def library_versions() -> dict[str, str | None]:

@@ -11,7 +11,6 @@ NoteKind = Literal[
     "tuned",  # the places on which its settings were chosen
     "loaded",  # the network that it did not train
     "resumed",  # an interrupted fit that went on
-    "preprocessed",  # frames that a fit had from the cache
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
     "late",  # work of the fit that the first query did

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vprbench import ending
+from vprbench.errors import BadInput
 from vprbench.storage.atomic import PARTIAL, remove_leftovers
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
@@ -76,7 +77,6 @@ def scratch() -> Iterator[Path]:
 
 def record(failure: Failure, root: Path) -> None:
     """Store a failure, where that is possible: the error itself is told in any case."""
-    from vprbench.errors import BadInput
     from vprbench.run.store import Store
 
     with contextlib.suppress(OSError, BadInput):

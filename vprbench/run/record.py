@@ -147,27 +147,8 @@ def _summary(content: bytes) -> dict[str, Any]:
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
-_PLAIN = (
-    "method",
-    "dataset",
-    "key",
-    "config",
-    "protocol",
-    "fingerprint",
-    "environment",
-    "n_references",
-    "fit_seconds",
-    "fit_compute_seconds",
-    "load_seconds",
-    "network",
-    "search",
-    "peak_memory_bytes",
-    "harness_seconds",
-    "method_seconds",
-    "spikes",
-    "data",
-    "tuned_on",
-)
+_OF_THEIR_OWN = {"notes", "timing", "outcome", "positives", "top_places", "top_scores", "scores", "place_numbers"}
+_PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN]
 
 
 def write(run: Run, folder: Path) -> None:

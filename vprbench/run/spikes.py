@@ -7,10 +7,28 @@ from typing import Any
 
 import numpy as np
 
-from vprbench.api.method import LayerSpikes
+from vprbench.api.images import Images
+from vprbench.api.method import LayerSpikes, Method, held_together
 from vprbench.errors import BadInput
+from vprbench.run.answers import block_size
+from vprbench.run.note import Note
 
-__all__ = ["LayerSpikes", "summary"]
+_QUERIES = 256  # whose spikes are counted, at most
+
+
+def counted(method: Method, queries: Images) -> tuple[dict[str, Any] | None, tuple[Note, ...]]:
+    """Return what the layers of a spiking network did for queries spread over all, and what went wrong meanwhile."""
+    if type(method).spikes is Method.spikes:
+        return None, ()
+    wanted = held_together(method, min(_QUERIES, len(queries)))
+    chosen = queries[np.linspace(0, len(queries) - 1, wanted).astype(np.int64)]
+    try:
+        blocks = chosen.blocks(block_size(method, 1))
+        codes = np.concatenate([np.array(method.encode(block)) for block in blocks])
+        return summary(method.spikes(codes)), ()
+    except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
+        reason = " ".join(str(error).split())
+        return None, (Note("spikes", f"no spikes were counted ({type(error).__name__}: {reason})"),)
 
 
 def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:

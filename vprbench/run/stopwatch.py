@@ -102,16 +102,6 @@ class Timing:
         return excess if self.first_query_seconds > _LATE * usual and excess > _BRIEF_SECONDS else 0.0
 
 
-@dataclass(frozen=True)
-class Rate:
-    """A rate with its percentiles; None where the sample is too small to carry one."""
-
-    hz: float
-    p50_seconds: float
-    p90_seconds: float | None
-    p99_seconds: float | None
-
-
 class Stopwatch:
     """Owns the clock: no method measures itself."""
 
@@ -257,42 +247,6 @@ def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
         if n_bytes <= _SAMPLE_BYTES or count == 1:
             return chosen
         count = max(1, min(count - 1, count * _SAMPLE_BYTES // n_bytes))
-
-
-def streaming_rate(seconds: Seconds) -> Rate:
-    """Return 1 / median of single-query times, with upper 99 % bounds of p90 and p99 where the count allows them."""
-    return Rate(
-        1 / float(np.median(seconds)),
-        float(np.median(seconds)),
-        percentile_bound(seconds, 0.9),
-        percentile_bound(seconds, 0.99),
-    )
-
-
-def offline_rate(seconds: Seconds, images_per_call: int) -> float:
-    """Return images per second over all calls."""
-    return images_per_call * len(seconds) / float(seconds.sum())
-
-
-def best_batch(offline: Sequence[Laps]) -> Laps:
-    """Return the laps of the batch size with the highest total rate."""
-    return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))
-
-
-def percentile_bound(seconds: Seconds, share: float, confidence: float = 0.99) -> float | None:
-    """Return the upper bound of a percentile at `confidence`, from order statistics; None if there are too few laps.
-
-    At most h laps may lie above it, h the largest number with P(Binomial(n, 1 - share) <= h) <= 1 - confidence; at
-    least one has to, so that a p90 needs 64 laps and a p99 662. Source: MLPerf LoadGen, sample counts.
-    """
-    from scipy.stats import binom  # slow to import, and not needed to complain about an option
-
-    allowed = int(binom.ppf(1 - confidence, len(seconds), 1 - share)) - 1 if len(seconds) else -1
-    if allowed >= -1 and binom.cdf(allowed + 1, len(seconds), 1 - share) <= 1 - confidence:
-        allowed += 1
-    if allowed < 1:
-        return None
-    return float(np.sort(seconds)[::-1][allowed])
 
 
 def synchroniser(device: str) -> Callable[[], None]:

@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,12 +83,7 @@ class Store:
         self._insist_on_writing()
         folder = self.folder(run.dataset, run.method, run.key)
         try:
-            partial = self._partial()
-            try:
-                write(run, partial)
-                move_folder(partial, folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
+            self._place(folder, lambda partial: write(run, partial))
             shutil.rmtree(self._failure_folder(run.method, run.dataset, run.config), ignore_errors=True)
         except ValueError as error:
             raise BadInput(f"the run cannot be stored: {error}; mend the method or dataset that gave it") from error
@@ -104,12 +99,7 @@ class Store:
         self._insist_on_writing()
         folder = self._failure_folder(failure.method, failure.dataset, failure.config)
         try:
-            partial = self._partial()
-            try:
-                write_failure(failure, partial)
-                move_folder(partial, folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
+            self._place(folder, lambda partial: write_failure(failure, partial))
         except OSError as error:
             raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
         return folder
@@ -156,6 +146,15 @@ class Store:
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
         return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
+
+    def _place(self, folder: Path, fill: Callable[[Path], None]) -> None:
+        """Let `fill` write into a folder that no reader looks at, and put that in the place of `folder` at once."""
+        partial = self._partial()
+        try:
+            fill(partial)
+            move_folder(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
 
     def _partial(self) -> Path:
         """Make a folder that no reader looks at."""

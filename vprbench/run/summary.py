@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.tolerance import hits_within
+from vprbench.run.rates import best_batch, offline_rate, streaming_rate
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
-from vprbench.run.stopwatch import best_batch, offline_rate, streaming_rate
 
 
 @dataclass(frozen=True)

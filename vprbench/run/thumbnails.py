@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import logging
 import zipfile
-import zlib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,12 +102,9 @@ def find(root: Path, fingerprint: str) -> Thumbnails | None:
         return _thumbnails(content)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, SyntaxError) as error:
-        reason: Exception = error
-    except (zipfile.BadZipFile, zlib.error) as error:
-        reason = error
-    logger.warning("%s cannot be used (%s): the next run on that dataset makes it anew", path, reason)
-    return None
+    except Exception as error:  # what is wrong inside of a file may upset its readers in any way
+        logger.warning("%s cannot be used (%s): the next run on that dataset makes it anew", path, error)
+        return None
 
 
 def _path(root: Path, fingerprint: str) -> Path:
@@ -185,10 +181,7 @@ def _look(traverses: Sequence[Images]) -> tuple[int, int]:
 def _small(image: Image, look: tuple[int, int], done: int, total: int) -> bytes:
     """Return the thumbnail of an image, the next one after so many of `total`."""
     progress.report("keeping small frames", done / total)
-    return _thumbnail(image, *look)
-
-
-def _thumbnail(image: Image, side: int, quality: int) -> bytes:
+    side, quality = look
     return _webp(_shrunk(image, side), quality=quality)
 
 

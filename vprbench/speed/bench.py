@@ -27,7 +27,7 @@ from vprbench.progress import listening
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.speed.measure import Fit, Make, floor_laps, measured_rates, rounded, timed_fit, weight_bytes
-from vprbench.speed.reading import frame_files, in_own_process, kept_cell, reading_cell
+from vprbench.speed.reading import frame_files, in_own_process, reading_cell
 from vprbench.speed.route import Route
 from vprbench.speed.settings import (
     ENGINES,
@@ -40,7 +40,6 @@ from vprbench.speed.settings import (
     Counted,
     Failed,
     FitCell,
-    KeptCell,
     ModuleCell,
     PreprocessingCell,
     QueryCell,
@@ -158,7 +157,7 @@ def _fits(settings: Settings, make: Make, route: Route, networks: dict[str, Meth
         yield _attempt({"rules": rules}, measured)
 
 
-def _reading(settings: Settings) -> Iterator[ReadingCell | KeptCell | Failed]:
+def _reading(settings: Settings) -> Iterator[ReadingCell | Failed]:
     frame = {"frame": f"{settings.frame[1]}x{settings.frame[0]}"}
     with tempfile.TemporaryDirectory(prefix="vprbench-") as folder:
         paths = _attempt(frame, partial(frame_files, settings, Path(folder)))
@@ -167,8 +166,6 @@ def _reading(settings: Settings) -> Iterator[ReadingCell | KeptCell | Failed]:
             return
         progress.report(f"reading {len(paths)} files", 0.0)
         yield _attempt(frame, partial(in_own_process, reading_cell, settings, paths))
-        progress.report("preprocessing files, and having them again", 0.0)
-        yield _attempt(frame, partial(in_own_process, kept_cell, settings, paths))
 
 
 def _preprocessing(settings: Settings) -> Iterator[PreprocessingCell | Failed]:

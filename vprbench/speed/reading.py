@@ -1,4 +1,4 @@
-"""What the benchmark of speed measures of files: reading them, and preprocessing a traverse of them once and again."""
+"""What the benchmark of speed measures of files: reading them."""
 
 from __future__ import annotations
 
@@ -19,21 +19,17 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.decoding import read_image
 from vprbench.api.images import Images
-from vprbench.api.preprocess import PatchNormalisation
 from vprbench.run import machine
-from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.speed.measure import rounded
-from vprbench.speed.settings import PATCH, KeptCell, ReadingCell, Settings
+from vprbench.speed.settings import ReadingCell, Settings
 
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
 
 _TURNS = 8  # of each way of reading
-_KEPT = 256  # frames of a traverse that is worth keeping, at least
 _LEVELS = ((64, 90.0), (16, 40.0), (4, 15.0))  # pixels of a cell, grey levels to either side
 _NOISE = 3.0  # grey levels
-_HASHES = "VPRBENCH_HASHES"
 
 
 def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
@@ -92,25 +88,6 @@ def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
     )
 
 
-def kept_cell(settings: Settings, paths: Sequence[Path]) -> KeptCell:
-    """Preprocess a part of the files, and have them again from the cache; what both leave stands beside the files."""
-    threads = settings.threads or len(machine.cores())
-    machine.pin_threads(threads)
-    folder = paths[0].parent
-    os.environ[_HASHES] = str(folder / "hashes")  # nobody else asks for these files
-    part = paths[: max(_KEPT, len(paths) // _TURNS)]
-    normalise = PatchNormalisation("C", settings.pixels, settings.pixels, PATCH)
-    normalise(Images.from_files(part[:1]))
-    before = _memory_before()
-    laps = []
-    for _ in range(1 + settings.rounds):
-        images = Preprocessed(folder / "preprocessed", threads).kept(Images.from_files(part))
-        laps.append(_seconds(partial(_total, normalise, images)))
-    made, *again = rounded(laps)
-    pixels = settings.pixels**2
-    return KeptCell(len(part), pixels, made, again, len(part) * pixels, before, machine.peak_memory_bytes())
-
-
 def bare(paths: Sequence[Path]) -> None:
     """Decode one file after the other."""
     for path in paths:
@@ -127,10 +104,6 @@ def bare_at_once(paths: Sequence[Path], loops: int) -> None:
 def _look_at(images: Images) -> None:
     for _ in images:
         pass
-
-
-def _total(normalise: PatchNormalisation, images: Images) -> int:
-    return int(normalise(images).sum())
 
 
 def _seconds(call: Callable[[], object]) -> float:

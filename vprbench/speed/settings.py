@@ -184,19 +184,6 @@ class ReadingCell:
 
 
 @dataclass(frozen=True)
-class KeptCell:
-    """A traverse of files preprocessed and kept, and had again from the cache."""
-
-    frames: int
-    pixels: int  # of a preprocessed frame
-    made_seconds: float
-    again_seconds: list[float]  # every pixel looked at
-    kept_bytes: int
-    memory_before_bytes: int
-    peak_memory_bytes: int
-
-
-@dataclass(frozen=True)
 class PreprocessingCell:
     """Both engines on the same images, one call of each after the other."""
 
@@ -288,7 +275,7 @@ class Report:
     seconds: float
     training: list[TrainingCell | Failed]
     fits: list[FitCell | Failed]
-    reading: list[ReadingCell | KeptCell | Failed]
+    reading: list[ReadingCell | Failed]
     preprocessing: list[PreprocessingCell | Failed]
     queries: list[QueryCell | Failed]
     search: list[SearchCell | Failed]

@@ -12,10 +12,10 @@ import numpy as np
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
+from vprbench.run.machine import Machine
 from vprbench.run.note import DISTURBED, FAILED_AUDITS
 from vprbench.run.recall_intervals import interval_between
 from vprbench.run.record import Run
-from vprbench.run.rows import machine_line
 from vprbench.run.stopwatch import Seconds
 
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
@@ -107,7 +107,7 @@ def failed_audit(run: Run) -> bool:
 
 def machine(run: Run) -> str:
     """Return what a run's times were measured on, without the day."""
-    return machine_line(run).rpartition(", ")[0]
+    return Machine.of(run.environment).line
 
 
 def _winner(

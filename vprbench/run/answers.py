@@ -1,0 +1,186 @@
+"""The answers of one run: every query scored block by block, in bounded memory, and audited against the timed run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench import progress
+from vprbench.api.arrays import Scores
+from vprbench.api.dataset import Dataset
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.api.method import Method, held_together
+from vprbench.api.search import Audit, Search
+from vprbench.errors import BadInput
+from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
+from vprbench.run.descriptors import Described, Descriptors
+from vprbench.run.stopwatch import Stopwatch, Timing
+
+_BLOCK = 128  # queries scored together
+_BLOCK_CELLS = 1 << 25  # scores of such a block
+_RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
+_AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
+_LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
+_SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
+
+Answer = TypeVar("Answer")
+
+
+class Answers:
+    """Collects a method's answers block by block, in bounded memory."""
+
+    def __init__(self, dataset: Dataset, depth: int) -> None:
+        """Keep the best `depth` places of each query, and all scores if they are few."""
+        self._positives = dataset.positives
+        self._depth = min(depth, dataset.n_places)
+        self._shape = (len(dataset.queries), dataset.n_places)
+        self.done = 0
+        self.method_seconds = 0.0
+        self._outcomes: list[Outcome] = []
+        self._top_places: list[npt.NDArray[np.int32]] = []
+        self._top_scores: list[Scores] = []
+        self._kept: list[Scores] = []
+
+    def add(self, n_queries: int, scores: Scores, seconds: float) -> None:
+        """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
+        wanted = (n_queries, self._shape[1])
+        if np.shape(scores) != wanted:
+            raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
+        scores = checked_scores(scores, self.done)
+        self._outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
+        rows = max(1, _RANKED_CELLS // scores.shape[1])
+        parts = [best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
+        best = np.concatenate(parts)
+        values = np.take_along_axis(scores, best, axis=1)
+        order = np.argsort(-values, axis=1, kind="stable")
+        self._top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
+        self._top_scores.append(np.take_along_axis(values, order, axis=1))
+        if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
+            self._kept.append(scores.copy())  # a method may use its array again
+        self.done += len(scores)
+        self.method_seconds += seconds
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome of all queries."""
+        return concatenate(self._outcomes)
+
+    @property
+    def top_places(self) -> npt.NDArray[np.int32]:
+        """The best places of each query, (n_queries, depth), best first."""
+        return np.concatenate(self._top_places)
+
+    @property
+    def top_scores(self) -> Scores:
+        """The scores of these places, (n_queries, depth)."""
+        return np.concatenate(self._top_scores)
+
+    @property
+    def scores(self) -> Scores | None:
+        """All scores, (n_queries, n_places); None if they are too many to keep."""
+        return np.concatenate(self._kept) if self._kept else None
+
+    def agree_with(self, timing: Timing) -> bool:
+        """Tell whether the places named in the timed run score best in these answers too."""
+        queries = timing.sample[timing.answers >= 0]
+        named = timing.answers[timing.answers >= 0]
+        places, scores = self.top_places[queries], self.top_scores[queries]
+        largest = np.abs(scores).max(1, initial=0, where=scores > -np.inf, keepdims=True)
+        close = scores >= scores[:, :1] - _SAME_SCORE * largest
+        return bool(((places == named[:, None]) & close).any(axis=1).all())
+
+
+class Audited:
+    """Keeps the codes of some queries, spread over all, by which an approximate index is compared with exact search."""
+
+    def __init__(self, method: Method, n_queries: int) -> None:
+        """Keep none if a fitted method does not search by an approximate index."""
+        self._method = method
+        index = _index(method)
+        wanted = 0 if index is None or index.kind == "exact" else held_together(method, min(_AUDITED, n_queries))
+        self._queries = np.linspace(0, n_queries - 1, wanted).astype(np.int64)
+        self._codes: list[npt.NDArray[Any]] = []
+
+    def take(self, first: int, codes: npt.NDArray[Any]) -> None:
+        """Keep the wanted rows of `codes`, which are of query `first` and the next ones."""
+        rows = self._queries - first
+        rows = rows[(rows >= 0) & (rows < len(codes))]
+        if len(rows):
+            self._codes.append(codes[rows])
+
+    def search(self) -> dict[str, Any] | None:
+        """Return by which index a method searches, and the share of exact search's places that it finds."""
+        index = _index(self._method)
+        if index is None or not isinstance(self._method, DescriptorMethod):
+            return None
+        audit = Audit(1.0, 1.0) if index.kind == "exact" else self._method.audit(np.concatenate(self._codes))
+        return {"index": index.kind, "bytes_per_place": index.bytes_per_place, **asdict(audit)}
+
+
+class Scoring:
+    """Scores the queries of a dataset by a fitted method, encode and match timed."""
+
+    def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int) -> None:
+        """Keep the best `depth` places of each query; nothing is asked yet."""
+        self._stopwatch = stopwatch
+        self._method = method
+        self._queries = dataset.queries.unnamed()
+        self._n_places = dataset.n_places
+        self.answers = Answers(dataset, depth)
+        self.audited = Audited(method, len(dataset.queries))
+
+    def score(self, described: Described | None) -> bool:
+        """Score all queries; returns whether `described` had kept their descriptors already."""
+        size = block_size(self._method, self._n_places)
+        if described is not None:
+            return self._score_descriptors(described, size)
+        for block in self._queries.blocks(size):
+            self.answers.add(len(block), *self._query(block))
+            progress.report("query", self.answers.done / len(self._queries))
+            del block  # or it would be held while the next one is decoded
+        return False
+
+    def _query(self, block: Images) -> tuple[Scores, float]:
+        """Score the next images; their codes, which may be large, are not kept."""
+        codes, encoding = self._timed(partial(self._method.encode, block))
+        self.audited.take(self.answers.done, codes)
+        scores, matching = self._timed(partial(self._method.match, codes))
+        return scores, encoding + matching
+
+    def _score_descriptors(self, described: Described, size: int) -> bool:
+        total = len(self._queries)
+
+        def encode(block: Images) -> Descriptors:
+            codes, seconds = self._timed(partial(self._method.encode, block))
+            self.answers.method_seconds += seconds
+            return np.asarray(codes)
+
+        descriptors, from_cache = described.descriptors(
+            self._queries, encode, lambda done: progress.report("query", done / total)
+        )
+        for start in range(0, total, size):
+            codes = descriptors[start : start + size]
+            self.audited.take(start, codes)
+            self.answers.add(len(codes), *self._timed(partial(self._method.match, codes)))
+            progress.report("search", self.answers.done / total)
+        return from_cache
+
+    def _timed(self, call: Callable[[], Answer]) -> tuple[Answer, float]:
+        with self._stopwatch.lap() as lap:
+            answer = call()
+        return answer, lap[0]
+
+
+def block_size(method: Method, n_places: int) -> int:
+    """Return how many queries are scored together at most, fewer if codes are large or places many."""
+    return held_together(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+
+
+def _index(method: Method) -> Search | None:
+    return method.searched if isinstance(method, DescriptorMethod) else None

@@ -1,0 +1,93 @@
+"""What identifies a run: the key of all that can change its outcome, and the hashes of its code and its frames."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, TypedDict
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.run import harness, machine
+from vprbench.run.record import content_key
+from vprbench.run.sources import source_hash
+from vprbench.run.stopwatch import Protocol
+
+
+@dataclass(frozen=True)
+class Identity:
+    """All that can change the outcome of a run or the times it measures."""
+
+    method_class: str  # its name alone: where its file lies does not count
+    code: str  # its hash
+    config: Mapping[str, Any]  # what was asked for: method, seed, device, depth, files
+    dataset: Dataset
+    images: str  # their fingerprint
+    held_out: str | None  # fingerprint of the places that the method chooses its settings by
+    timing: Protocol
+    threads: int
+    network: str | None = None  # hash of the file that the run loads; a run that trains has another key
+
+    def key(self) -> str:
+        """Return the hash of all of it."""
+        arguments = {name: value for name, value in self.config["method"].items() if name not in ("_target_", "device")}
+        return content_key(
+            {
+                "method": {"class": self.method_class, **arguments},
+                "code": self.code,
+                "dataset": self.dataset.name,
+                "protocol": dict(self.dataset.protocol),
+                "images": self.images,
+                "held_out": self.held_out,
+                "files": self.config.get("files", []),
+                "seed": self.config["seed"],
+                "device": machine.device_class(self.config["device"]),
+                "threads": self.threads,
+                "depth": self.config["depth"],
+                "timing": asdict(self.timing),
+                "libraries": machine.library_versions(),
+                "network": self.network,
+            }
+        )
+
+
+def code_hash(method: type[Method]) -> str:
+    """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
+    return hashlib.sha256(f"{source_hash(method)} {harness.VERSION}".encode()).hexdigest()
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return the hash of a dataset's images, order and ground truth."""
+    digest = hashlib.sha256()
+    digest.update(dataset.references.fingerprint().encode())
+    digest.update(dataset.queries.fingerprint().encode())
+    digest.update(dataset.places.tobytes())
+    for right in dataset.positives:
+        digest.update(right.tobytes() + b";")
+    return digest.hexdigest()
+
+
+class DataRecord(TypedDict):
+    """The frames of a dataset, references first and then queries, each in its order."""
+
+    names_sha256: str  # of all names, joined by line feeds, in UTF-8
+    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None where an image is no file
+    images: int  # a frame that is used twice counts twice
+    bytes: int | None  # of all files together; None where an image is no file
+
+
+def data_record(dataset: Dataset) -> DataRecord:
+    """Return what a run records of its frames, by which others can tell whether they used the same frames.
+
+    Raises BadInput if a file cannot be read.
+    """
+    names = [*dataset.references.names, *dataset.queries.names]
+    references, queries = dataset.references.file_hashes(), dataset.queries.file_hashes()
+    files = None if references is None or queries is None else [*references, *queries]
+    return {
+        "names_sha256": hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest(),
+        "content_sha256": None if files is None else hashlib.sha256(b"".join(f.sha256 for f in files)).hexdigest(),
+        "images": len(names),
+        "bytes": None if files is None else sum(file.size_bytes for file in files),
+    }
