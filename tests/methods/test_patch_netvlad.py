@@ -24,9 +24,9 @@ from vprbench.api.method import held_together
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.patch_geometry import centres, inliers, mutual, score
+from vprbench.methods.parts.patch_geometry import centres, inliers, mutual, score
+from vprbench.methods.parts.patch_network import PatchNetwork
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
-from vprbench.methods.patch_network import PatchNetwork
 from vprbench.plugins import conformance
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
