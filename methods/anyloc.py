@@ -30,8 +30,8 @@ from vprbench.api import (
     state_dict,
 )
 
-from .backbones.vit import SIZES, VisionTransformer, first_blocks
 from .dinov2 import Backbone, transformer
+from .parts.backbones.vit import SIZES, VisionTransformer, first_blocks
 
 Domain = Literal["indoor", "urban", "aerial", "structured", "unstructured", "global"]
 Vocabulary = Literal["published", "references"]

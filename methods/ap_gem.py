@@ -14,8 +14,8 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_weights, state_dict, without_prefix
 
-from .backbones.resnet import n_channels, resnet
-from .pooling import GeM
+from .parts.backbones.resnet import n_channels, resnet
+from .parts.pooling import GeM
 
 _BACKBONE = "resnet101"
 _N_DIMENSIONS = 2048

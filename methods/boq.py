@@ -14,9 +14,9 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, Interpolation, NeuralDescriptor, Resize, load_strictly, state_dict
 
-from .backbones import vit
-from .backbones.resnet import n_channels, resnet
-from .backbones.vit import VisionTransformer
+from .parts.backbones import vit
+from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.vit import VisionTransformer
 
 _HEAD = 64  # dimensions of an attention head
 _RESNET, _STAGES = "resnet50", 3

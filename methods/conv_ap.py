@@ -8,9 +8,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, Interpolation, NeuralDescriptor, load_strictly, state_dict
+from vprbench.api import Interpolation, NeuralDescriptor, load_strictly, state_dict
 
-from .backbones.resnet import n_channels, resnet
+from .parts.backbones.resnet import n_channels, resnet
+from .parts.tensor_sizes import insist_on_size
 
 _BACKBONE = "resnet50"
 _QUARTERS = (2, 2)  # down and across
@@ -34,11 +35,8 @@ class ConvAP(NeuralDescriptor):
         """Return the network; raises BadInput for a file of other channels or of anything else."""
         tensors = state_dict(path)
         bias = tensors.get("aggregator.channel_pool.bias")
-        if bias is not None and bias.ndim == 1 and len(bias) != self.channels:
-            raise BadInput(
-                f"{path} holds a network of {len(bias)} channels: set method.channels={len(bias)}, "
-                f"or give weights of {self.channels}"
-            )
+        if bias is not None and bias.ndim == 1:
+            insist_on_size(path, "channels", self.channels, len(bias))
         with torch.device("meta"):
             network = self.blank()
         load_strictly(network, tensors, path)

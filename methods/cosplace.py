@@ -14,9 +14,10 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, Resize, load_strictly, state_dict
 
-from .backbones.resnet import n_channels, resnet
-from .backbones.vgg import N_CHANNELS, vgg16_features
-from .pooling import GeM
+from .parts.backbones.resnet import n_channels, resnet
+from .parts.backbones.vgg import N_CHANNELS, vgg16_features
+from .parts.pooling import GeM
+from .parts.tensor_sizes import insist_on_size
 
 Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
 
@@ -65,11 +66,8 @@ class CosPlace(NeuralDescriptor):
         """Return the network; raises BadInput for a file of another backbone or of other dimensions."""
         tensors = state_dict(path)
         weight = tensors.get("aggregation.3.weight")
-        if weight is not None and weight.ndim == 2 and len(weight) != self.n_dimensions:
-            raise BadInput(
-                f"{path} holds a network of {len(weight)} dimensions: set method.n_dimensions={len(weight)}, "
-                f"or give weights of {self.n_dimensions}"
-            )
+        if weight is not None and weight.ndim == 2:
+            insist_on_size(path, "n_dimensions", self.n_dimensions, len(weight))
         with torch.device("meta"):
             network = self.blank()
         load_strictly(network, tensors, path)

@@ -14,11 +14,11 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, Resize, load_strictly, state_dict, without_prefix
 
-from .backbones.vit import SIZES, VisionTransformer
-from .cross_image import CrossImageDescriptor, CrossImageEncoder
 from .dinov2 import transformer
-from .pooling import GeM
-from .salad import n_outputs
+from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
+from .parts.pooling import GeM
+from .parts.tensor_sizes import n_outputs
 
 _SIDE = 224  # pixels, of 16 patches
 _CUTS = ((0, 16), (0, 8, 16), (0, 5, 11, 16))  # patches, of the three levels of the pyramid; the first is the token's

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
 
-from .backbones.vit import SIZES, VisionTransformer
+from .parts.backbones.vit import SIZES, VisionTransformer
 
 Backbone = Literal["vits14", "vitb14", "vitl14", "vitg14"]
 Pooling = Literal["cls", "mean", "gem"]

@@ -15,9 +15,9 @@ from torch import Tensor, nn
 
 from vprbench.api import BadInput, NeuralDescriptor, Places, Scores, load_strictly, state_dict, without_prefix
 
-from .backbones.resnet import resnet
-from .backbones.vgg import vgg16_features
-from .pooling import GeM
+from .parts.backbones.resnet import resnet
+from .parts.backbones.vgg import vgg16_features
+from .parts.pooling import GeM
 
 Backbone = Literal["vgg16", "resnet50", "resnet152", "resnext"]
 Pooling = Literal["GeM", "avg", "max"]

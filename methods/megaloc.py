@@ -11,9 +11,10 @@ from torch import Tensor, nn
 
 from vprbench.api import NeuralDescriptor, Resize, load_strictly, state_dict
 
-from .backbones.vit import SIZES, VisionTransformer
 from .dinov2 import transformer
-from .salad import Aggregator, Sizes, n_outputs
+from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.tensor_sizes import n_outputs
+from .salad import Aggregator, Sizes
 
 _BACKBONE, _AGGREGATOR, _LINEAR = "backbone.", "aggregator.agg.", "aggregator.linear.weight"
 

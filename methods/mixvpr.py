@@ -14,7 +14,8 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
 
-from .backbones.resnet import n_channels, resnet
+from .parts.backbones.resnet import n_channels, resnet
+from .parts.tensor_sizes import insist_on_size
 
 _BACKBONE, _N_STAGES = "resnet50", 3
 _SIDE = 320  # pixels
@@ -49,11 +50,7 @@ class MixVPR(NeuralDescriptor):
         with torch.device("meta"):
             network = _MixVPR(n_positions, channels, rows)
         load_strictly(network, tensors, path)
-        if channels * rows != self.n_dimensions:
-            raise BadInput(
-                f"{path} holds a network of {channels * rows} dimensions: "
-                f"set method.n_dimensions={channels * rows}, or give weights of {self.n_dimensions}"
-            )
+        insist_on_size(path, "n_dimensions", self.n_dimensions, channels * rows)
         return network
 
     def blank(self) -> nn.Module:

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_mat, state_dict, without_prefix
 
-from .backbones.vgg import N_CHANNELS, vgg16_features
+from .parts.backbones.vgg import N_CHANNELS, vgg16_features
 
 Family = Literal["matconvnet", "pytorch", "patch-netvlad"]
 

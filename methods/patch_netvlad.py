@@ -19,8 +19,8 @@ from torch import nn
 from vprbench.api import BadInput, Images, NeuralDescriptor, NotFittedError, Places, Scores, load_strictly
 
 from .netvlad import STRIDE, published_sizes, read_checkpoint, sizes
-from .patch_geometry import Geometry, mutual, score
-from .patch_network import PatchNetwork
+from .parts.patch_geometry import Geometry, mutual, score
+from .parts.patch_network import PatchNetwork
 
 Configuration = Literal["performance", "speed", "storage"]
 # float32_as_published: that of the public code, whose sums over a patch cancel

@@ -14,8 +14,9 @@ from torch.nn import functional
 
 from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
 
-from .backbones.vit import SIZES, VisionTransformer
 from .dinov2 import transformer
+from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.tensor_sizes import n_outputs
 
 _BACKBONE, _AGGREGATOR = "backbone.model.", "aggregator."
 _ITERATIONS = 3  # of Sinkhorn's algorithm
@@ -84,15 +85,6 @@ class Sizes:
     def n_dimensions(self) -> int:
         """The numbers of a descriptor."""
         return self.token_dim + self.cluster_dim * self.n_clusters
-
-
-def n_outputs(tensors: Mapping[str, Tensor], path: Path, name: str) -> int:
-    """Return the first length of a weight of `path`; raises BadInput where it is missing or no weight."""
-    if name not in tensors:
-        raise BadInput(f"{path} ({len(tensors)} tensors) holds no {name}: give the weights that belong to this method")
-    if tensors[name].ndim < 2 or 0 in tensors[name].shape:
-        raise BadInput(f"{path} holds {name} of shape {tuple(tensors[name].shape)}: wanted (outputs, inputs, ...)")
-    return len(tensors[name])
 
 
 class Aggregator(nn.Module):

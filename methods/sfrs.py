@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from vprbench.api import NeuralDescriptor, load_strictly, state_dict
 
 from .netvlad import STRIDE, Network
-from .salad import n_outputs
+from .parts.tensor_sizes import n_outputs
 
 _MEAN = (123.68, 116.779, 103.939)  # RGB levels
 _CLUSTERS, _COMPONENTS = 64, 4096

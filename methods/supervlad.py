@@ -12,10 +12,10 @@ from torch.nn import functional
 
 from vprbench.api import NeuralDescriptor, Resize, load_strictly, state_dict, without_prefix
 
-from .backbones.vit import SIZES, VisionTransformer
-from .cross_image import CrossImageDescriptor, CrossImageEncoder
 from .dinov2 import transformer
-from .salad import n_outputs
+from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
+from .parts.tensor_sizes import n_outputs
 
 _CLUSTERS, _GHOSTS = 4, 1
 _HIDDEN = 2048  # of the cross-image encoder

@@ -14,12 +14,11 @@ import torch
 from vprbench.api import progress
 
 from . import batched
-from .assignment import labels
 from .input import generator_of_image, spike_train
 from .module import Room, State, Synapses, Train, side_by_side, unpadded
 from .network import Network
 from .recipe import Recipe
-from .scoring import hyperactive
+from .scoring import hyperactive, labels
 from .simulation import present
 from .threads import Tell, for_each_module
 

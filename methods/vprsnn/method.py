@@ -29,12 +29,11 @@ from vprbench.api import (
 from . import published, scoring
 from .arguments import Arguments
 from .asking import Answers, Asked, ask, reactions
-from .lessons import Lesson, lesson
 from .network import Network, by_member
-from .order import modules
 from .physics import physics_of, steps, traces_of
 from .recipe import Recipe
 from .training import train_all
+from .training_sets import Lesson, lesson, modules
 
 Levels = npt.NDArray[np.uint8]  # (n_images, height * width)
 
@@ -323,7 +322,7 @@ class VPRSNN(Arguments, Method):
         """Return what decides the outcome of a training, and who spends time on it, as plain values."""
         free = {"assignment", "engine", "hyperactive_candidates", "hyperactive_threshold", "probabilities"}
         digest = hashlib.sha256()
-        for file in [*sorted(Path(__file__).parent.glob("*.py")), *self.files()]:
+        for file in [*sorted(Path(__file__).parent.rglob("*.py")), *self.files()]:
             digest.update(file.read_bytes())
         engine = self._engine()
         return {

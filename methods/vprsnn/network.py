@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput
 
-from .assignment import Learnt
 from .module import side_by_side, unpadded
+from .scoring import Learnt
 
 
 @dataclass(frozen=True)

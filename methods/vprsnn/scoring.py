@@ -1,8 +1,9 @@
-"""How well each place fits a query, by the spikes of the neurons that speak for it."""
+"""Which place each neuron speaks for, and how well each place fits a query by the spikes of its neurons."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,32 @@ from scipy import sparse
 
 from vprbench.api import Places, Scores
 
-from .assignment import Learnt
-
 Responses = npt.NDArray[np.integer[Any]]  # (n_queries, n_modules, n_neurons) spikes
 Mask = npt.NDArray[np.bool_]  # (n_modules, n_neurons)
 
 _LEAST_PART = 10  # a neuron speaks for a place that drew more than a 10th of its spikes in training
 _FEW_PLACES = 50  # one that fired for a 50th of all places or more is divided by the number of those
 _BLOCK_CELLS = 1 << 22  # responses taken at once: bounds the memory
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What the neurons of one or more modules responded to; a module's labels number its own places from 0."""
+
+    sums: npt.NDArray[np.float32]  # (n_modules, n_neurons, n_labels) spikes in the presentations of a label
+    shown: npt.NDArray[np.int64]  # (n_modules, n_labels) those presentations
+    places: npt.NDArray[np.int64]  # (n_modules, n_labels) the place of each label; -1: the module has fewer
+
+
+def labels(learnt: Learnt) -> npt.NDArray[np.int64]:
+    """Return the place to which each neuron gave most spikes a presentation, (n_modules, n_neurons); -1: it gave none.
+
+    Of equals it is the module's first.
+    """
+    means = learnt.sums / np.maximum(learnt.shown, 1)[:, None, :]
+    best = means.argmax(axis=2)
+    fired = means.max(axis=2) > 0
+    return np.where(fired, np.take_along_axis(learnt.places, best, axis=1), -1)
 
 
 def hyperactive(reactions: npt.NDArray[np.int64], threshold: int) -> Mask:

@@ -13,13 +13,13 @@ import torch
 from vprbench.api import BadInput, checkpoints, progress
 
 from . import batched
-from .lessons import Lesson, Responses
 from .module import Room, Synapses, side_by_side
 from .network import Network
 from .published import PublishedModule
 from .recipe import Recipe
 from .simulation import normalise, present
 from .threads import Tell, for_each_module
+from .training_sets import Lesson, Responses
 
 Module = Mapping[str, npt.NDArray[Any]]
 

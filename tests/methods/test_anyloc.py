@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,14 @@ import numpy.typing as npt
 import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tokens
-from described_images import composed, distance, encoded, image
+from described_images import distance, encoded, image
 
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.anyloc import AnyLoc
 from vprbench.methods.anyloc import vlad as gathered
-from vprbench.plugins import conformance, registry
+from vprbench.plugins import conformance
 
 TOLERANCE = 1e-5
 DIM, DEPTH, LAYER, WORDS = 128, 3, 1, 5
@@ -307,11 +306,6 @@ def test_published_centres_have_to_be_given(folder: Path) -> None:
     assert "method.centres" in refusal(made)
 
 
-def test_the_blank_network_gives_as_many_numbers_as_the_published_one(folder: Path) -> None:
-    blank = AnyLoc(weights=weights(folder / "network.pth")).blank()
-    assert blank(torch.zeros(2, 3, 42, 42, device="meta")).shape == (2, 49152)
-
-
 # The contract and the yaml
 
 
@@ -332,25 +326,6 @@ def test_it_keeps_the_rules_of_the_contract(folder: Path, vocabulary: str) -> No
         "batch_size": 16,
     }
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
-
-
-@pytest.mark.parametrize("domain", ["indoor", "urban", "aerial", "structured", "unstructured", "global"])
-def test_the_published_centres_follow_from_the_domain(domain: str) -> None:
-    config = composed("method=anyloc", f"method.domain={domain}")
-    file = f"dinov2_vitg14_l31_value_c32_{domain}_c_centers.pt"
-    assert config["centres"]["file"] == file
-    assert config["centres"]["url"] == f"https://github.com/AnyLoc/DINO/releases/download/v1/{file}"
-    assert config["weights"]["url"] == (
-        "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitg14/dinov2_vitg14_pretrain.pth"
-    )
-
-
-def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed("method=anyloc"))
-    own = {field.name for field in fields(AnyLoc) if field.init}
-    assert set(registry.entries("method")["anyloc"].options) == own
-    default = AnyLoc(weights=made.weights, centres=made.centres)  # type: ignore[attr-defined]
-    assert {name: getattr(made, name) for name in own} == {name: getattr(default, name) for name in own}
 
 
 def test_a_wrong_path_of_the_centres_is_named_as_theirs() -> None:

@@ -10,9 +10,9 @@ import torch
 from torch.nn import functional
 
 from vprbench.errors import BadInput
-from vprbench.methods.backbones.resnet import NAMES, n_channels, resnet
-from vprbench.methods.backbones.vgg import vgg16_features
-from vprbench.methods.backbones.vit import SIZES, Sizes, VisionTransformer, first_blocks
+from vprbench.methods.parts.backbones.resnet import NAMES, n_channels, resnet
+from vprbench.methods.parts.backbones.vgg import vgg16_features
+from vprbench.methods.parts.backbones.vit import SIZES, Sizes, VisionTransformer, first_blocks
 
 WORDS = {"0": "conv1", "1": "bn1", "4": "layer1", "5": "layer2", "6": "layer3", "7": "layer4"}
 NORM = ("weight", "bias", "running_mean", "running_var", "num_batches_tracked")

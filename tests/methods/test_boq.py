@@ -20,10 +20,9 @@ from torch.nn import functional
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.boq import BoQ, BoQResNet50
-from vprbench.plugins import conformance, registry
+from vprbench.plugins import conformance
 
 DIM, QUERIES, ROWS = 128, 7, 5  # two heads; published are 384 or 512, 64 and 32
 CLASSES = {"dinov2": BoQ, "resnet50": BoQResNet50}
@@ -402,55 +401,6 @@ def test_a_blank_network_has_the_names_of_the_published_file(kind: str, checkpoi
     more = {name for name in names if re.match(r"backbone\.dino\.blocks\.([2-9]|1\d)\.", name)}
     optional = {f"backbone.dino.{name}" for name in ("norm.weight", "norm.bias", "mask_token")}
     assert names - more == set(checkpoints[kind]) - optional
-
-
-def composed(name: str) -> dict[str, Any]:
-    import hydra
-    from omegaconf import OmegaConf
-
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        config = hydra.compose("run", overrides=[f"method={name}"])
-    return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "side", "file"),
-    [("boq", "BoQ", 322, "dinov2_12288.pth"), ("boq_resnet50", "BoQResNet50", 384, "resnet50_16384.pth")],
-)
-def test_the_yaml_names_the_published_file_and_input(name: str, kind: str, side: int, file: str) -> None:
-    config = composed(name)
-    assert config["_target_"] == f"vprbench.methods.boq.{kind}"
-    assert (config["height"], config["width"], config["resize"], config["interpolation"]) == (
-        *(side, side),
-        *("tensor", "bicubic"),
-    )
-    assert config["weights"]["file"] == file
-    assert config["weights"]["url"] == f"https://github.com/amaralibey/Bag-of-Queries/releases/download/v1.0/{file}"
-
-
-@pytest.mark.parametrize(("name", "kind"), [("boq", BoQ), ("boq_resnet50", BoQResNet50)])
-def test_the_yaml_holds_the_arguments_of_its_class_and_their_defaults(name: str, kind: type[BoQ]) -> None:
-    arguments = {field.name: field.default for field in fields(kind) if field.init}
-    assert set(registry.entries("method")[name].options) == set(arguments)
-    config = composed(name)
-    assert {key: config[key] for key in arguments if key != "weights"} == {
-        key: value for key, value in arguments.items() if key != "weights"
-    }
-
-
-@pytest.mark.parametrize("name", ["boq", "boq_resnet50"])
-def test_without_its_file_a_run_ends_in_one_line(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
-    monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-    assert main([f"method={name}", "dataset.places=12", "dataset.first_query_place=0", "threads=1"]) == 2
-    captured = capsys.readouterr()
-    last = captured.err.strip().splitlines()[-1]
-    assert last.startswith(f"vprbench: BoQ{'ResNet50' if name == 'boq_resnet50' else ''} needs ")
-    assert "releases/download/v1.0/" in last
-    assert "Traceback" not in captured.err
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,12 @@ import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
-from described_images import composed, distance, encoded, image
+from described_images import distance, encoded, image
 from PIL import Image as PillowImage
+from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
 
-from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.methods.cricavpr import CricaVPR
-from vprbench.plugins import conformance, registry
 
 TOLERANCE = 2e-5
 DIM = 128
@@ -60,24 +57,10 @@ def drawn(dim: int = DIM, depth: int = 2) -> dict[str, torch.Tensor]:
     return {f"module.{name}": tensor for name, tensor in tensors.items()}
 
 
-@pytest.fixture(scope="module")
-def tensors() -> dict[str, torch.Tensor]:
-    return drawn()
-
-
-@pytest.fixture(scope="module")
-def file(folder: Path, tensors: Tensors) -> Path:
-    return saved(folder / "CricaVPR.pth", tensors)
-
-
 def saved(path: Path, tensors: Tensors) -> Path:
     """Write a checkpoint of a training, which keeps recalls as numpy has them."""
     torch.save({"epoch_num": 3, "model_state_dict": tensors, "recalls": np.ones(4), "best_r5": np.float64(97.5)}, path)
     return path
-
-
-def method(path: Path, **arguments: Any) -> CricaVPR:
-    return CricaVPR(weights=Weights(path.name, "", "", path=str(path)), **arguments)
 
 
 def adapted(share: float = 0.2, epsilon: float = 1e-3, cls: float = 2.0):
@@ -131,23 +114,16 @@ def alone(tensors: Tensors, images: Sequence[np.ndarray], **options: Any) -> np.
     return np.concatenate([expected(tensors, [image], **options) for image in images])
 
 
-def test_an_image_is_described_alone_by_default(file: Path, tensors: Tensors) -> None:
-    codes = encoded(method(file), *IMAGES[:2])
-    assert codes.shape == (2, 14 * DIM)
-    assert distance(codes, alone(tensors, IMAGES[:2])) < TOLERANCE
-
-
-@pytest.mark.parametrize("batch_size", [1, 3, 16])
-def test_consecutive_images_see_one_another_whatever_the_batch(file: Path, tensors: Tensors, batch_size: int) -> None:
-    codes = encoded(method(file, images_together=2, batch_size=batch_size), *IMAGES)
-    groups = [IMAGES[:2], IMAGES[2:4], IMAGES[4:]]
-    assert distance(codes, np.concatenate([expected(tensors, group) for group in groups])) < TOLERANCE
-    assert distance(codes[:4], alone(tensors, IMAGES[:4])) > 100 * TOLERANCE
-
-
-@pytest.mark.parametrize(
-    "trap",
-    [
+NETWORK = PublishedNetwork(
+    "cricavpr",
+    drawn,
+    IMAGES[:2],
+    14 * DIM,
+    alone,
+    saved,
+    tolerance=TOLERANCE,
+    trap_distance=20 * TOLERANCE,
+    traps=[
         {"share": 1.0},
         {"share": 0.0},  # without adapters
         {"epsilon": 1e-5},
@@ -156,12 +132,42 @@ def test_consecutive_images_see_one_another_whatever_the_batch(file: Path, tenso
         {"p": 3.0},
         {"unit_cls": True},
     ],
+    missing=[
+        "module.backbone.blocks.1.adapter.branch3.1.bn.running_var",
+        "module.encoder.layers.1.norm2.bias",
+        "module.aggregation.1.p",
+    ],
+    unexpected=["module.linear.weight"],
+    hidden_prefixes=("module.",),
+    draw_for_contract=lambda: drawn(64, 1),
 )
-def test_each_trap_gives_other_descriptors(file: Path, tensors: Tensors, trap: dict[str, Any]) -> None:
-    assert distance(alone(tensors, IMAGES[:1]), alone(tensors, IMAGES[:1], **trap)) > 20 * TOLERANCE
+method, tensors = NETWORK.method, NETWORK.tensors
 
 
-def test_images_are_resized_without_antialiasing(file: Path, tensors: Tensors) -> None:
+@pytest.fixture
+def file(folder: Path) -> Path:
+    return NETWORK.file(folder)
+
+
+@with_checks(NETWORK)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
+    excepted = NETWORK.check_contract(folder, images_together=16)
+    assert excepted == {"a batch gives what its single images give", "the order of queries does not matter"}
+
+
+@pytest.mark.parametrize("batch_size", [1, 3, 16])
+def test_consecutive_images_see_one_another_whatever_the_batch(file: Path, batch_size: int) -> None:
+    codes = encoded(method(file, images_together=2, batch_size=batch_size), *IMAGES)
+    groups = [IMAGES[:2], IMAGES[2:4], IMAGES[4:]]
+    assert distance(codes, np.concatenate([expected(tensors, group) for group in groups])) < TOLERANCE
+    assert distance(codes[:4], alone(tensors, IMAGES[:4])) > 100 * TOLERANCE
+
+
+def test_images_are_resized_without_antialiasing(file: Path) -> None:
     seen = image(448, 560)
     floats = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
     plain = functional.interpolate(floats, (224, 224), mode="bilinear", align_corners=False, antialias=False)
@@ -181,47 +187,7 @@ def test_no_image_together_is_refused(file: Path) -> None:
         encoded(method(file, images_together=0), IMAGES[0])
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["backbone.blocks.1.adapter.branch3.1.bn.running_var", "encoder.layers.1.norm2.bias", "aggregation.1.p"],
-)
-def test_a_missing_tensor_is_named(tensors: Tensors, folder: Path, name: str) -> None:
-    path = saved(folder / "missing.pth", {key: tensor for key, tensor in tensors.items() if key != f"module.{name}"})
-    with pytest.raises(BadInput, match=rf"1 missing \({name}\)"):
-        method(path).load(path)
-
-
-def test_an_unexpected_tensor_is_named(tensors: Tensors, folder: Path) -> None:
-    path = saved(folder / "more.pth", {**tensors, "module.linear.weight": torch.zeros(2, 2)})
-    with pytest.raises(BadInput, match=r"1 unexpected \(linear.weight\)"):
-        method(path).load(path)
-
-
-def test_the_blank_network_gives_as_many_numbers_as_the_published_one(file: Path) -> None:
-    blank = method(file).blank()
-    assert blank(torch.zeros(2, 3, 224, 224, device="meta")).shape == (2, 10752)
-    shapes = {name: tuple(tensor.shape) for name, tensor in blank.state_dict().items()}
-    assert shapes["backbone.blocks.11.adapter.branch2.1.conv.weight"] == (96, 24, 3, 3)
-    assert shapes["encoder.layers.1.linear1.weight"] == (2048, 768)
-
-
 # The contract and the yaml
-
-
-@pytest.mark.parametrize("together", [1, 16])
-def test_every_rule_of_the_contract_is_kept_or_excepted(
-    together: int, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = saved(folder / "small.pth", drawn(64, 1))
-    network = method(file, images_together=together).load(file)
-    monkeypatch.setattr(CricaVPR, "load", lambda *_: network)  # read once, for the suite makes many methods
-    config = composed("method=cricavpr", f"method.images_together={together}")
-    config["weights"]["path"] = str(file)
-    results = [*conformance.check(config)]
-    assert [str(result) for result in results if result.state == "broken"] == []
-    excepted = {result.rule for result in results if "see one another" in result.reason}
-    rules = {"a batch gives what its single images give", "the order of queries does not matter"}
-    assert excepted == (rules if together > 1 else set())
 
 
 def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors(file: Path) -> None:
@@ -229,12 +195,3 @@ def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors(fil
     assert (alone.notes(), alone.keeps_descriptors()) == ((), True)
     assert "16 consecutive images" in together.notes()[0]
     assert not together.keeps_descriptors()
-
-
-def test_the_yaml_holds_the_arguments_and_defaults_of_the_class() -> None:
-    made = registry.make_method(composed("method=cricavpr"))
-    own = {field.name for field in fields(CricaVPR) if field.init}
-    assert set(registry.entries("method")["cricavpr"].options) == own
-    default = CricaVPR(weights=made.weights)  # type: ignore[attr-defined]
-    assert {name: getattr(made, name) for name in own} == {name: getattr(default, name) for name in own}
-    assert default.weights.url == "https://github.com/Lu-Feng/CricaVPR/releases/download/v1.0/CricaVPR.pth"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,18 @@ import pytest
 import torch
 from described_images import composed, drawn_images
 from PIL import Image as PillowImage
+from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
 
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
-from vprbench.plugins import conformance, registry
+from vprbench.plugins import registry
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 KINDS = {"resnet50": "resnet50", "resnet152": "resnet152", "resnext": "resnext101_32x8d"}
 SIZE = {"height": 64, "width": 96}
-SMALL = ["method.backbone=resnet50", "method.height=16", "method.width=16", "method.batch_size=64"]
 
 
 def drawn(backbone: str, pooling: str = "GeM") -> dict[str, torch.Tensor]:
@@ -47,7 +47,7 @@ def written(path: Path, tensors: dict[str, torch.Tensor], key: str = "model_stat
 
 
 def gcl(path: Path, **arguments: Any) -> GCL:
-    return GCL(weights=Weights("x.pth", "", "", path=str(path)), **{**SIZE, "backbone": "vgg16", **arguments})
+    return NETWORK.method(path, **arguments)  # type: ignore[return-value]
 
 
 def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -85,31 +85,50 @@ def expected(
     return np.array(descriptors)
 
 
-@pytest.fixture(scope="module")
-def tensors() -> dict[str, torch.Tensor]:
-    return drawn("vgg16")
+NETWORK = PublishedNetwork(
+    "gcl",
+    lambda: drawn("vgg16"),
+    drawn_images((131, 187), (64, 96), (131, 187), (70, 51)),
+    512,
+    expected,
+    written,
+    arguments={**SIZE, "backbone": "vgg16"},
+    tolerance=1e-4,
+    traps=[
+        {"last": 28},  # without the last ReLU and pool, as NetVLAD and CosPlace have VGG16
+        {"last": 29},  # without the last pool
+        {"unit_channels": True},  # as CosPlace has it
+        {"p": 3.0},  # what the power starts from
+        {"resized": lambda image: cv2.resize(image, (96, 64), interpolation=cv2.INTER_LINEAR)},  # not antialiased
+        {"resized": lambda image: pillow(image[..., ::-1], 64, 96)},  # BGR
+        {"resized": lambda image: image},  # at its own size
+    ],
+    missing=["backbone.28.bias", "pool.p"],
+    unexpected=["backbone.30.weight"],
+    misshapen={"backbone.0.weight": (64, 3, 5, 5), "pool.p": (512,)},
+    contract={"backbone": "resnet50", "height": 16, "width": 16, "batch_size": 64},
+    draw_for_contract=lambda: drawn("resnet50"),
+)
 
 
-@pytest.fixture(scope="module")
-def published(folder: Path, tensors: dict[str, torch.Tensor]) -> Path:
-    return written(folder / "MSLS_vgg16_GeM_480_GCL.pth", tensors)
+@pytest.fixture
+def published(folder: Path) -> Path:
+    return NETWORK.file(folder)
 
 
-@pytest.fixture(scope="module")
-def images() -> list[np.ndarray]:
-    return drawn_images((64, 96), (131, 187), (131, 187), (70, 51))
+@pytest.fixture
+def images() -> Sequence[np.ndarray]:
+    return NETWORK.images
 
 
-@pytest.fixture(scope="module")
-def codes(published: Path, images: list[np.ndarray]) -> np.ndarray:
-    return gcl(published).encode(Images.from_arrays(images))
+@with_checks(NETWORK)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
 
 
-def test_descriptors_are_those_of_the_published_layout(codes, tensors, images) -> None:
-    assert codes.shape == (4, 512)
-    assert codes.dtype == np.float32
-    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
-    np.testing.assert_allclose(codes, expected(tensors, images), rtol=0, atol=1e-4)
+def test_the_whitened_network_keeps_the_contract_but_for_batches(folder: Path) -> None:
+    excepted = replace(NETWORK, name="gcl_whitened").check_contract(folder)
+    assert excepted == {"a batch gives what its single images give"}
 
 
 @pytest.mark.parametrize("backbone", KINDS)
@@ -129,43 +148,20 @@ def test_other_poolings_have_no_power(pooling: str, folder: Path, images) -> Non
     np.testing.assert_allclose(codes, expected(tensors, images[1:2], pooling=pooling), rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "trap",
-    [
-        {"last": 28},  # without the last ReLU and pool, as NetVLAD and CosPlace have VGG16
-        {"last": 29},  # without the last pool
-        {"unit_channels": True},  # as CosPlace has it
-        {"p": 3.0},  # what the power starts from
-        {"resized": lambda image: cv2.resize(image, (96, 64), interpolation=cv2.INTER_LINEAR)},  # not antialiased
-        {"resized": lambda image: pillow(image[..., ::-1], 64, 96)},  # BGR
-        {"resized": lambda image: image},  # at its own size
-    ],
-)
-def test_each_trap_gives_other_descriptors(trap: dict[str, Any], codes, tensors, images) -> None:
-    assert np.abs(codes[1:2] - expected(tensors, images[1:2], **trap)).max() > 1e-3
-
-
-def test_images_one_by_one_and_again_give_the_same(published: Path, codes, images) -> None:
-    method = gcl(published, batch_size=3)
-    singles = np.concatenate([method.encode(Images.from_arrays([image])) for image in images])
-    np.testing.assert_allclose(singles, codes, rtol=0, atol=2e-6)
-    np.testing.assert_array_equal(gcl(published).encode(Images.from_arrays(images)), codes)
-
-
 @pytest.mark.parametrize(("key", "prefix"), [("state_dict", ""), ("model_state_dict", "module."), ("", "module.")])
-def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Path, tensors, codes, images) -> None:
-    path = written(folder / "nested.pth", tensors, key, prefix)
+def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Path, images) -> None:
+    path = written(folder / "nested.pth", NETWORK.tensors, key, prefix)
     found = gcl(path).encode(Images.from_arrays(images[:1]))
-    np.testing.assert_allclose(found, codes[:1], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(found, NETWORK.codes(folder)[:1], rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize(("shape", "seen"), [((80, 121), (48, 72)), ((121, 80), (72, 48)), ((50, 50), (48, 48))])
 def test_the_shorter_side_decides_the_longer_one_rounded_down(
-    shape: tuple[int, int], seen: tuple[int, int], published: Path, tensors
+    shape: tuple[int, int], seen: tuple[int, int], published: Path
 ) -> None:
     images = drawn_images(shape)
     method = gcl(published, height=None, width=None, shorter_side=48)
-    slow = expected(tensors, images, resized=lambda image: pillow(image, *seen))
+    slow = expected(NETWORK.tensors, images, resized=lambda image: pillow(image, *seen))
     np.testing.assert_allclose(method.encode(Images.from_arrays(images)), slow, rtol=0, atol=1e-4)
 
 
@@ -185,24 +181,6 @@ def test_a_resnet_takes_the_smallest_image(folder: Path) -> None:
     path = written(folder / "small.pth", drawn("resnet50"))
     codes = gcl(path, backbone="resnet50", height=None, width=None).encode(Images.from_arrays(drawn_images((3, 5))))
     assert np.isfinite(codes).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "told"),
-    [
-        ("backbone.28.bias", None, r"1 missing \(backbone.28.bias\)"),
-        ("pool.p", None, r"1 missing \(pool.p\)"),
-        ("backbone.30.weight", torch.zeros(1), r"1 unexpected \(backbone.30.weight\)"),
-        ("backbone.0.weight", torch.zeros(64, 3, 5, 5), r"backbone.0.weight real \(64, 3, 5, 5\)"),
-        ("pool.p", torch.zeros(512), r"pool.p real \(512,\), wanted real \(1,\)"),
-    ],
-)
-def test_a_file_that_differs_in_one_tensor_is_refused(name: str, value, told: str, folder: Path, tensors) -> None:
-    changed = {key: tensor for key, tensor in tensors.items() if key != name} | ({} if value is None else {name: value})
-    path = written(folder / "changed.pth", changed)
-    with pytest.raises(BadInput, match=told) as error:
-        gcl(path).load(path)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("arguments", [{"pooling": "avg"}, {"backbone": "resnet50"}])
@@ -346,26 +324,11 @@ def test_whitening_needs_a_map_and_a_component() -> None:
 # The yaml files and the contract
 
 
-@pytest.mark.parametrize("name", ["gcl", "gcl_whitened"])
-def test_the_options_are_the_arguments(name: str) -> None:
-    arguments = {field.name for field in fields(GCL) if field.init}
-    assert set(registry.entries("method")[name].options) == arguments
-
-
-def test_the_yaml_is_the_published_default() -> None:
+def test_the_yaml_says_where_the_file_is_fetched_by_hand() -> None:
     method = registry.make_method(composed("method=gcl"))
     assert isinstance(method, GCL)
-    assert method.weights.file == "MSLS_resnet152_GeM_480_GCL.pth"
-    assert method.weights.url is None
     assert "drive.google.com/drive/folders/1RHxrAj062ZxDp5817t1s4OXGLP_i8JFX" in (method.weights.by_hand or "")
     assert "doi:10.34894/W4LIGP" in (method.weights.by_hand or "")
-    assert (method.height, method.width, method.resize, method.interpolation) == (480, 640, "pillow", "bilinear")
-    assert method.n_components is None
-
-
-def test_the_file_follows_the_arguments() -> None:
-    config = composed("method=gcl", "method.backbone=resnext", "method.pooling=avg", "method.loss=CL")
-    assert config["weights"]["file"] == "MSLS_resnext_avg_480_CL.pth"
 
 
 def test_the_whitened_yaml_differs_in_its_components_alone() -> None:
@@ -379,19 +342,3 @@ def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pyt
         registry.make_method(composed("method=gcl")).files()
     assert "\n" not in str(error.value)
     assert "pip install" not in str(error.value)  # what that would install is here already
-
-
-@pytest.mark.parametrize(
-    ("name", "excepted"), [("gcl", []), ("gcl_whitened", ["a batch gives what its single images give"])]
-)
-def test_every_rule_of_the_contract_is_kept(
-    name: str, excepted: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = written(folder / "contract.pth", drawn("resnet50"))
-    network = gcl(path, backbone="resnet50").load(path)
-    monkeypatch.setattr(GCL, "load", lambda *_: network)  # read once, for the suite makes many methods
-    config = composed(f"method={name}", *SMALL)
-    config["weights"]["path"] = str(path)
-    results = [result for result in conformance.check(config) if result.reason != "it keeps no network"]
-    assert [str(result) for result in results if result.state == "broken"] == []
-    assert [result.rule for result in results if result.state == "excepted"] == excepted

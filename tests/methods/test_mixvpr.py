@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,15 @@ import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from described_images import composed, drawn_images
+from described_images import distance, drawn_images
 from PIL import Image as PillowImage
+from published_networks import PublishedNetwork, saved, with_checks
 from torch.nn import functional
 
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.mixvpr import MixVPR
-from vprbench.plugins import conformance, registry
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SIZE = {"height": 64, "width": 96}  # 4x6 positions
@@ -50,13 +49,8 @@ def drawn(n_positions: int = 24, channels: int = 16, rows: int = 3) -> dict[str,
     }
 
 
-def written(path: Path, tensors: dict[str, torch.Tensor]) -> Path:
-    torch.save(tensors, path)
-    return path
-
-
 def mixvpr(path: Path, **arguments: Any) -> MixVPR:
-    return MixVPR(weights=Weights("x.ckpt", "", "", path=str(path)), **{**SIZE, "n_dimensions": 48, **arguments})
+    return NETWORK.method(path, **arguments)  # type: ignore[return-value]
 
 
 def as_tensor(x: torch.Tensor) -> torch.Tensor:
@@ -97,63 +91,59 @@ def expected(
     return np.array(descriptors)
 
 
-@pytest.fixture(scope="module")
-def tensors() -> dict[str, torch.Tensor]:
-    return drawn()
-
-
-@pytest.fixture(scope="module")
-def published(folder: Path, tensors: dict[str, torch.Tensor]) -> Path:
-    return written(folder / "resnet50_MixVPR.ckpt", tensors)
-
-
-@pytest.fixture(scope="module")
-def images() -> list[np.ndarray]:
-    return drawn_images((64, 96), (131, 187), (131, 187), (71, 53))
-
-
-@pytest.fixture(scope="module")
-def codes(published: Path, images: list[np.ndarray]) -> np.ndarray:
-    return mixvpr(published).encode(Images.from_arrays(images))
-
-
-def test_descriptors_are_those_of_the_published_layout(codes, tensors, images) -> None:
-    assert codes.shape == (4, 48)
-    assert codes.dtype == np.float32
-    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
-    np.testing.assert_allclose(codes, expected(tensors, images), rtol=0, atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    "trap",
-    [
+NETWORK = PublishedNetwork(
+    "mixvpr",
+    drawn,
+    drawn_images((64, 96), (131, 187), (131, 187), (71, 53)),
+    48,
+    expected,
+    arguments={**SIZE, "n_dimensions": 48},
+    tolerance=1e-4,
+    trap_distance=5e-4,
+    traps=[
         {"flattened": lambda out: out.transpose(1, 2).flatten(1)},  # r * C + c instead of c * R + r
         {"shortcut": False},
         {"n_mixers": 3},
-        {"before": lambda image: image, "resized": as_tensor},  # levels that are not rounded
         {"before": lambda image: as_image(image, PillowImage.Resampling.BICUBIC)},  # as the authors' demo
         {"before": lambda image: as_image(image)[..., ::-1]},  # BGR
     ],
+    missing=["aggregator.mix.3.mix.3.bias", "aggregator.row_proj.weight"],
+    unexpected=["backbone.model.layer4.0.conv1.weight"],
+    misshapen={"aggregator.channel_proj.weight": (16, 2048), "aggregator.mix.0.mix.0.weight": (25,)},
+    contract={"n_dimensions": 48, "height": 32, "width": 32},
+    draw_for_contract=lambda: drawn(4),
 )
-def test_each_trap_gives_other_descriptors(trap: dict[str, Any], codes, tensors, images) -> None:
-    assert np.abs(codes[1:2] - expected(tensors, images[1:2], **trap)).max() > 5e-4
 
 
-def test_images_one_by_one_and_again_give_the_same(published: Path, codes, images) -> None:
-    method = mixvpr(published, batch_size=3)
-    singles = np.concatenate([method.encode(Images.from_arrays([image])) for image in images])
-    np.testing.assert_allclose(singles, codes, rtol=0, atol=2e-6)
-    np.testing.assert_array_equal(mixvpr(published).encode(Images.from_arrays(images)), codes)
+@with_checks(NETWORK)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+@pytest.fixture
+def published(folder: Path) -> Path:
+    return NETWORK.file(folder)
+
+
+def test_levels_are_rounded_before_they_become_floats(folder: Path) -> None:
+    images = NETWORK.images[1:2]
+    unrounded = expected(NETWORK.tensors, images, before=lambda image: image, resized=as_tensor)
+    assert distance(NETWORK.codes(folder)[1:2], unrounded) > 5e-4
+
+
+def test_a_weight_of_another_number_of_axes_is_named(folder: Path) -> None:
+    tensors = {**NETWORK.tensors, "aggregator.channel_proj.weight": torch.zeros(16)}
+    assert "aggregator.channel_proj.weight" in NETWORK.refusal(saved(folder / "changed", tensors))
 
 
 def test_a_file_of_the_published_sizes_describes_images_of_320x320(folder: Path) -> None:
-    path = written(folder / "large.ckpt", drawn(400, 64, 2))
+    path = saved(folder / "large.ckpt", drawn(400, 64, 2))
     method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
     assert method.encode(Images.from_arrays(drawn_images((90, 120)))).shape == (1, 128)
 
 
 def test_images_of_another_size_than_the_weights_are_refused(folder: Path) -> None:
-    path = written(folder / "large.ckpt", drawn(400, 64, 2))
+    path = saved(folder / "large.ckpt", drawn(400, 64, 2))
     with pytest.raises(BadInput, match=r"24 positions, .* for 400: set method.height=320 and method.width=320"):
         mixvpr(path, n_dimensions=128).encode(Images.from_arrays(drawn_images((90, 120))))
 
@@ -164,32 +154,13 @@ def test_images_are_never_left_as_they_are(published: Path) -> None:
             mixvpr(published, **{side: None}).encode(Images.from_arrays(drawn_images((90, 120))))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "told"),
-    [
-        ("aggregator.mix.3.mix.3.bias", None, r"1 missing \(aggregator.mix.3.mix.3.bias\)"),
-        ("aggregator.row_proj.weight", None, r"1 missing \(aggregator.row_proj.weight\)"),
-        ("backbone.model.layer4.0.conv1.weight", torch.zeros(512, 1024, 1, 1), r"1 unexpected \(backbone.model.layer4"),
-        ("aggregator.channel_proj.weight", torch.zeros(16, 2048), r"channel_proj.weight real \(16, 2048\)"),
-        ("aggregator.channel_proj.weight", torch.zeros(16), r"channel_proj.weight real \(16,\)"),
-        ("aggregator.mix.0.mix.0.weight", torch.zeros(25), r"aggregator.mix.0.mix.0.weight real \(25,\)"),
-    ],
-)
-def test_a_file_that_differs_in_one_tensor_is_refused(name: str, value, told: str, folder: Path, tensors) -> None:
-    changed = {key: tensor for key, tensor in tensors.items() if key != name} | ({} if value is None else {name: value})
-    path = written(folder / "changed.ckpt", changed)
-    with pytest.raises(BadInput, match=told) as error:
-        mixvpr(path).load(path)
-    assert "\n" not in str(error.value)
-
-
 def test_a_file_of_other_dimensions_is_refused_with_the_argument_that_it_wants(published: Path) -> None:
     with pytest.raises(BadInput, match=r"48 dimensions: set method.n_dimensions=48, or give weights of 4096"):
         mixvpr(published, n_dimensions=4096).load(published)
 
 
 def test_a_file_of_another_method_is_refused(folder: Path) -> None:
-    path = written(folder / "cosplace.pth", oracle.resnet_checkpoint(torch.Generator(), "resnet18", "backbone."))
+    path = saved(folder / "cosplace.pth", oracle.resnet_checkpoint(torch.Generator(), "resnet18", "backbone."))
     with pytest.raises(BadInput, match=r"missing \(backbone.model.conv1.weight.*unexpected \(backbone.0") as error:
         mixvpr(path).load(path)
     assert "\n" not in str(error.value)
@@ -206,39 +177,3 @@ def test_the_blank_network_has_the_published_tensors(n_dimensions: int, sizes: t
 def test_there_is_no_blank_network_of_other_dimensions() -> None:
     with pytest.raises(BadInput, match=r"method.n_dimensions=64: MixVPR was published with 4096, 512, 128"):
         mixvpr(Path("none"), n_dimensions=64).blank()
-
-
-# The yaml files and the contract
-
-
-@pytest.mark.parametrize("name", ["mixvpr", "mixvpr_512", "mixvpr_128"])
-def test_the_options_are_the_arguments(name: str) -> None:
-    arguments = {field.name for field in fields(MixVPR) if field.init}
-    assert set(registry.entries("method")[name].options) == arguments
-
-
-@pytest.mark.parametrize(
-    ("name", "file", "identifier"),
-    [
-        ("mixvpr", "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt", "1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"),
-        ("mixvpr_512", "resnet50_MixVPR_512_channels(256)_rows(2).ckpt", "1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj"),
-        ("mixvpr_128", "resnet50_MixVPR_128_channels(64)_rows(2).ckpt", "1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz"),
-    ],
-)
-def test_each_yaml_is_a_published_network(name: str, file: str, identifier: str) -> None:
-    method = registry.make_method(composed(f"method={name}"))
-    assert isinstance(method, MixVPR)
-    assert method.weights.file == file
-    assert method.weights.url == f"https://drive.google.com/uc?id={identifier}"
-    assert f"_{method.n_dimensions}_" in file
-    assert (method.height, method.width, method.resize, method.interpolation) == (320, 320, "pillow", "bilinear")
-
-
-def test_every_rule_of_the_contract_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(folder / "contract.ckpt", drawn(4))
-    network = mixvpr(path).load(path)
-    monkeypatch.setattr(MixVPR, "load", lambda *_: network)  # read once, for the suite makes many methods
-    config = composed("method=mixvpr", "method.n_dimensions=48", "method.height=32", "method.width=32")
-    config["weights"]["path"] = str(path)
-    broken = [str(result) for result in conformance.check(config) if result.state == "broken"]
-    assert broken == []

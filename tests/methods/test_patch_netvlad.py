@@ -11,12 +11,10 @@ from typing import Any
 
 import backbones_oracle as oracle
 import cv2
-import hydra
 import numpy as np
 import pytest
 import torch
 from described_images import composed
-from omegaconf import OmegaConf
 from PIL import Image as PillowImage
 from torch import Tensor, nn
 from torch.nn import functional
@@ -26,9 +24,9 @@ from vprbench.api.method import held_together
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.patch_geometry import centres, inliers, mutual, score
+from vprbench.methods.parts.patch_geometry import centres, inliers, mutual, score
+from vprbench.methods.parts.patch_network import PatchNetwork
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
-from vprbench.methods.patch_network import PatchNetwork
 from vprbench.plugins import conformance
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -572,29 +570,5 @@ def test_the_contract_is_kept(configuration: str, shallow: Path) -> None:
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
 
 
-@pytest.mark.parametrize(("configuration", "components"), [("performance", 4096), ("speed", 512), ("storage", 128)])
-def test_the_configuration_chooses_the_published_file(configuration: str, components: int) -> None:
-    weights = composed("method=patch_netvlad", f"method.configuration={configuration}")["weights"]
-    file = f"mapillary_WPCA{components}.pth.tar"
-    assert weights["url"] == f"https://huggingface.co/TobiasRobotics/Patch-NetVLAD/resolve/main/{file}"
-    assert weights["file"] == file
-    assert file in weights["stated"]
-
-
 def test_the_published_files_are_those_of_netvlad() -> None:
-    with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        other = OmegaConf.to_container(hydra.compose("run", overrides=["method=netvlad_msls"]), resolve=True)["method"]
-    assert composed("method=patch_netvlad")["weights"] == other["weights"]
-
-
-@pytest.mark.parametrize(("configuration", "components"), [("performance", 4096), ("speed", 512), ("storage", 128)])
-def test_the_blank_network_has_the_published_size(configuration: str, components: int) -> None:
-    arguments = {
-        name: value
-        for name, value in composed("method=patch_netvlad", f"method.configuration={configuration}").items()
-        if name not in ("_target_", "index", "neighbours")
-    }
-    with torch.device("meta"):
-        network = PatchNetVLAD(**arguments | {"weights": Weights(**arguments["weights"])}).blank()
-    values = sum(tensor.numel() for tensor in network.state_dict().values())
-    assert values == 14_714_688 + 2 * 16 * 512 + components * (16 * 512 + 1)
+    assert composed("method=patch_netvlad")["weights"] == composed("method=netvlad_msls")["weights"]

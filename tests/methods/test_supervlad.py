@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,13 @@ import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
-from described_images import composed, distance, encoded, image
+from described_images import distance, encoded, image
+from published_networks import PublishedNetwork, with_checks
 
-from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.methods.supervlad import SuperVLAD, SuperVLADCrossImage
-from vprbench.plugins import conformance, registry
 
 TOLERANCE = 1e-5
 DIM, CLUSTERS = 128, 4
-KINDS = {"supervlad": SuperVLAD, "supervlad_crossimage": SuperVLADCrossImage}
 IMAGES = [image(56, 98, seed) for seed in range(5)]
 
 
@@ -38,25 +35,6 @@ def saved(path: Path, tensors: Tensors) -> Path:
     """Write a checkpoint of a training, which keeps recalls as numpy has them."""
     torch.save({"model_state_dict": dict(tensors), "recalls": np.ones(4), "best_r5": np.float64(97.5)}, path)
     return path
-
-
-@pytest.fixture(scope="module")
-def tensors() -> dict[str, torch.Tensor]:
-    return drawn()
-
-
-@pytest.fixture(scope="module")
-def files(folder: Path, tensors: Tensors) -> dict[str, Path]:
-    plain = {name: tensor for name, tensor in tensors.items() if ".encoder." not in name}
-    return {
-        "supervlad": saved(folder / "SuperVLAD.pth", plain),
-        "supervlad_crossimage": saved(folder / "SuperVLAD_crossimage.pth", tensors),
-    }
-
-
-def method(files: dict[str, Path], name: str, **arguments: Any) -> SuperVLAD | SuperVLADCrossImage:
-    path = str(files[name])
-    return KINDS[name](weights=Weights("x", "", "", path=path), **{"height": None, "width": None, **arguments})
 
 
 def clusters(
@@ -81,75 +59,58 @@ def together(tensors: Tensors, images: Sequence[np.ndarray]) -> np.ndarray:
     return (vectors / vectors.norm(dim=1, keepdim=True)).numpy()
 
 
-def test_images_of_two_sizes_have_the_descriptors_of_the_slow_computation(files, tensors: Tensors) -> None:
-    images = [*IMAGES[:2], image(42, 70)]
-    codes = encoded(method(files, "supervlad"), *images)
-    assert codes.shape == (3, CLUSTERS * DIM)
-    assert distance(codes, np.stack([clusters(tensors, seen).flatten().numpy() for seen in images])) < TOLERANCE
+def expected(tensors: Tensors, images: Sequence[np.ndarray], **trap: Any) -> np.ndarray:
+    return np.stack([clusters(tensors, seen, **trap).flatten().numpy() for seen in images])
 
 
-@pytest.mark.parametrize("trap", [{"ghost": 0}, {"unit": False}, {"normed": False}])
-def test_each_trap_gives_other_descriptors(tensors: Tensors, trap: dict[str, Any]) -> None:
-    wrong, right = clusters(tensors, IMAGES[0], **trap), clusters(tensors, IMAGES[0])
-    assert distance(wrong.numpy(), right.numpy()) > 100 * TOLERANCE
+def without_encoder() -> Tensors:
+    return {name: tensor for name, tensor in drawn().items() if ".encoder." not in name}
+
+
+def each_alone(tensors: Tensors, images: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate([together(tensors, [seen]) for seen in images])
+
+
+PLAIN = PublishedNetwork(
+    "supervlad",
+    without_encoder,
+    [*IMAGES[:2], image(42, 70)],
+    CLUSTERS * DIM,
+    expected,
+    saved,
+    arguments={"height": None, "width": None},
+    traps=[{"ghost": 0}, {"unit": False}, {"normed": False}],
+    contract={"height": 28, "width": 42},
+)
+CROSS_IMAGE = replace(PLAIN, name="supervlad_crossimage", draw=drawn, expected=each_alone, traps=())
+
+
+@with_checks(PLAIN, CROSS_IMAGE)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
+    excepted = CROSS_IMAGE.check_contract(folder, images_together=16)
+    assert excepted == {"a batch gives what its single images give", "the order of queries does not matter"}
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_the_encoder_joins_as_many_images_as_asked(files, tensors: Tensors, n: int) -> None:
-    codes = encoded(method(files, "supervlad_crossimage", images_together=n, batch_size=3), *IMAGES)
+def test_the_encoder_joins_as_many_images_as_asked(folder: Path, n: int) -> None:
+    tensors, path = CROSS_IMAGE.tensors, CROSS_IMAGE.file(folder)
+    codes = encoded(CROSS_IMAGE.method(path, images_together=n, batch_size=3), *IMAGES)
     groups = [IMAGES[first : first + n] for first in range(0, 5, n)]
     assert distance(codes, np.concatenate([together(tensors, group) for group in groups])) < TOLERANCE
     assert distance(together(tensors, IMAGES[:1]), together(tensors, IMAGES[:2])[:1]) > 100 * TOLERANCE
 
 
 @pytest.mark.parametrize(
-    ("name", "other", "told"),
+    ("network", "other", "told"),
     [
-        ("supervlad", "supervlad_crossimage", r"24 unexpected \(encoder.layers.0"),
-        ("supervlad_crossimage", "supervlad", r"holds no encoder.layers.0.linear1.weight"),
+        (PLAIN, CROSS_IMAGE, r"24 unexpected \(encoder.layers.0"),
+        (CROSS_IMAGE, PLAIN, "no encoder.layers.0.linear1.weight"),
     ],
 )
-def test_the_file_of_the_other_is_refused(files, name: str, other: str, told: str) -> None:
+def test_the_file_of_the_other_is_refused(network, other, told: str, folder: Path) -> None:
     with pytest.raises(BadInput, match=told):
-        method(files, name).load(files[other])
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_the_blank_network_gives_as_many_numbers_as_the_published_one(files, name: str) -> None:
-    assert method(files, name).blank()(torch.zeros(2, 3, 56, 56, device="meta")).shape == (2, 3072)
-
-
-# The contract and the yaml
-
-
-@pytest.mark.parametrize(
-    ("name", "n"), [("supervlad", None), ("supervlad_crossimage", 1), ("supervlad_crossimage", 16)]
-)
-def test_every_rule_of_the_contract_is_kept_or_excepted(
-    files, name: str, n: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network = method(files, name, **({} if n is None else {"images_together": n})).load(files[name])
-    monkeypatch.setattr(KINDS[name], "load", lambda *_: network)  # read once, for the suite makes many methods
-    overrides = [] if n is None else [f"method.images_together={n}"]
-    config = composed(f"method={name}", "method.height=28", "method.width=42", *overrides)
-    config["weights"]["path"] = str(files[name])
-    results = [*conformance.check(config)]
-    assert [str(result) for result in results if result.state == "broken"] == []
-    assert len([result for result in results if "see one another" in result.reason]) == (2 if n == 16 else 0)
-
-
-@pytest.mark.parametrize(
-    ("name", "identifier"),
-    [
-        ("supervlad", "1wRkUO4E8s5hNRNNIWcuA8RUvlGob3Tbf"),
-        ("supervlad_crossimage", "1yomnWGTJko6nf3F2Ju6RWsLhP2EG82tL"),
-    ],
-)
-def test_the_yaml_holds_the_arguments_and_defaults_of_the_class(name: str, identifier: str) -> None:
-    made = registry.make_method(composed(f"method={name}"))
-    own = {field.name for field in fields(KINDS[name]) if field.init}
-    assert set(registry.entries("method")[name].options) == own
-    default = KINDS[name](weights=made.weights)  # type: ignore[attr-defined]
-    assert {option: getattr(made, option) for option in own} == {option: getattr(default, option) for option in own}
-    assert default.weights.url == f"https://drive.google.com/uc?id={identifier}"
-    assert (default.height, default.width, default.resize) == (322, 322, "tensor")
+        network.method(folder).load(other.file(folder))

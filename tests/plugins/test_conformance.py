@@ -24,7 +24,7 @@ from vprbench.plugins.conformance import check
 from vprbench.plugins.rules import RULES, Journey
 
 ENTRIES = registry.entries("method")
-# Published networks need files that no test can have: tests/test_<name>.py writes one of random values for each.
+# Published networks need files that no test can have: tests/methods/test_<name>.py writes one of random values.
 NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]  # type: ignore[arg-type]
 METHODS = [name for name in ENTRIES if name not in NETWORKS]
 
@@ -60,14 +60,14 @@ def test_the_rules_are_put_to_every_network_where_its_weights_are_written() -> N
 
 
 def puts_the_rules(text: str) -> bool:
-    """Tell whether a test of a file calls conformance.check."""
+    """Tell whether a test of a file calls conformance.check, or is put to all checks of published networks."""
     tests = [
         node
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
     ]
     calls = [node for test in tests for node in ast.walk(test) if isinstance(node, ast.Call)]
-    return any(ast.unparse(call.func) == "conformance.check" for call in calls)
+    return any(ast.unparse(call.func) in ("conformance.check", "with_checks") for call in calls)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +75,8 @@ def puts_the_rules(text: str) -> bool:
     [
         ("def test_rules():\n    assert list(conformance.check(config))", True),
         ("class TestRules:\n    def test_all(self):\n        conformance.check(config)", True),
+        ("@with_checks(NETWORK)\ndef test_it(check):\n    check()", True),
+        ("NETWORKS = with_checks(NETWORK)", False),
         ("def test_rules():\n    pass  # conformance.check(config)", False),
         ("def test_rules():\n    'conformance.check(config)'", False),
         ("def results():\n    return conformance.check(config)", False),

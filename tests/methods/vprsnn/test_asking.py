@@ -13,8 +13,8 @@ from vprsnn_constants import constants
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn import asking, scoring
-from vprbench.methods.vprsnn.assignment import Learnt
 from vprbench.methods.vprsnn.method import VPRSNN
+from vprbench.methods.vprsnn.scoring import Learnt
 
 QUERIES = images(WORLD.queries)
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.methods.vprsnn.assignment import Learnt, labels
+from vprbench.methods.vprsnn.scoring import Learnt, labels
 
 
 def one_module(

@@ -13,7 +13,7 @@ import pytest
 import torch
 from vprsnn_constants import constants
 
-from vprbench.methods.vprsnn import batched, batched_arrivals, batched_learning
+from vprbench.methods.vprsnn import batched
 from vprbench.methods.vprsnn.input import generator_for, spike_train
 from vprbench.methods.vprsnn.module import Room, State, Synapses, Train, unpadded
 from vprbench.methods.vprsnn.physics import Physics, Traces, physics_of, traces_of
@@ -169,8 +169,8 @@ def test_the_progress_of_training_is_told_after_each_presentation() -> None:
 
 @pytest.fixture
 def little_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batched_arrivals, "_AT_ONCE", 500)
-    monkeypatch.setattr(batched_learning, "_AT_ONCE", 500)
+    monkeypatch.setattr(batched.arrivals, "_AT_ONCE", 500)
+    monkeypatch.setattr(batched.learning, "_AT_ONCE", 500)
 
 
 @pytest.mark.usefixtures("little_at_once")

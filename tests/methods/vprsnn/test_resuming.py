@@ -17,11 +17,11 @@ from vprbench.api import checkpoints
 from vprbench.api.dataset import HeldOut
 from vprbench.methods.vprsnn import batched, method, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
-from vprbench.methods.vprsnn.lessons import Lesson
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.recipe import Recipe
 from vprbench.methods.vprsnn.threads import Tell
 from vprbench.methods.vprsnn.training import train
+from vprbench.methods.vprsnn.training_sets import Lesson
 
 
 @pytest.fixture(autouse=True)

@@ -10,8 +10,8 @@ import pytest
 
 from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
-from vprbench.methods.vprsnn.assignment import Learnt, labels
-from vprbench.methods.vprsnn.order import modules
+from vprbench.methods.vprsnn.scoring import Learnt, labels
+from vprbench.methods.vprsnn.training_sets import modules
 from vprbench.metrics.accuracy import average_precision, pr_curve, recall_at
 from vprbench.metrics.ranking import outcome
 

@@ -15,12 +15,12 @@ from vprsnn_constants import constants
 from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn import recipe
-from vprbench.methods.vprsnn.lessons import Lesson, lesson
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.module import unpadded
 from vprbench.methods.vprsnn.physics import physics_of, traces_of
 from vprbench.methods.vprsnn.threads import Tell, for_each_module
 from vprbench.methods.vprsnn.training import train
+from vprbench.methods.vprsnn.training_sets import Lesson, lesson
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vprbench.methods.vprsnn.order import modules
+from vprbench.methods.vprsnn.training_sets import modules
 
 
 def published_order(n_test: int, n_calibration: int, seed: int) -> tuple[list[int], list[int]]:

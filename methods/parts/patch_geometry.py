@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .netvlad import STRIDE
+from ..netvlad import STRIDE
 
 Geometry = Literal["homography", "displacement"]
 Pairs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # patches of the query, and theirs of the reference

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from .batched_arrivals import Arrivals, Spikes
-from .batched_learning import Learning
-from .module import NEVER, State, Train
-from .physics import Physics
+from ..module import NEVER, State, Train
+from ..physics import Physics
+from .arrivals import Arrivals, Spikes
+from .learning import Learning
 
 ARRAYS = 6  # of 8 bytes for each step of a window, group and neuron
 _WINDOW = 250  # steps, at most: a published presentation is 14 windows, the rest after it 6

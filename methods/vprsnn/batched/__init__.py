@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from .batched_arrivals import Arrivals
-from .batched_learning import Learning
-from .batched_steps import ARRAYS, Modules, window_of
-from .module import State, Train
-from .physics import Physics, Traces
+from ..module import State, Train
+from ..physics import Physics, Traces
+from .arrivals import Arrivals
+from .learning import Learning
+from .steps import ARRAYS, Modules, window_of
 
 Floats = npt.NDArray[np.float64]
 Delays = npt.NDArray[np.integer]

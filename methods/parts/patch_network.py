@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .netvlad import Network
+from ..netvlad import Network
 
 
 class PatchNetwork(Network):

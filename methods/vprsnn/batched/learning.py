@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .batched_arrivals import Arrivals, Spikes
-from .module import NEVER
-from .physics import Physics, Traces
+from ..module import NEVER
+from ..physics import Physics, Traces
+from .arrivals import Arrivals, Spikes
 
 _AT_ONCE = 2**24  # synapses that are worked on at once: bounds the memory
 

@@ -1,0 +1,250 @@
+"""Every published network: its yaml names the published file and the class's arguments, and it has the published size.
+
+The file that holds a network's slow computation puts `published_networks.with_checks` to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from described_images import composed
+
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.cli import main
+from vprbench.plugins import registry
+
+ENTRIES = registry.entries("method")
+NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]  # type: ignore[arg-type]
+DINOV2 = "https://dl.fbaipublicfiles.com/dinov2"
+PATCH_NETVLAD = "https://huggingface.co/TobiasRobotics/Patch-NetVLAD/resolve/main"
+
+#: Options in which a yaml departs from the defaults of its class.
+OWN = {
+    "gcl_whitened": {"n_components": 2048},
+    "mixvpr_128": {"n_dimensions": 128},
+    "mixvpr_512": {"n_dimensions": 512},
+}
+
+#: The file of each network, and the url that it is fetched from.
+FILES = {
+    "ap_gem": ("Resnet-101-AP-GeM.pt", None),
+    "boq": ("dinov2_12288.pth", "https://github.com/amaralibey/Bag-of-Queries/releases/download/v1.0/dinov2_12288.pth"),
+    "boq_resnet50": (
+        "resnet50_16384.pth",
+        "https://github.com/amaralibey/Bag-of-Queries/releases/download/v1.0/resnet50_16384.pth",
+    ),
+    "cliquemining": ("cliquemining.ckpt", "https://drive.google.com/uc?id=1B06ysb-Wjb4KDcNrl-7pyj1mJve1jqdk"),
+    "conv_ap": ("resnet50_ConvAP_1024_2x2.ckpt", None),
+    "conv_ap method.channels=128": ("resnet50_ConvAP_128_2x2.ckpt", None),
+    "cosplace": (
+        "ResNet50_2048_cosplace.pth",
+        "https://github.com/gmberton/CosPlace/releases/download/v1.0/ResNet50_2048_cosplace.pth",
+    ),
+    "cosplace method.backbone=VGG16 method.n_dimensions=128": (
+        "VGG16_128_cosplace.pth",
+        "https://github.com/gmberton/CosPlace/releases/download/v1.0/VGG16_128_cosplace.pth",
+    ),
+    "cricavpr": ("CricaVPR.pth", "https://github.com/Lu-Feng/CricaVPR/releases/download/v1.0/CricaVPR.pth"),
+    **{
+        f"dinov2 method.backbone={backbone}": (
+            f"dinov2_{backbone}_pretrain.pth",
+            f"{DINOV2}/dinov2_{backbone}/dinov2_{backbone}_pretrain.pth",
+        )
+        for backbone in ("vits14", "vitb14", "vitl14", "vitg14")
+    },
+    "anyloc": ("dinov2_vitg14_pretrain.pth", f"{DINOV2}/dinov2_vitg14/dinov2_vitg14_pretrain.pth"),
+    "eigenplaces": (
+        "ResNet50_2048_eigenplaces.pth",
+        "https://github.com/gmberton/EigenPlaces/releases/download/v1.0/ResNet50_2048_eigenplaces.pth",
+    ),
+    "eigenplaces_indoor": (
+        "eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
+        "https://github.com/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0/eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
+    ),
+    "gcl": ("MSLS_resnet152_GeM_480_GCL.pth", None),
+    "gcl method.backbone=resnext method.pooling=avg method.loss=CL": ("MSLS_resnext_avg_480_CL.pth", None),
+    "megaloc": ("MegaLoc.safetensors", "https://huggingface.co/gberton/MegaLoc/resolve/main/model.safetensors"),
+    "mixvpr": (
+        "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt",
+        "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L",
+    ),
+    "mixvpr_512": (
+        "resnet50_MixVPR_512_channels(256)_rows(2).ckpt",
+        "https://drive.google.com/uc?id=1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj",
+    ),
+    "mixvpr_128": (
+        "resnet50_MixVPR_128_channels(64)_rows(2).ckpt",
+        "https://drive.google.com/uc?id=1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz",
+    ),
+    **{
+        f"{name} method.weights.file={file}": (file, f"{folder}/{file}")
+        for name, folder, files in [
+            (
+                "netvlad",
+                "https://cvg-data.inf.ethz.ch/hloc/netvlad",
+                ("Pitts30K_struct.mat", "TokyoTM_struct.mat"),
+            ),
+            ("netvlad_msls", PATCH_NETVLAD, ("mapillary_WPCA4096.pth.tar", "pitts_WPCA128.pth.tar")),
+        ]
+        for file in files
+    },
+    **{
+        f"patch_netvlad method.configuration={configuration}": (
+            f"mapillary_WPCA{n}.pth.tar",
+            f"{PATCH_NETVLAD}/mapillary_WPCA{n}.pth.tar",
+        )
+        for configuration, n in (("performance", 4096), ("speed", 512), ("storage", 128))
+    },
+    "salad": (
+        "dino_salad.ckpt",
+        "https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
+    ),
+    "salad_indoor": (
+        "salad_Dinov2_8448_GB1_10_25.pth",
+        "https://github.com/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0/salad_Dinov2_8448_GB1_10_25.pth",
+    ),
+    "sfrs": ("vgg16_netvlad.pth", "https://github.com/yxgeee/OpenIBL/releases/download/v0.1.0-beta/vgg16_netvlad.pth"),
+    "supervlad": ("SuperVLAD.pth", "https://drive.google.com/uc?id=1wRkUO4E8s5hNRNNIWcuA8RUvlGob3Tbf"),
+    "supervlad_crossimage": (
+        "SuperVLAD_crossimage.pth",
+        "https://drive.google.com/uc?id=1yomnWGTJko6nf3F2Ju6RWsLhP2EG82tL",
+    ),
+}
+
+#: The size that images are resized to, and how; `authors` in the yaml.
+SEEN = {
+    "anyloc": (None, None, "tensor", "bicubic"),
+    "ap_gem": (None, None, "pillow", "bilinear"),
+    "boq": (322, 322, "tensor", "bicubic"),
+    "boq_resnet50": (384, 384, "tensor", "bicubic"),
+    "cosplace": (None, None, "tensor", "bilinear"),
+    "cricavpr": (224, 224, "opencv", "bilinear"),
+    "dinov2": (322, 322, "pillow", "bilinear"),
+    "eigenplaces": (None, None, "tensor", "bilinear"),
+    "gcl": (480, 640, "pillow", "bilinear"),
+    "mixvpr": (320, 320, "pillow", "bilinear"),
+    "salad": (322, 322, "pillow", "bilinear"),
+    "sfrs": (480, 640, "pillow", "bilinear"),
+    "supervlad": (322, 322, "tensor", "bilinear"),
+    "supervlad_crossimage": (322, 322, "tensor", "bilinear"),
+}
+
+#: The pixels of a side that a network without values is shown, and the published number of dimensions.
+SIZES = {
+    "anyloc": (42, 49152),
+    "ap_gem": (64, 2048),
+    "boq": (322, 12288),
+    "boq_resnet50": (384, 16384),
+    "conv_ap": (32, 4096),
+    "cosplace": (64, 2048),
+    "cricavpr": (224, 10752),
+    "dinov2 method.backbone=vits14": (42, 384),
+    "dinov2 method.backbone=vitb14": (42, 768),
+    "dinov2 method.backbone=vitl14": (42, 1024),
+    "dinov2 method.backbone=vitg14": (42, 1536),
+    "gcl": (64, 2048),
+    "megaloc": (126, 8448),
+    "mixvpr": (320, 4096),
+    "mixvpr_512": (320, 512),
+    "mixvpr_128": (320, 128),
+    "salad": (126, 8448),
+    "sfrs": (64, 4096),
+    "supervlad": (56, 3072),
+    "supervlad_crossimage": (56, 3072),
+}
+
+
+def configuration(words: str) -> dict[str, Any]:
+    """Return what a run with a method and options of it gets."""
+    name, *options = words.split(" method.")
+    return composed(f"method={name}", *(f"method.{option}" for option in options))
+
+
+def made(words: str) -> NeuralDescriptor:
+    method = registry.make_method(configuration(words))
+    assert isinstance(method, NeuralDescriptor)
+    return method
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_options_are_the_arguments(name: str) -> None:
+    assert set(ENTRIES[name].options) == {field.name for field in fields(type(made(name))) if field.init}
+
+
+@pytest.mark.parametrize("name", [name for name in NETWORKS if "netvlad" not in name])
+def test_the_yaml_holds_the_defaults_of_the_class(name: str) -> None:
+    method = made(name)
+    given = {option: getattr(method, option) for option in ("weights", "centres") if hasattr(method, option)}
+    default = type(method)(**given)
+    own = [field.name for field in fields(method) if field.init]
+    departs = {option: getattr(method, option) for option in own if getattr(method, option) != getattr(default, option)}
+    assert departs == OWN.get(name, {})
+
+
+@pytest.mark.parametrize("words", FILES)
+def test_the_yaml_names_the_published_file(words: str) -> None:
+    weights = configuration(words)["weights"]
+    assert (weights["file"], weights["url"]) == FILES[words]
+    assert (weights["by_hand"] is None) is (weights["url"] is not None)
+
+
+def test_every_network_has_its_published_file_stated_here() -> None:
+    assert set(NETWORKS) - {words.split()[0] for words in FILES} == {"gcl_whitened", "netvlad_pytorch"}
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_images_are_resized_as_the_authors_do(name: str) -> None:
+    method = made(name)
+    assert (method.height, method.width, method.resize, method.interpolation) == SEEN[name]
+
+
+@pytest.mark.parametrize("words", SIZES)
+def test_the_network_without_values_has_the_published_dimensions(words: str) -> None:
+    side, n_dimensions = SIZES[words]
+    with torch.device("meta"):
+        assert made(words).blank()(torch.zeros(2, 3, side, side)).shape == (2, n_dimensions)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_values"),
+    [
+        ("megaloc", 228.6e6),
+        ("dinov2", 86_580_480 - 768),  # but for the mask token
+        ("netvlad", 149_002_048),
+        ("netvlad_pytorch", 14_714_688 + 2 * 64 * 512),
+        ("netvlad_msls", 14_714_688 + 2 * 16 * 512 + 4096 * 8192 + 4096),
+        *(
+            (f"patch_netvlad method.configuration={name}", 14_714_688 + 2 * 16 * 512 + n * (16 * 512 + 1))
+            for name, n in (("performance", 4096), ("speed", 512), ("storage", 128))
+        ),
+    ],
+)
+def test_the_network_without_values_has_the_published_number_of_values(name: str, n_values: float) -> None:
+    with torch.device("meta"):
+        network = made(name).blank()
+    exact = isinstance(n_values, int)
+    found = sum(tensor.numel() for tensor in network.state_dict().values())
+    assert found == n_values if exact else found == pytest.approx(n_values, abs=0.1e6)
+
+
+@pytest.mark.parametrize("domain", ["indoor", "urban", "aerial", "structured", "unstructured", "global"])
+def test_the_published_centres_of_anyloc_follow_from_the_domain(domain: str) -> None:
+    centres = configuration(f"anyloc method.domain={domain}")["centres"]
+    assert centres["file"] == f"dinov2_vitg14_l31_value_c32_{domain}_c_centers.pt"
+    assert centres["url"] == f"https://github.com/AnyLoc/DINO/releases/download/v1/{centres['file']}"
+
+
+@pytest.mark.parametrize("name", ["boq", "boq_resnet50"])
+def test_without_its_file_a_run_ends_in_one_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    assert main([f"method={name}", "dataset.places=12", "dataset.first_query_place=0", "threads=1"]) == 2
+    captured = capsys.readouterr()
+    assert FILES[name][1] in captured.err.strip().splitlines()[-1]  # type: ignore[operator]
+    assert "Traceback" not in captured.err

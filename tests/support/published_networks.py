@@ -1,0 +1,167 @@
+"""Checks that every published network has to pass, put to it as scikit-learn puts its own to estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from described_images import composed, distance, encoded, image
+from torch import Tensor
+
+from vprbench.api.arrays import Image
+from vprbench.api.images import Images
+from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.weights import Weights
+from vprbench.errors import BadInput
+from vprbench.plugins import conformance, registry
+
+Tensors = Mapping[str, Tensor]
+Expected = Callable[..., npt.NDArray[np.float64]]
+
+
+def saved(path: Path, tensors: Tensors) -> Path:
+    """Write tensors as torch does; returns the file."""
+    torch.save(dict(tensors), path)
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedNetwork:
+    """A network in small sizes: how its file is written in the published layout, and what has to come out of it."""
+
+    name: str  # of the yaml
+    draw: Callable[[], Tensors]  # random values under the published names
+    images: Sequence[Image]
+    n_dimensions: int
+    #: Descriptors in float64 of tensors and images; keyword arguments step into traps.
+    expected: Expected
+    write: Callable[[Path, Tensors], Path] = saved
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    tolerance: float = 1e-5
+    batch_tolerance: float = 2e-6
+    traps: Sequence[Mapping[str, Any]] = ()
+    trap_distance: float = 1e-3
+    alike_in_half: float = 0.99  # the least cosine in bfloat16
+    missing: Sequence[str] = ()
+    unexpected: Sequence[str] = ()
+    misshapen: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    #: What messages may leave out of the names of tensors.
+    hidden_prefixes: tuple[str, ...] = ()
+    #: Options, and a smaller network if the suite takes too long with this one, under which the contract is checked.
+    contract: Mapping[str, Any] = field(default_factory=dict)
+    draw_for_contract: Callable[[], Tensors] | None = None
+    _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def tensors(self) -> Tensors:
+        """The random values, drawn once."""
+        if "tensors" not in self._kept:
+            self._kept["tensors"] = self.draw()
+        return self._kept["tensors"]
+
+    def file(self, folder: Path) -> Path:
+        """Return the file, written where it is missing."""
+        path = folder / f"{self.name}.weights"
+        return path if path.exists() else self.write(path, self.tensors)
+
+    def method(self, path: Path, **arguments: Any) -> NeuralDescriptor:
+        """Return the method with these weights; what the yaml says of the size of images is left out."""
+        kind = registry.entries("method")[self.name].target()
+        weights = Weights(file=path.name, licence="none", trained_on="nothing", path=str(path))
+        return kind(weights=weights, **{**self.arguments, **arguments})  # type: ignore[operator, no-any-return]
+
+    def codes(self, folder: Path) -> npt.NDArray[np.float32]:
+        """Return the descriptors of the images, computed once."""
+        if "codes" not in self._kept:
+            self._kept["codes"] = encoded(self.method(self.file(folder)), *self.images)
+        return self._kept["codes"]
+
+    def refusal(self, path: Path, **arguments: Any) -> str:
+        """Return the one line that refuses a file and names it."""
+        with pytest.raises(BadInput) as error:
+            self.method(path, **arguments).load(path)
+        assert "\n" not in str(error.value)
+        assert str(path) in str(error.value)
+        return str(error.value)
+
+    def check_contract(self, folder: Path, **options: Any) -> set[str]:
+        """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
+        draw = self.draw_for_contract
+        path = self.write(folder / "contract.weights", draw()) if draw else self.file(folder)
+        config = composed(f"method={self.name}") | dict(self.contract) | options
+        config["weights"]["path"] = str(path)
+        made = registry.make_method(config)
+        assert isinstance(made, NeuralDescriptor)
+        network = made.load(path)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(type(made), "load", lambda *_: network)
+            results = [result for result in conformance.check(config) if result.reason != "it keeps no network"]
+        assert [str(result) for result in results if result.state == "broken"] == []
+        return {result.rule for result in results if result.state == "excepted"}
+
+    def checks(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
+        """Yield each check's name and what runs it, given a folder that files may be written to."""
+        yield "descriptors", self._has_the_descriptors_of_the_slow_computation
+        yield "batches", self._neither_batch_nor_repetition_changes_a_descriptor
+        yield "half precision", self._half_the_precision_keeps_the_descriptor
+        for trap in self.traps:
+            yield f"trap {trap}", partial(self._falls_into_no, trap)
+        for name in self.missing:
+            yield f"missing {name}", partial(self._names, name, None)
+        for name, shape in (dict.fromkeys(self.unexpected, (3, 3)) | dict(self.misshapen)).items():
+            yield f"other {name}", partial(self._names, name, shape)
+        yield "contract", self._keeps_the_contract
+
+    def _has_the_descriptors_of_the_slow_computation(self, folder: Path) -> None:
+        codes = self.codes(folder)
+        assert codes.shape == (len(self.images), self.n_dimensions)
+        assert codes.dtype == np.float32
+        assert np.abs(np.linalg.norm(codes.astype(np.float64), axis=1) - 1).max() < 1e-6
+        assert distance(codes, self.expected(self.tensors, self.images)) < self.tolerance
+        assert distance(codes[0], codes[1]) > 1e-3
+
+    def _neither_batch_nor_repetition_changes_a_descriptor(self, folder: Path) -> None:
+        method = self.method(self.file(folder), batch_size=3)
+        singles = np.concatenate([method.encode(Images.from_arrays([one])) for one in self.images])
+        assert distance(singles, self.codes(folder)) < self.batch_tolerance
+        again = method.encode(Images.from_arrays(list(self.images)))
+        assert np.array_equal(again, method.encode(Images.from_arrays(list(self.images))))
+
+    def _half_the_precision_keeps_the_descriptor(self, folder: Path) -> None:
+        method = self.method(self.file(folder))
+        height, width = method.target(*self.images[0].shape[:2])
+        seen = method.pixels(torch.from_numpy(image(height, width)).permute(2, 0, 1)[None].float())
+        with torch.inference_mode():
+            network = method.load(self.file(folder)).eval()
+            exact = network(seen)
+            half = network.to(torch.bfloat16)(seen.to(torch.bfloat16)).float()
+        assert torch.nn.functional.cosine_similarity(half, exact).min() > self.alike_in_half
+
+    def _falls_into_no(self, trap: Mapping[str, Any], folder: Path) -> None:
+        mistaken = self.expected(self.tensors, self.images[:2], **trap)
+        assert distance(self.codes(folder)[:2], mistaken) > self.trap_distance
+
+    def _names(self, name: str, shape: tuple[int, ...] | None, folder: Path) -> None:
+        changed = {key: tensor for key, tensor in self.tensors.items() if key != name}
+        changed |= {} if shape is None else {name: torch.zeros(shape)}
+        path = self.write(folder / "changed.weights", changed)
+        refusal = self.refusal(path)
+        assert any(name.removeprefix(prefix) in refusal for prefix in ("", *self.hidden_prefixes))
+
+    def _keeps_the_contract(self, folder: Path) -> None:
+        assert self.check_contract(folder) == set()
+
+
+def with_checks(*networks: PublishedNetwork) -> pytest.MarkDecorator:
+    """Parametrise a test by every check of the networks; it calls `check(folder)`."""
+    cases = [
+        pytest.param(check, id=f"{network.name} {name}") for network in networks for name, check in network.checks()
+    ]
+    return pytest.mark.parametrize("check", cases)
