@@ -32,7 +32,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.datasets.oxford_robotcar import kept
 from vprbench.errors import BadInput, NotThere
-from vprbench.run import runner
+from vprbench.run import identity
 
 
 @pytest.fixture(autouse=True)
@@ -201,12 +201,12 @@ def test_frames_of_an_earlier_version_of_the_code_are_made_anew(
 
 
 def test_the_fingerprint_is_of_the_raw_frames_and_the_table_and_not_of_what_is_kept(root: Path) -> None:
-    before = runner.fingerprint(dataset(root))
+    before = identity.fingerprint(dataset(root))
     [*dataset(root).references]
-    assert runner.fingerprint(dataset(root)) == before
+    assert identity.fingerprint(dataset(root)) == before
     x, y = grid()
     write_table(root / "models", x, y + 1e-3)
-    assert runner.fingerprint(dataset(root)) != before
+    assert identity.fingerprint(dataset(root)) != before
 
 
 # Disks that refuse, and several at once

@@ -12,8 +12,8 @@ from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import (
     Aside,
-    ColumnAsked,
     Group,
+    ResolvedColumn,
     RowRuns,
     accuracy_series,
     aside_sentence,
@@ -57,13 +57,13 @@ def test_runs_belong_to_the_column_with_their_dataset_wherever_its_frames_lay() 
 
 
 def test_lists_and_tuples_and_whole_numbers_of_either_kind_are_the_same_dataset() -> None:
-    asked = ColumnAsked(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
+    asked = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
     stored = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
     assert only(groups([stored], [], [asked], ROWS)).runs == (stored,)
 
 
 def test_options_that_a_dataset_gained_or_lost_keep_no_run_from_its_column() -> None:
-    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5})
+    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
     older_run, todays = run(), run("vprtempo", dataset={**RAILWAY, "fog": 0.5})
     other_fog = run(dataset={**RAILWAY, "fog": 0.9})
     both = only(groups([older_run, todays, other_fog], [], [gained], ROWS))
@@ -79,7 +79,7 @@ def test_another_dataset_is_none_of_a_column_whatever_options_they_share() -> No
 
 
 def test_runs_of_other_options_in_a_group_of_their_own_are_told_by_these() -> None:
-    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
+    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
     before = run(dataset={**RAILWAY, "snow": True}, protocol={"renderer": 1}, day="2025-01-01")
     todays = run(dataset={**RAILWAY, "fog": 0.5}, protocol={"renderer": 2})
     assert [options_apart(group) for group in groups([before, todays], [], [gained], ROWS)] == [(), ("fog", "snow")]

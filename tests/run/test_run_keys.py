@@ -21,7 +21,7 @@ from little_runs import CONFIG, QUICK, quiet_surroundings, run_of
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.run import harness, machine, runner
+from vprbench.run import harness, identity, machine, runner
 from vprbench.run.sources import meaning
 from vprbench.run.stopwatch import Protocol
 
@@ -39,7 +39,7 @@ METHOD = Lookup(np.ones((6, 4), np.float32))
 def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int = 1, **changes: Any) -> str:
     dataset = dataset or journey(6, 4)
     config: Mapping[str, Any] = {**CONFIG, **changes}
-    return runner.run_key(METHOD, config, dataset, runner.fingerprint(dataset), protocol, threads)
+    return runner.run_key(METHOD, config, dataset, identity.fingerprint(dataset), protocol, threads)
 
 
 def test_a_run_asked_for_again_has_the_same_key() -> None:
@@ -113,7 +113,7 @@ def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, An
 
 def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
     run = run_of(METHOD, journey(6, 4))
-    assert run.config["code"] == runner.code_hash(type(METHOD))
+    assert run.config["code"] == identity.code_hash(type(METHOD))
     assert run.config["timing"] == {
         "minimum_seconds": 0,
         "minimum_queries": 5,
@@ -157,25 +157,25 @@ def given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> type[Method]:
 
 
 def test_code_that_stays_the_same_has_the_same_hash(given: type[Method]) -> None:
-    assert runner.code_hash(given) == runner.code_hash(given)
+    assert identity.code_hash(given) == identity.code_hash(given)
 
 
 def test_a_change_in_the_file_of_a_method_changes_its_hash(given: type[Method], tmp_path: Path) -> None:
-    before = runner.code_hash(given)
+    before = identity.code_hash(given)
     (tmp_path / "plugin" / "given.py").write_text(METHOD_SOURCE.format(value=2))
-    assert runner.code_hash(given) != before
+    assert identity.code_hash(given) != before
 
 
 def test_a_change_outside_the_folder_of_a_method_leaves_its_hash(given: type[Method], tmp_path: Path) -> None:
-    before = runner.code_hash(given)
+    before = identity.code_hash(given)
     (tmp_path / "other.py").write_text("layers = 3\n")
-    assert runner.code_hash(given) == before
+    assert identity.code_hash(given) == before
 
 
 def test_another_harness_changes_the_hash_of_every_method(given: type[Method], monkeypatch: pytest.MonkeyPatch) -> None:
-    before = runner.code_hash(given)
+    before = identity.code_hash(given)
     monkeypatch.setattr(harness, "VERSION", harness.VERSION + 1)
-    assert runner.code_hash(given) != before
+    assert identity.code_hash(given) != before
 
 
 def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.metrics.ranking import Outcome
 from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
-from vprbench.paper.selection import ColumnAsked
+from vprbench.paper.selection import ResolvedColumn
 from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 
@@ -36,8 +36,8 @@ PLAN = Plan(
 )
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 
-RAIL = ColumnAsked(PLANNED, RAILWAY)
-TOWN = ColumnAsked(CITY, STREET)
+RAIL = ResolvedColumn(PLANNED, RAILWAY)
+TOWN = ResolvedColumn(CITY, STREET)
 
 ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}

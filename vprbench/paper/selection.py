@@ -22,7 +22,7 @@ _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in
 
 
 @dataclass(frozen=True)
-class ColumnAsked:
+class ResolvedColumn:
     """A column of the table and what its options make of the dataset."""
 
     planned: PlannedColumn
@@ -33,7 +33,7 @@ class ColumnAsked:
 class Group:
     """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
 
-    asked: ColumnAsked
+    asked: ResolvedColumn
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1: what failed has no images
@@ -59,7 +59,7 @@ class RowRuns:
 
 
 def groups(
-    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ColumnAsked], rows: Sequence[Row]
+    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ResolvedColumn], rows: Sequence[Row]
 ) -> list[Group]:
     """Put runs and failures of the rows into the columns, in the columns' order.
 
@@ -205,7 +205,7 @@ def _word(value: Any) -> str:
     return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _in_column(result: Run | Failure, column: ColumnAsked) -> bool:
+def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay."""
     wanted, given = column.dataset, result.config.get("dataset", {})
     both = wanted.keys() & given.keys() - _WHERE

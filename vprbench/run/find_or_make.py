@@ -19,7 +19,7 @@ from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
-from vprbench.run import machine, runner, thumbnails
+from vprbench.run import identity, machine, runner, thumbnails
 from vprbench.run.descriptor_cache import DescriptorCache
 from vprbench.run.preprocessed import Preprocessed
 from vprbench.run.record import Run
@@ -46,7 +46,7 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
         method = registry.make_method(asked["method"])
         dataset = _checked(registry.make_dataset(asked["dataset"]))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
-        fingerprint = runner.fingerprint(dataset)
+        fingerprint = identity.fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     key = runner.run_key(method, asked, dataset, fingerprint, settings.timing, threads, files.sha256)
     if files.save is not None and networks.made_by(files.save) == key:

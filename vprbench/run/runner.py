@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
@@ -23,15 +22,15 @@ from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
 from vprbench.plugins import networks
-from vprbench.run import harness, machine, spikes
+from vprbench.run import machine, spikes
 from vprbench.run.data_record import data_record
 from vprbench.run.descriptor_cache import DescriptorCache, Descriptors
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import learn
+from vprbench.run.identity import Identity, code_hash
 from vprbench.run.note import Note, noted
 from vprbench.run.preprocessed import Preprocessed
-from vprbench.run.record import Run, content_key
-from vprbench.run.sources import source_hash
+from vprbench.run.record import Run
 from vprbench.run.stopwatch import Protocol, Stopwatch, Timing, synchroniser
 
 _BLOCK = 128  # queries scored together
@@ -63,42 +62,18 @@ def run_key(
     Where files lie does not count: of the module of the method's class its name alone.
     `network` is the hash of the file that the run loads; a run that trains has another key.
     """
-    arguments = {name: value for name, value in config["method"].items() if name not in ("_target_", "device")}
     held_out = calibration(method, dataset)
-    return content_key(
-        {
-            "method": {"class": type(method).__qualname__, **arguments},
-            "code": code_hash(type(method)),
-            "dataset": dataset.name,
-            "protocol": dict(dataset.protocol),
-            "images": fingerprint,
-            "held_out": None if held_out is None else held_out.fingerprint(),
-            "files": config.get("files", []),
-            "seed": config["seed"],
-            "device": machine.device_class(config["device"]),
-            "threads": threads,
-            "depth": config["depth"],
-            "timing": asdict(protocol),
-            "libraries": machine.library_versions(),
-            "network": network,
-        }
-    )
-
-
-def code_hash(method: type[Method]) -> str:
-    """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
-    return hashlib.sha256(f"{source_hash(method)} {harness.VERSION}".encode()).hexdigest()
-
-
-def fingerprint(dataset: Dataset) -> str:
-    """Return the hash of a dataset's images, order and ground truth."""
-    digest = hashlib.sha256()
-    digest.update(dataset.references.fingerprint().encode())
-    digest.update(dataset.queries.fingerprint().encode())
-    digest.update(dataset.places.tobytes())
-    for right in dataset.positives:
-        digest.update(right.tobytes() + b";")
-    return digest.hexdigest()
+    return Identity(
+        type(method).__qualname__,
+        code_hash(type(method)),
+        config,
+        dataset,
+        fingerprint,
+        None if held_out is None else held_out.fingerprint(),
+        protocol,
+        threads,
+        network,
+    ).key()
 
 
 def run(

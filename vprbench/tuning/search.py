@@ -18,8 +18,8 @@ from vprbench.errors import BadInput
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
 from vprbench.run import machine as environment
+from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.record import content_key
-from vprbench.run.runner import code_hash, fingerprint
 from vprbench.run.sources import meaning
 from vprbench.run.store import Store
 from vprbench.tuning import objective, places, space

@@ -1,0 +1,77 @@
+"""What identifies the code and the frames of a run: hashes that change with whatever may change its numbers."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.run import harness, machine, sources
+from vprbench.run.record import content_key
+from vprbench.run.stopwatch import Protocol
+
+
+@dataclass(frozen=True)
+class Identity:
+    """All that can change the outcome of a run or the times it measures."""
+
+    method_class: str  # its name alone: where its file lies does not count
+    code: str  # its hash
+    config: Mapping[str, Any]  # what was asked for: method, seed, device, depth, files
+    dataset: Dataset
+    images: str  # their fingerprint
+    held_out: str | None  # fingerprint of the places that the method chooses its settings by
+    timing: Protocol
+    threads: int
+    network: str | None = None  # hash of the file that the run loads; a run that trains has another key
+
+    def key(self) -> str:
+        """Return the hash of all of it."""
+        arguments = {name: value for name, value in self.config["method"].items() if name not in ("_target_", "device")}
+        return content_key(
+            {
+                "method": {"class": self.method_class, **arguments},
+                "code": self.code,
+                "dataset": self.dataset.name,
+                "protocol": dict(self.dataset.protocol),
+                "images": self.images,
+                "held_out": self.held_out,
+                "files": self.config.get("files", []),
+                "seed": self.config["seed"],
+                "device": machine.device_class(self.config["device"]),
+                "threads": self.threads,
+                "depth": self.config["depth"],
+                "timing": asdict(self.timing),
+                "libraries": machine.library_versions(),
+                "network": self.network,
+            }
+        )
+
+
+def code_hash(method: type[Method]) -> str:
+    """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
+    return _with_harness(sources.source_hash(method))
+
+
+def code_hash_of(target: str) -> str | None:
+    """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
+    found = sources.defined_in(target)
+    return None if found is None else _with_harness(sources.meaning(sources.behind_file(*found).values()))
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return the hash of a dataset's images, order and ground truth."""
+    digest = hashlib.sha256()
+    digest.update(dataset.references.fingerprint().encode())
+    digest.update(dataset.queries.fingerprint().encode())
+    digest.update(dataset.places.tobytes())
+    for right in dataset.positives:
+        digest.update(right.tobytes() + b";")
+    return digest.hexdigest()
+
+
+def _with_harness(code: str) -> str:
+    return hashlib.sha256(f"{code} {harness.VERSION}".encode()).hexdigest()
