@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
+from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import (
@@ -23,7 +23,7 @@ from vprbench.paper.selection import (
     protocol_words,
     series,
 )
-from vprbench.run.record import Run
+from vprbench.run.record import Failure, Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 
@@ -131,12 +131,15 @@ def test_an_argument_that_is_the_default_by_now_need_not_be_named() -> None:
     assert of_row(Group(TOWN, 1, (stored,), ()), VPRTEMPO, "cpu").runs == (stored,)
 
 
-def test_an_older_record_belongs_where_its_options_say() -> None:
-    plain, public = older(tempo()), older(tempo(changed={"rules": "reference"}))
-    seeded = older(tempo(1, config={"overrides": ["method=vprtempo", "+method.seed=1", "method.device=cpu"]}))
-    group = Group(RAIL, 1, (plain, public, seeded), ())
-    assert of_row(group, VPRTEMPO, "cpu").runs == (plain, seeded)
-    assert of_row(group, PUBLIC, "cpu").runs == (public,)
+def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say() -> None:
+    def early(**changes: Any) -> Failure:
+        failed = failure("vprtempo", **changes)
+        return replace(failed, config={name: value for name, value in failed.config.items() if name != "changed"})
+
+    seeded = early(seed=1, config={"overrides": ["method=vprtempo", "+method.seed=1", "method.device=cpu"]})
+    failed = early(), seeded, early(changed={"rules": "reference"})
+    found = [of_row(Group(RAIL, 1, (), failed), row, "cpu").failures for row in (VPRTEMPO, PUBLIC)]
+    assert found == [failed[:2], failed[2:]]
 
 
 def test_devices_are_kept_apart_and_their_numbers_do_not_matter() -> None:
@@ -162,7 +165,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "code": {"config": {"code": "beef"}},
     "timing": {"config": {"timing": {"minimum_seconds": 10.0}}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},
-    "defaults of the method": {
+    "arguments of the method": {
         "config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3, "_target_": "made.vprtempo"}}
     },
     "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
@@ -206,13 +209,6 @@ def test_of_one_seed_measured_twice_the_newest_is_shown_and_the_other_named() ->
     found = of_row(Group(RAIL, 1, (new, old), ()), SAD, "cpu")
     assert found.runs == (new,)
     assert found.aside == (Aside(1, "measured again since"),)
-
-
-def test_an_older_record_stands_apart_from_one_that_names_its_code() -> None:
-    found = of_row(Group(RAIL, 1, (run(day="2025-03-02"), older(run(seed=0, day="2025-02-01"))), ()), SAD, "cpu")
-    assert [stored.config.get("code") for stored in found.runs] == ["c0de"]
-    (aside,) = found.aside
-    assert aside.why.startswith("in an older record")
 
 
 def test_what_is_set_aside_of_a_row_is_one_sentence() -> None:

@@ -102,12 +102,6 @@ def run(
     return replace(made, **changes)
 
 
-def older(stored: Run) -> Run:
-    """Return a run as a record of an earlier layout holds it."""
-    config = {name: value for name, value in stored.config.items() if name not in ("changed", "code", "timing")}
-    return replace(stored, config=config)
-
-
 def failure(method: str = "sad", seed: int = 0, error: str = "out of thread", **changes: Any) -> Failure:
     """Return the failure of such a run, of the next day."""
     day, missing = changes.pop("day", "2025-03-02"), changes.pop("missing", False)

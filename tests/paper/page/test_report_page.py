@@ -34,7 +34,7 @@ from vprbench.paper.page import page as report
 from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.page.small_png import small_png
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 

@@ -26,7 +26,7 @@ from vprbench.paper.figures.measured_on import (
 )
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
 from vprbench.paper.plan import PlannedColumn, Quantity, Row, published
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.paper.table.comparison import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.run.record import Run
@@ -132,9 +132,7 @@ def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     rates = [best.rate(run, row.boundary) for run in runs]
     low, high = min(rates), max(rates)
     if len(runs) == 1:
-        streaming = runs[0].timing.streaming
-        stages = {"encode": streaming.encode_seconds, "match": streaming.match_seconds}
-        laps = streaming.total_seconds if row.boundary is None else stages[row.boundary]
+        laps = best.laps(runs[0], row.boundary)
         low, high = (1 / float(np.quantile(laps, share)) for share in (0.9, 0.1))
     total = None if row.boundary is None else mean(best.rate(run, None) for run in runs)
     return _Bar(mean(rates), low, high, total)

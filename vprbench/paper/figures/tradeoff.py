@@ -24,7 +24,7 @@ from vprbench.paper.figures.measured_on import (
 )
 from vprbench.paper.figures.same_data import one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
 from vprbench.run.recall_intervals import METHOD, recall_interval
 from vprbench.run.record import Run

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from vprbench.paper.page import words
 from vprbench.paper.page.fitting import fitting
 from vprbench.paper.page.small_png import small_png
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown

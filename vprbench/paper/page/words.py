@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table.words import TRAINING_TIME
 from vprbench.run.recall_intervals import METHOD
 from vprbench.run.record import Run
