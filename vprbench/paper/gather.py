@@ -25,9 +25,6 @@ from vprbench.run.store import Store
 
 Part = TypeVar("Part")
 
-#: Which option of ours gives the root of datasets whose names begin so.
-_ROOTS = {"nordland": "nordland", "oxford_robotcar": "robotcar"}
-_FRAMES_OF_THEIR_OWN = ("nordland_64x32",)
 _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD, and of either on Windows
 
 
@@ -265,9 +262,7 @@ def _default_columns(plan: Plan, asked: TableRequest) -> list[str]:
 
 def _root(column: PlannedColumn, asked: TableRequest) -> tuple[str, ...]:
     """Return the option that says where the frames of a column lie, where that was asked for."""
-    dataset = next(option.partition("=")[2] for option in column.options if option.startswith("dataset="))
-    ours = [_ROOTS[name] for name in _ROOTS if dataset.startswith(name) and dataset not in _FRAMES_OF_THEIR_OWN]
-    folder = getattr(asked, ours[0]) if ours else None
+    folder = None if column.frames is None else getattr(asked, column.frames, None)
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 
