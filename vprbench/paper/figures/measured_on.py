@@ -58,6 +58,12 @@ def noise_sentence(series: Sequence[Series]) -> str:
     return f"Other work disturbed the machine, or laps were too few, while {listed(noisy)} ran." if noisy else ""
 
 
+def closing(series: Sequence[Series], of_seeds: str) -> tuple[str, ...]:
+    """Say at the end of a caption of times on what, with how many seeds and where they were measured."""
+    runs = runs_of(series)
+    return dataset_sentence(runs), seed_sentence(series, of_seeds), machine_sentence(runs), noise_sentence(series)
+
+
 def caption(*sentences: str) -> str:
     """Join the sentences that are not empty."""
     return " ".join(sentence for sentence in sentences if sentence)
