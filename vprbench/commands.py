@@ -16,7 +16,8 @@ from vprbench.run.settings import checked_settings, n_threads
 from vprbench.text import printable
 
 if TYPE_CHECKING:
-    from vprbench.paper.gather import Asked, Compose
+    from vprbench.paper.gather import TableRequest
+    from vprbench.paper.shelf import Compose
 
 
 def table(options: list[str]) -> int:
@@ -40,12 +41,12 @@ def report(options: list[str]) -> int:
     return make_report(*_asked(options))
 
 
-def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
+def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
     """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
-    from vprbench.paper.gather import Asked
+    from vprbench.paper.gather import TableRequest
     from vprbench.plugins.options import chosen
 
-    own = [option for option in options if option.partition("=")[0] in Asked.__dataclass_fields__]
+    own = [option for option in options if option.partition("=")[0] in TableRequest.__dataclass_fields__]
     rest = readable([option for option in options if option not in own])
     for option in rest:
         if option.split("=")[0].split(".")[0] in ("method", "dataset", "seed", "device", "output", "save", "load"):
@@ -53,7 +54,7 @@ def _asked(options: list[str]) -> tuple[Asked, list[str], Compose]:
                 f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
                 "conf/table.yaml has what they are"
             )
-    asked = chosen(Asked, own, {})
+    asked = chosen(TableRequest, own, {})
     checked_settings(composed(readable([*rest, f"results={asked.results}"])))
     return asked, rest, lambda more: composed(readable(list(more)))
 

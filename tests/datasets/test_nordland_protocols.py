@@ -14,9 +14,9 @@ from stored_runs import ROWS, run
 
 from vprbench.api.dataset import Dataset
 from vprbench.datasets.nordland import published_frames
-from vprbench.paper.gather import Asked, choose
+from vprbench.paper.gather import TableRequest, choose
 from vprbench.paper.plan import read_plan
-from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.plugins import registry
 from vprbench.run import compose
 
@@ -182,12 +182,12 @@ def test_vprsnns_by_its_name_is_the_papers_with_another_protocol() -> None:
 
 
 @pytest.fixture(scope="module")
-def columns() -> list[ColumnAsked]:
-    return [*choose(Asked(columns=[*NAMES]), lambda options: compose.composed(list(options))).columns]
+def columns() -> list[ResolvedColumn]:
+    return [*choose(TableRequest(columns=[*NAMES]), lambda options: compose.composed(list(options))).columns]
 
 
 def test_two_protocols_of_nordland_never_share_a_column(
-    datasets: Mapping[str, Dataset], columns: list[ColumnAsked]
+    datasets: Mapping[str, Dataset], columns: list[ResolvedColumn]
 ) -> None:
     runs = {
         name: run(dataset={**config(f"dataset={name}"), "root": "/here"}, protocol=dict(dataset.protocol))
@@ -197,13 +197,13 @@ def test_two_protocols_of_nordland_never_share_a_column(
     assert [(group.asked.planned.name, group.runs) for group in found] == [(name, (runs[name],)) for name in NAMES]
 
 
-def test_nor_do_they_where_nothing_but_the_protocol_differs(columns: list[ColumnAsked]) -> None:
+def test_nor_do_they_where_nothing_but_the_protocol_differs(columns: list[ResolvedColumn]) -> None:
     names = ("vprtempo", "vprsnn", "patchnetvlad", "27k", "vprbench")
     dataset = config("dataset=nordland")
     runs = [run(dataset={**dataset, "protocol": name}, protocol={"protocol": name}) for name in names]
-    asked = [ColumnAsked(columns[0].planned, {**dataset, "protocol": name}) for name in names]
+    asked = [ResolvedColumn(columns[0].planned, {**dataset, "protocol": name}) for name in names]
     assert [group.runs for group in groups(runs, [], asked, ROWS)] == [(each,) for each in runs]
-    unasked = ColumnAsked(columns[0].planned, {name: value for name, value in dataset.items() if name != "protocol"})
+    unasked = ResolvedColumn(columns[0].planned, {name: value for name, value in dataset.items() if name != "protocol"})
     apart = groups(runs, [], [unasked], ROWS)
     assert sorted(len(group.runs) for group in apart) == [1] * 5
     for one, other in itertools.combinations(apart, 2):

@@ -18,7 +18,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.growth import samples
 from vprbench.paper.page import words
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.quantities import RECALL
 from vprbench.plugins import registry
 from vprbench.run.record import Run
@@ -80,9 +80,9 @@ def test_an_unknown_protocol_is_refused_on_the_command_line(capsys: pytest.Captu
 # Columns
 
 
-def column(protocol: str, *options: str) -> ColumnAsked:
+def column(protocol: str, *options: str) -> ResolvedColumn:
     planned = PlannedColumn(protocol, f"Railway, {protocol}", ("dataset=synthetic", *options), None)
-    return ColumnAsked(planned, {**SYNTHETIC, "protocol": protocol})
+    return ResolvedColumn(planned, {**SYNTHETIC, "protocol": protocol})
 
 
 def test_runs_of_two_protocols_never_share_a_column() -> None:
@@ -107,7 +107,7 @@ def test_the_caption_of_a_column_names_its_protocol_and_no_count_twice(protocol:
 
 
 def test_columns_of_other_sizes_are_told_apart_by_what_was_asked_and_not_by_what_follows() -> None:
-    asked = ColumnAsked(column("vprtempo").planned, {"name": "synthetic"})
+    asked = ResolvedColumn(column("vprtempo").planned, {"name": "synthetic"})
     sizes = [asked_for("vprtempo", protocol=record("vprtempo", n), fingerprint=str(n)) for n in (12, 20)]
     titles = [made.title for made in table(sizes, rows=[SAD], asked=[asked]).columns]
     assert sorted(titles) == [

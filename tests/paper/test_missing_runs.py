@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
+from small_plan import RUN, install
 
-from vprbench.paper import missing_runs
-from vprbench.paper.missing_runs import Wanted
+from vprbench.cli import main
+from vprbench.paper import missing_runs, shelf
+from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
+from vprbench.run.compose import composed
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 
 SAD = Row("SAD", "sad", training="none")
+OPTIONS = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
 
 
-def a_wish(row: Row = SAD, seed: int = 0, **changes: object) -> Wanted:
+def compose(options: Sequence[str]) -> dict[str, Any]:
+    return composed(list(options))
+
+
+def a_wish(row: Row = SAD, seed: int = 0, **changes: object) -> MissingRun:
     given = {
         "row": row,
         "title": "Journey",
@@ -26,7 +38,7 @@ def a_wish(row: Row = SAD, seed: int = 0, **changes: object) -> Wanted:
         "seed": seed,
         "device": "cpu",
     }
-    return Wanted(**{**given, **changes})
+    return MissingRun(**{**given, **changes})
 
 
 class Children:
@@ -57,7 +69,7 @@ def test_a_run_is_asked_for_by_the_options_of_row_dataset_seed_and_device(
 ) -> None:
     children = with_children(monkeypatch, Ending(0))
     row = Row("Big patches", "sad", arguments={"patch": 14, "preprocessing": "A"})
-    assert missing_runs.fill([a_wish(row, seed=3)], ["threads=1"], store) == [Ending(0)]
+    assert missing_runs.fill([a_wish(row, seed=3)], ["threads=1"], store, compose) == [Ending(0)]
     assert children.asked == [
         [
             "dataset=synthetic",
@@ -78,7 +90,7 @@ def test_a_method_that_is_not_there_is_a_stored_failure_and_starts_no_process(
 ) -> None:
     children = with_children(monkeypatch)
     row = Row("Nothing", "no_such_method", seeds=(0, 1))
-    endings = missing_runs.fill([a_wish(row, 0), a_wish(row, 1)], [], store)
+    endings = missing_runs.fill([a_wish(row, 0), a_wish(row, 1)], [], store, compose)
     assert [(ending.code, ending.missing) for ending in endings] == [(2, True), (2, True)]
     assert children.asked == []
     (failure,) = store.failures()
@@ -91,7 +103,7 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
 ) -> None:
     missing = Ending(2, True, "weights are missing", recorded=True)
     children = with_children(monkeypatch, missing, Ending(0))
-    endings = missing_runs.fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], [], store)
+    endings = missing_runs.fill([a_wish(seed=0), a_wish(seed=1), a_wish(Row("PCA", "pca"))], [], store, compose)
     assert endings == [missing, missing, Ending(0)]
     assert len(children.asked) == 2
 
@@ -99,7 +111,7 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
 def test_a_failure_of_one_seed_does_not_stop_the_next(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
     diverged = Ending(1, False, "it diverged", recorded=True)
     with_children(monkeypatch, diverged, Ending(0))
-    assert missing_runs.fill([a_wish(seed=0), a_wish(seed=1)], [], store) == [diverged, Ending(0)]
+    assert missing_runs.fill([a_wish(seed=0), a_wish(seed=1)], [], store, compose) == [diverged, Ending(0)]
     assert not list(store.failures())  # the process has stored it
 
 
@@ -107,7 +119,7 @@ def test_a_process_that_ends_before_its_run_begins_is_a_stored_failure(
     monkeypatch: pytest.MonkeyPatch, store: Store
 ) -> None:
     with_children(monkeypatch, Ending(1, False, "was ended by signal 9 (SIGKILL)"))
-    (ending,) = missing_runs.fill([a_wish(seed=4)], [], store)
+    (ending,) = missing_runs.fill([a_wish(seed=4)], [], store, compose)
     assert (ending.code, ending.recorded) == (1, True)
     (failure,) = store.failures()
     assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9 (SIGKILL)", False, 4)
@@ -115,8 +127,80 @@ def test_a_process_that_ends_before_its_run_begins_is_a_stored_failure(
 
 def test_a_method_that_knows_no_device_does_not_run_on_a_gpu(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
     children = with_children(monkeypatch)
-    assert missing_runs.fill([a_wish(Row("HOG", "hog"), device="cuda")], [], store) == [Ending(0)]
+    assert missing_runs.fill([a_wish(Row("HOG", "hog"), device="cuda")], [], store, compose) == [Ending(0)]
     assert children.asked == []
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the stored runs of SAD in the two columns of the small plan."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        install(monkeypatch, folder)
+        assert main(["table", "rows=[SAD]", "devices=[cpu]", *RUN]) == 0
+    yield folder
+    shutil.rmtree(folder)
+
+
+STORED = a_wish(dataset_options=tuple(OPTIONS))
+
+
+@pytest.mark.parametrize(
+    ("wish", "options", "patched", "n_processes"),
+    [
+        (STORED, [], {}, 0),
+        (a_wish(seed=1, dataset_options=tuple(OPTIONS)), [], {}, 1),
+        (a_wish(dataset_options=tuple(OPTIONS), arguments={"patch": 14}), [], {}, 1),
+        (a_wish(dataset_options=(*OPTIONS, "dataset.query_places=5")), [], {}, 1),
+        (a_wish(dataset_options=(*OPTIONS, "dataset.protocol=nobody")), [], {}, 1),
+        (STORED, ["timing.minimum_seconds=0.01"], {}, 1),
+        (STORED, ["force=true"], {}, 1),
+        (STORED, [], {"code_hash_of": "other code"}, 1),
+        (STORED, [], {"code_hash_of": None}, 1),
+        (STORED, [], {"fingerprint": "other frames"}, 1),
+    ],
+)
+def test_a_process_is_started_only_for_what_is_not_stored_as_it_would_be_made_now(
+    made: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    wish: MissingRun,
+    options: list[str],
+    patched: dict[str, Any],
+    n_processes: int,
+) -> None:
+    children = with_children(monkeypatch, Ending(0))
+    for name, value in patched.items():
+        monkeypatch.setattr(shelf, name, lambda _, value=value: value)
+    assert missing_runs.fill([wish], [*RUN, *options], Store(made / "results"), compose) == [Ending(0)]
+    assert len(children.asked) == n_processes
+
+
+def test_frames_that_were_removed_are_kept_again_by_a_process(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(made / "results", tmp_path / "results", ignore=shutil.ignore_patterns("frames"))
+    children = with_children(monkeypatch, Ending(0))
+    store = Store(tmp_path / "results")
+    missing_runs.fill([STORED], [*RUN, "frames=false"], store, compose)
+    assert children.asked == []
+    missing_runs.fill([STORED], RUN, store, compose)
+    assert len(children.asked) == 1
+
+
+def test_a_table_of_stored_runs_imports_no_torch(made: Path) -> None:
+    code = """
+import sys
+from pathlib import Path
+from vprbench.paper import gather, missing_runs
+from vprbench.paper.plan import read_plan
+from vprbench.cli import main
+gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
+missing_runs.run_apart = None
+code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
+sys.exit("torch" if "torch" in sys.modules else code)
+"""
+    done = subprocess.run([sys.executable, "-c", code, *RUN], cwd=made, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_an_absolute_folder_is_what_a_process_elsewhere_finds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

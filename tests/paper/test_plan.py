@@ -11,7 +11,7 @@ from checkout import ROOT
 from made_table import NAMES
 
 from vprbench.errors import BadInput
-from vprbench.paper.gather import Asked, Chosen, choose, wanted
+from vprbench.paper.gather import Chosen, TableRequest, choose, wanted
 from vprbench.paper.plan import Plan, PlannedColumn, Row, published, read_plan, with_plug_ins
 from vprbench.plugins import registry
 from vprbench.run import compose
@@ -36,7 +36,7 @@ def written(content: Any, folder: Path) -> Path:
 
 
 def chosen(**asked: Any) -> Chosen:
-    return choose(Asked(**asked), lambda options: compose.composed(list(options)))
+    return choose(TableRequest(**asked), lambda options: compose.composed(list(options)))
 
 
 def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:

@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
+from stored_runs import ABACUS, LOOM, PUBLIC, RAIL, RAILWAY, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import (
     Aside,
-    ColumnAsked,
     Group,
+    ResolvedColumn,
     RowRuns,
     accuracy_series,
     aside_sentence,
@@ -23,7 +23,7 @@ from vprbench.paper.selection import (
     protocol_words,
     series,
 )
-from vprbench.run.record import Run
+from vprbench.run.record import Failure, Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
 
@@ -57,13 +57,13 @@ def test_runs_belong_to_the_column_with_their_dataset_wherever_its_frames_lay() 
 
 
 def test_lists_and_tuples_and_whole_numbers_of_either_kind_are_the_same_dataset() -> None:
-    asked = ColumnAsked(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
+    asked = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
     stored = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
     assert only(groups([stored], [], [asked], ROWS)).runs == (stored,)
 
 
 def test_options_that_a_dataset_gained_or_lost_keep_no_run_from_its_column() -> None:
-    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5})
+    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
     older_run, todays = run(), run("vprtempo", dataset={**RAILWAY, "fog": 0.5})
     other_fog = run(dataset={**RAILWAY, "fog": 0.9})
     both = only(groups([older_run, todays, other_fog], [], [gained], ROWS))
@@ -79,7 +79,7 @@ def test_another_dataset_is_none_of_a_column_whatever_options_they_share() -> No
 
 
 def test_runs_of_other_options_in_a_group_of_their_own_are_told_by_these() -> None:
-    gained = ColumnAsked(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
+    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
     before = run(dataset={**RAILWAY, "snow": True}, protocol={"renderer": 1}, day="2025-01-01")
     todays = run(dataset={**RAILWAY, "fog": 0.5}, protocol={"renderer": 2})
     assert [options_apart(group) for group in groups([before, todays], [], [gained], ROWS)] == [(), ("fog", "snow")]
@@ -131,12 +131,15 @@ def test_an_argument_that_is_the_default_by_now_need_not_be_named() -> None:
     assert of_row(Group(TOWN, 1, (stored,), ()), VPRTEMPO, "cpu").runs == (stored,)
 
 
-def test_an_older_record_belongs_where_its_options_say() -> None:
-    plain, public = older(tempo()), older(tempo(changed={"rules": "reference"}))
-    seeded = older(tempo(1, config={"overrides": ["method=vprtempo", "+method.seed=1", "method.device=cpu"]}))
-    group = Group(RAIL, 1, (plain, public, seeded), ())
-    assert of_row(group, VPRTEMPO, "cpu").runs == (plain, seeded)
-    assert of_row(group, PUBLIC, "cpu").runs == (public,)
+def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say() -> None:
+    def early(**changes: Any) -> Failure:
+        failed = failure("vprtempo", **changes)
+        return replace(failed, config={name: value for name, value in failed.config.items() if name != "changed"})
+
+    seeded = early(seed=1, config={"overrides": ["method=vprtempo", "+method.seed=1", "method.device=cpu"]})
+    failed = early(), seeded, early(changed={"rules": "reference"})
+    found = [of_row(Group(RAIL, 1, (), failed), row, "cpu").failures for row in (VPRTEMPO, PUBLIC)]
+    assert found == [failed[:2], failed[2:]]
 
 
 def test_devices_are_kept_apart_and_their_numbers_do_not_matter() -> None:
@@ -162,7 +165,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "code": {"config": {"code": "beef"}},
     "timing": {"config": {"timing": {"minimum_seconds": 10.0}}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},
-    "defaults of the method": {
+    "arguments of the method": {
         "config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3, "_target_": "made.vprtempo"}}
     },
     "libraries": {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}},
@@ -206,13 +209,6 @@ def test_of_one_seed_measured_twice_the_newest_is_shown_and_the_other_named() ->
     found = of_row(Group(RAIL, 1, (new, old), ()), SAD, "cpu")
     assert found.runs == (new,)
     assert found.aside == (Aside(1, "measured again since"),)
-
-
-def test_an_older_record_stands_apart_from_one_that_names_its_code() -> None:
-    found = of_row(Group(RAIL, 1, (run(day="2025-03-02"), older(run(seed=0, day="2025-02-01"))), ()), SAD, "cpu")
-    assert [stored.config.get("code") for stored in found.runs] == ["c0de"]
-    (aside,) = found.aside
-    assert aside.why.startswith("in an older record")
 
 
 def test_what_is_set_aside_of_a_row_is_one_sentence() -> None:

@@ -12,7 +12,7 @@ from small_plan import RUN, install
 
 from vprbench.cli import main
 from vprbench.paper.page import words
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.plugins import registry
 from vprbench.run.record import Run
 from vprbench.run.store import Store

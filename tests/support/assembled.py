@@ -8,7 +8,7 @@ from typing import Any
 from stored_runs import PLAN, RAIL, ROWS, run
 
 from vprbench.paper.plan import Row
-from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Cell, Measured, Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity
@@ -20,7 +20,7 @@ def table(
     runs: Sequence[Run] = (),
     failures: Sequence[Failure] = (),
     rows: Sequence[Row] = ROWS,
-    asked: Sequence[ColumnAsked] = (RAIL,),
+    asked: Sequence[ResolvedColumn] = (RAIL,),
     left_out: Mapping[tuple[str, str], str] | None = None,
     quantities: tuple[Quantity, ...] = QUANTITIES,
 ) -> Table:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.metrics.ranking import best_places, outcome
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import Laps, Timing
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from vprbench.metrics.ranking import best_places, outcome
 from vprbench.paper.page.page import Picture, Section, page
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails

@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.metrics.ranking import Outcome
 from vprbench.paper.plan import Growth, Plan, PlannedColumn, Row
-from vprbench.paper.selection import ColumnAsked
+from vprbench.paper.selection import ResolvedColumn
 from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 
@@ -37,8 +37,8 @@ PLAN = Plan(
 )
 ROWS = (SAD, NETVLAD, VPRSNN, VPRTEMPO)
 
-RAIL = ColumnAsked(PLANNED, RAILWAY)
-TOWN = ColumnAsked(CITY, STREET)
+RAIL = ResolvedColumn(PLANNED, RAILWAY)
+TOWN = ResolvedColumn(CITY, STREET)
 
 ABACUS = {"processor": "Abacus 9", "threads": 1, "cores": 2, "libraries": {"torch": "2.6.0"}}
 LOOM = {**ABACUS, "processor": "Loom 3", "cores": 8, "accelerator": "Spindle 80GB"}
@@ -101,12 +101,6 @@ def run(
         positives=tuple(np.array([i * n_places // len(hits)]) for i in range(len(hits))),
     )
     return replace(made, **changes)
-
-
-def older(stored: Run) -> Run:
-    """Return a run as a record of an earlier layout holds it."""
-    config = {name: value for name, value in stored.config.items() if name not in ("changed", "code", "timing")}
-    return replace(stored, config=config)
 
 
 def failure(method: str = "sad", seed: int = 0, error: str = "out of thread", **changes: Any) -> Failure:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from vprbench.errors import BadInput
-from vprbench.paper.missing_runs import Wanted, fill, results_folder
+from vprbench.paper.missing_runs import MissingRun, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
-from vprbench.paper.selection import ColumnAsked, Group, groups
+from vprbench.paper.selection import Group, ResolvedColumn, groups
+from vprbench.paper.shelf import Compose
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import quantities
@@ -23,15 +26,12 @@ from vprbench.run.settings import insist_on_metrics
 from vprbench.run.store import Store
 
 Part = TypeVar("Part")
-Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
 
-#: Which option of ours gives the root of datasets whose names begin so.
-_ROOTS = {"nordland": "nordland", "oxford_robotcar": "robotcar"}
-_FRAMES_OF_THEIR_OWN = ("nordland_64x32",)
+_ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD, and of either on Windows
 
 
 @dataclass(frozen=True)
-class Asked:
+class TableRequest:
     """Which rows and columns, from which stores; raises BadInput for what cannot be."""
 
     rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
@@ -70,13 +70,13 @@ class Chosen:
 
     plan: Plan
     rows: tuple[Row, ...]
-    columns: tuple[ColumnAsked, ...]
-    smaller: Mapping[str, ColumnAsked]  # by column, where its slow rows run
+    columns: tuple[ResolvedColumn, ...]
+    smaller: Mapping[str, ResolvedColumn]  # by column, where its slow rows run
     devices: tuple[str, ...]
     full: bool
     metrics: tuple[str, ...] = ()
 
-    def slow(self, column: ColumnAsked, row: Row) -> bool:
+    def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
         places = column.dataset.get("places")
         too_many = row.most_places is not None and isinstance(places, int) and places > row.most_places
@@ -94,7 +94,7 @@ class Material:
     endings: tuple[Ending, ...]  # of what was tried now
 
 
-def choose(asked: Asked, compose: Compose) -> Chosen:
+def choose(asked: TableRequest, compose: Compose) -> Chosen:
     """Resolve what was asked for against conf/table.yaml; raises BadInput for rows or columns that are unknown."""
     folders = registry.conf_folders()
     plan = with_plug_ins(read_plan(folders["vprbench"] / "table.yaml"), folders)
@@ -104,22 +104,22 @@ def choose(asked: Asked, compose: Compose) -> Chosen:
         rows.setdefault(row.name, row)
     columns = {name: _known("columns", name, plan.columns) for name in asked.columns or _default_columns(plan, asked)}
 
-    def resolved(column: PlannedColumn) -> ColumnAsked:
+    def resolved(column: PlannedColumn) -> ResolvedColumn:
         options = (*column.options, *_root(column, asked))
-        return ColumnAsked(replace(column, options=options), dict(compose(options)["dataset"]))
+        return ResolvedColumn(replace(column, options=options), dict(compose(options)["dataset"]))
 
     return Chosen(
         plan,
         tuple(replace(row, seeds=row.seeds[: asked.seeds]) for row in rows.values()),
         tuple(map(resolved, columns.values())),
         {column.name: resolved(plan.columns[column.smaller]) for column in columns.values() if column.smaller},
-        tuple(asked.devices or _devices()),
+        tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
         asked.full,
         tuple(asked.metrics),
     )
 
 
-def gather(asked: Asked, options: Sequence[str], compose: Compose) -> Material:
+def gather(asked: TableRequest, options: Sequence[str], compose: Compose) -> Material:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput where there is no run at all.
@@ -128,12 +128,12 @@ def gather(asked: Asked, options: Sequence[str], compose: Compose) -> Material:
     store = Store(results_folder(asked.results), read_only=asked.stored)
     endings: list[Ending] = []
     if not asked.stored:
-        endings += fill(_first(chosen), options, store)
+        endings += fill(_first(chosen), options, store, compose)
     runs, failures = stored(asked)
     if not asked.stored:
         more = list(_in_smaller_columns(chosen, runs))
         if more:
-            endings += fill(more, options, store)
+            endings += fill(more, options, store, compose)
             runs, failures = stored(asked)
     found = material(chosen, runs, failures, tuple(endings))
     if not any(group.runs for group in found.groups):
@@ -161,24 +161,24 @@ def material(
     return Material(chosen, tuple(found), table, tuple(runs), endings)
 
 
-def stored(asked: Asked) -> tuple[list[Run], list[Failure]]:
+def stored(asked: TableRequest) -> tuple[list[Run], list[Failure]]:
     """Return what the store holds, and those of other machines; what is in several is there once."""
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}
     return [*runs.values()], [failure for store in stores for failure in store.failures()]
 
 
-def wanted(chosen: Chosen, column: ColumnAsked, rows: Sequence[Row]) -> Iterator[Wanted]:
+def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Iterator[MissingRun]:
     """Yield the runs of some rows in one column."""
     planned = column.planned
     for row in rows:
         for device, seed in itertools.product(chosen.devices, row.seeds):
-            yield Wanted(row, planned.title, planned.options, column.dataset, planned.arguments(row), seed, device)
+            yield MissingRun(row, planned.title, planned.options, column.dataset, planned.arguments(row), seed, device)
 
 
-def _first(chosen: Chosen) -> list[Wanted]:
+def _first(chosen: Chosen) -> list[MissingRun]:
     """Return the runs of all columns, slow rows in the smaller ones."""
-    found: list[Wanted] = []
+    found: list[MissingRun] = []
     for column in chosen.columns:
         fast = [row for row in chosen.rows if not chosen.slow(column, row)]
         slow = [row for row in chosen.rows if chosen.slow(column, row)]
@@ -188,7 +188,7 @@ def _first(chosen: Chosen) -> list[Wanted]:
     return found
 
 
-def _in_smaller_columns(chosen: Chosen, runs: Sequence[Run]) -> Iterator[Wanted]:
+def _in_smaller_columns(chosen: Chosen, runs: Sequence[Run]) -> Iterator[MissingRun]:
     """Yield the runs of the fast rows where slow ones have run."""
     shown = {column.planned.name for column in _shown_smaller(chosen, runs)}
     for column in chosen.columns:
@@ -197,7 +197,7 @@ def _in_smaller_columns(chosen: Chosen, runs: Sequence[Run]) -> Iterator[Wanted]
             yield from wanted(chosen, smaller, [row for row in chosen.rows if not chosen.slow(column, row)])
 
 
-def _shown_smaller(chosen: Chosen, runs: Sequence[Run]) -> list[ColumnAsked]:
+def _shown_smaller(chosen: Chosen, runs: Sequence[Run]) -> list[ResolvedColumn]:
     """Return the smaller columns in which a slow row has runs."""
     shown = []
     for column in chosen.columns:
@@ -228,12 +228,12 @@ def _of_slow_rows(chosen: Chosen, failures: Sequence[Failure]) -> Iterator[Failu
                 yield replace(failure, config={**failure.config, "dataset": column.dataset, "changed": changed})
 
 
-def _left_out(smaller: ColumnAsked | None, shown: set[str]) -> str:
+def _left_out(smaller: ResolvedColumn | None, shown: set[str]) -> str:
     there = f": it stands under {smaller.planned.title}" if smaller and smaller.planned.name in shown else ""
     return f"too many places for the time that a table takes{there}; FULL=1 runs it here"
 
 
-def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
+def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
     """Return a row of the plan, or one for a method; raises BadInput for what is neither known here nor stored.
 
     A method that the plan has under its own name, and no arguments, is that row. Another one that takes a seed learns
@@ -256,7 +256,7 @@ def _on_request(plan: Plan, name: str, asked: Asked) -> Row:
     return Row(name, name, training="own", seeds=plan.seeds) if seeded else Row(name, name, training="map")
 
 
-def _default_columns(plan: Plan, asked: Asked) -> list[str]:
+def _default_columns(plan: Plan, asked: TableRequest) -> list[str]:
     """Return the paper's datasets where their frames are, and what stands in for them where not."""
     smaller = {column.smaller for column in plan.columns.values()}
     chosen = []
@@ -267,17 +267,17 @@ def _default_columns(plan: Plan, asked: Asked) -> list[str]:
     return chosen
 
 
-def _root(column: PlannedColumn, asked: Asked) -> tuple[str, ...]:
+def _root(column: PlannedColumn, asked: TableRequest) -> tuple[str, ...]:
     """Return the option that says where the frames of a column lie, where that was asked for."""
-    dataset = next(option.partition("=")[2] for option in column.options if option.startswith("dataset="))
-    ours = [_ROOTS[name] for name in _ROOTS if dataset.startswith(name) and dataset not in _FRAMES_OF_THEIR_OWN]
-    folder = getattr(asked, ours[0]) if ours else None
+    folder = None if column.frames is None else getattr(asked, column.frames, None)
     return () if folder is None else (f"dataset.root={Path(folder).expanduser().absolute()}",)
 
 
 def _devices() -> list[str]:
-    """Return the CPU, and the GPU where torch sees one."""
-    import torch
+    """Return the CPU, and the GPU where torch sees one; torch is asked only where the system names an accelerator."""
+    if shutil.which("nvidia-smi") is None and not any(map(os.path.exists, _ACCELERATORS)):
+        return ["cpu"]
+    import torch  # takes long
 
     return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
 

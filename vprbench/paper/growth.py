@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,12 +11,11 @@ import numpy.typing as npt
 
 from vprbench.errors import BadInput
 from vprbench.paper.plan import Boundary, Row
+from vprbench.paper.selection import age, as_text, conditions
 from vprbench.paper.table import best
-from vprbench.run.machine import Machine
 from vprbench.run.record import Run
 
-_PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in which runs of one growth differ
-_PER_SIZE = frozenset(  # and parts of their protocol
+_PER_SIZE = frozenset(  # parts of the protocol in which runs of one growth differ
     {"places", "query_places", "first_query_place", "reference_places", "held_out_places"}
 )
 
@@ -56,8 +54,8 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
     if not runs:
         raise BadInput(f"no run of {row.name} is stored at different numbers of places: nothing shows its growth")
     sets: dict[str, list[Run]] = {}
-    for run in sorted(runs, key=_age, reverse=True):
-        sets.setdefault(json.dumps(_conditions(run, at_most), sort_keys=True), []).append(run)
+    for run in sorted(runs, key=age, reverse=True):
+        sets.setdefault(as_text(_conditions(run, at_most)), []).append(run)
     newest, *others = sets.values()
     chosen: dict[tuple[int, int], Run] = {}
     for run in newest:
@@ -90,37 +88,16 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
     return (float(ordered[k - 1]), float(ordered[-k])) if k else None
 
 
-def _laps(run: Run, boundary: Boundary | None) -> npt.NDArray[np.float64]:
-    streaming = run.timing.streaming
-    if boundary is None:
-        return streaming.total_seconds
-    return streaming.match_seconds if boundary == "match" else streaming.encode_seconds
-
-
 def _median(run: Run, boundary: Boundary | None) -> Sample:
-    seconds = _laps(run, boundary)
+    seconds = best.laps(run, boundary)
     low, high = interval_of_median(seconds) or (None, None)
     return Sample(run.outcome.n_places, float(np.median(seconds)), low, high, best.disturbed(run))
 
 
-def _age(run: Run) -> tuple[str, str]:
-    return str(run.environment.get("time_utc") or ""), run.key
-
-
 def _conditions(run: Run, at_most: Collection[str]) -> dict[str, Any]:
-    """Return what has to be the same for times to compare, by what it is called where it differs."""
-    surroundings, arguments = run.environment, run.config["method"]
-    return {
-        "code": run.config.get("code"),
-        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN and k not in at_most},
-        "weights": run.config.get("files", []),
-        "dataset": [run.dataset, {k: v for k, v in run.protocol.items() if k not in _PER_SIZE}],
-        "timing protocol": run.config.get("timing"),
-        "libraries": surroundings.get("libraries"),
-        "threads": surroundings.get("threads"),
-        "device": run.config["device"],
-        "machine": Machine.of(surroundings).hardware,
-    }
+    """Return the conditions that must be equal for times to compare, keyed by the word for a difference."""
+    protocol = {name: value for name, value in run.protocol.items() if name not in _PER_SIZE}
+    return {**conditions(run, at_most), "dataset": [run.dataset, protocol], "device": run.config["device"]}
 
 
 def _set_aside(name: str, members: Sequence[Run], chosen: Run, at_most: Collection[str]) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.paper.plan import Row
+from vprbench.paper.shelf import Compose, Shelf
 from vprbench.plugins import registry
 from vprbench.run import machine
 from vprbench.run.processes import Ending, run_apart
@@ -21,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MissingRun:
     """One run: a row on a dataset, with a seed and a device."""
 
     row: Row
@@ -62,18 +63,22 @@ class Wanted:
         )
 
 
-def fill(wanted: Sequence[Wanted], options: Sequence[str], store: Store) -> list[Ending]:
-    """Make what is not stored yet, one run after the other; returns how each ended.
+def fill(wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose) -> list[Ending]:
+    """Make the runs that are not stored yet, one after the other; returns how each ended.
 
-    `options` of the command line are those of all runs. What is missing for the first seed of a row is missing for
-    the others, which are not tried. A failure is stored, never raised.
+    `options` of the command line are those of all runs. For a run that is stored no process is started. What is missing
+    for the first seed of a row is missing for the others, which are not tried. A failure is stored, never raised.
     """
     endings: list[Ending] = []
     missing: dict[tuple[str, str, str], Ending] = {}
+    shelf = Shelf(store, options, compose)
     for number, run in enumerate(wanted, 1):
         known = (run.row.name, run.title, run.device)
         if known in missing:
             endings.append(missing[known])
+            continue
+        if shelf.holds(run):
+            endings.append(Ending(0))
             continue
         logger.info("[%d/%d] %s on %s, seed %d, %s", number, len(wanted), run.row.name, run.title, run.seed, run.device)
         ending = _made(run, options, store)
@@ -83,8 +88,8 @@ def fill(wanted: Sequence[Wanted], options: Sequence[str], store: Store) -> list
     return endings
 
 
-def _made(run: Wanted, options: Sequence[str], store: Store) -> Ending:
-    """Make one run, or find it in the store."""
+def _made(run: MissingRun, options: Sequence[str], store: Store) -> Ending:
+    """Make one run in a process of its own."""
     known = registry.entries("method")
     if run.row.method not in known:
         return _stored(run, f"there is no method {run.row.method} here yet", True, store)
@@ -96,7 +101,7 @@ def _made(run: Wanted, options: Sequence[str], store: Store) -> Ending:
     return ending
 
 
-def _stored(run: Wanted, error: str, missing: bool, store: Store, code: int = 2) -> Ending:
+def _stored(run: MissingRun, error: str, missing: bool, store: Store, code: int = 2) -> Ending:
     store.prepare()
     store.save_failure(run.failed(error, missing))
     return Ending(code, missing, error, recorded=True)

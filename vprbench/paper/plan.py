@@ -49,6 +49,7 @@ class PlannedColumn:
     stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
     smaller: str | None = None  # the column where rows run that take too long here
     on_request: bool = False  # shown where it is asked for by name alone
+    frames: str | None = None  # the option of a table that gives the root of its dataset
     remark: str | None = None  # what a reader of the table has to know of the data
     fits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by method, arguments that this size needs
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.series import Series
 from vprbench.run.machine import Machine
 from vprbench.run.record import Failure, Run
 
@@ -23,7 +22,7 @@ _PER_RUN = frozenset({"_target_", "seed", "device"})  # arguments of a method in
 
 
 @dataclass(frozen=True)
-class ColumnAsked:
+class ResolvedColumn:
     """A column of the table and what its options make of the dataset."""
 
     planned: PlannedColumn
@@ -34,7 +33,7 @@ class ColumnAsked:
 class Group:
     """The runs of one column that answer the same question: one protocol, the same images and ground truth."""
 
-    asked: ColumnAsked
+    asked: ResolvedColumn
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1: what failed has no images
@@ -59,8 +58,17 @@ class RowRuns:
     failures: tuple[Failure, ...]  # one a seed, ascending: of missing seeds, and errors since the seed's run
 
 
+@dataclass(frozen=True)
+class Series:
+    """Runs of one method that differ in their seed alone, on one dataset, protocol and kind of device."""
+
+    name: str  # the row's, as in the table
+    spiking: bool
+    runs: tuple[Run, ...]  # one a seed, ascending; at least one
+
+
 def groups(
-    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ColumnAsked], rows: Sequence[Row]
+    runs: Iterable[Run], failures: Iterable[Failure], asked: Sequence[ResolvedColumn], rows: Sequence[Row]
 ) -> list[Group]:
     """Put runs and failures of the rows into the columns, in the columns' order.
 
@@ -75,7 +83,7 @@ def groups(
         alike: dict[str, list[Run]] = defaultdict(list)
         for run in ordered:
             if _in_column(run, column) and any(_in_row(run, column.planned, row) for row in rows):
-                alike[f"{_text(run.protocol)} {run.fingerprint}"].append(run)
+                alike[f"{as_text(run.protocol)} {run.fingerprint}"].append(run)
         newest_first = sorted(alike.items(), key=lambda item: (max(map(_when, item[1])), item[0]), reverse=True)
         there = tuple(f for f in failed if _in_column(f, column) and any(_in_row(f, column.planned, r) for r in rows))
         found += [
@@ -86,20 +94,20 @@ def groups(
 
 
 def of_row(group: Group, row: Row, device: Device) -> RowRuns:
-    """Return the runs of a row: those that one code measured in one way on one machine, one a seed.
+    """Return one run per seed, all made by the same code, settings and machine.
 
     Runs that differ in code, defaults, weights, timing protocol, libraries, threads or machine are never put together.
     Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
-    run; the others are counted in `aside`, and so are seeds that the row does not ask for. Where there are runs, what
-    failed on another machine says nothing of them, and that something was missing nothing of a seed that is stored.
+    run; the others are counted in `aside`, and so are seeds that the row does not ask for. If the row
+    has runs, failures from other machines are ignored, and "missing" failures of seeds that have a run.
     """
     there = [run for run in group.runs if _in_row(run, group.asked.planned, row) and _on(run) == device]
     asked = [run for run in there if run.config["seed"] in row.seeds]
     sets: dict[str, list[Run]] = defaultdict(list)
     for run in asked:
-        sets[_text(_setup(run))].append(run)
+        sets[as_text(_setup(run))].append(run)
     ranked = sorted(sets.values(), key=lambda members: _rank(members, row), reverse=True)
-    chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=_age)} if ranked else {}
+    chosen = {run.config["seed"]: run for run in sorted(ranked[0], key=age)} if ranked else {}
     aside = [_difference(members, ranked[0]) for members in ranked[1:]]
     if ranked and (repeated := [run for run in ranked[0] if run is not chosen[run.config["seed"]]]):
         aside.append(Aside(len(repeated), "measured again since"))
@@ -206,11 +214,11 @@ def _word(value: Any) -> str:
     return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _in_column(result: Run | Failure, column: ColumnAsked) -> bool:
+def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
     """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay."""
     wanted, given = column.dataset, result.config.get("dataset", {})
     both = wanted.keys() & given.keys() - _WHERE
-    return "name" in both and all(_text(wanted[name]) == _text(given[name]) for name in both)
+    return "name" in both and all(as_text(wanted[name]) == as_text(given[name]) for name in both)
 
 
 def _in_row(result: Run | Failure, planned: PlannedColumn, row: Row) -> bool:
@@ -220,12 +228,12 @@ def _in_row(result: Run | Failure, planned: PlannedColumn, row: Row) -> bool:
     wanted = planned.arguments(row)
     given = {**result.config.get("method", {}), **result.config.get("changed", {})}
     return _changed(result) <= wanted.keys() and all(
-        name in given and _text(given[name]) == _text(value) for name, value in wanted.items()
+        name in given and as_text(given[name]) == as_text(value) for name, value in wanted.items()
     )
 
 
 def _changed(result: Run | Failure) -> set[str]:
-    """Return the arguments of the method that were asked for; older records name them in the words of the user."""
+    """Return the arguments of the method that were asked for; an early failure names them in the words of the user."""
     if "changed" in result.config:
         return set(result.config["changed"])
     asked = (text.lstrip("+").partition("=")[0] for text in result.config.get("overrides", []))
@@ -240,36 +248,41 @@ def _when(result: Run | Failure) -> str:
     return str(result.environment.get("time_utc") or "")
 
 
-def _age(run: Run) -> tuple[str, str]:
+def age(run: Run) -> tuple[str, str]:
+    """Return what sorts runs from the oldest to the newest."""
     return _when(run), run.key
 
 
-def _setup(run: Run) -> dict[str, Any]:
-    """Return what runs have in common that are put together, by what it is called where it differs."""
-    surroundings = run.environment
+def conditions(run: Run, apart: Collection[str] = ()) -> dict[str, Any]:
+    """Return the conditions that must be equal for runs to be put together, keyed by the word for a difference.
+
+    `apart` names further arguments of the method in which the runs may differ.
+    """
+    surroundings, arguments = run.environment, run.config["method"]
     return {
         "code": run.config.get("code"),
-        "defaults of the method": {k: v for k, v in run.config["method"].items() if k not in _PER_RUN},
+        "arguments of the method": {k: v for k, v in arguments.items() if k not in _PER_RUN and k not in apart},
         "weights": run.config.get("files", []),
         "timing": run.config.get("timing"),
         "libraries": surroundings.get("libraries"),
         "threads": surroundings.get("threads"),
         "machine": _machine(run),
-        "network": "trained" if run.network is None else "loaded",
     }
+
+
+def _setup(run: Run) -> dict[str, Any]:
+    return {**conditions(run), "network": "trained" if run.network is None else "loaded"}
 
 
 def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:
     complete = {run.config["seed"] for run in members} >= set(row.seeds)
-    return complete, members[0].network is None, max(map(_age, members))
+    return complete, members[0].network is None, max(map(age, members))
 
 
 def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> Aside:
     """Say in what runs differ from those that were chosen."""
     ours, theirs = _setup(members[0]), _setup(chosen[0])
-    other = tuple(name for name, value in ours.items() if _text(value) != _text(theirs[name]))
-    if ours["code"] is None and "code" in other:
-        return Aside(len(members), "in an older record that does not name its code and timing")
+    other = tuple(name for name, value in ours.items() if as_text(value) != as_text(theirs[name]))
     return Aside(len(members), _OTHER, other)
 
 
@@ -286,7 +299,7 @@ def _same_machine(failure: Failure, run: Run) -> bool:
     return "processor" not in failure.environment or _machine(failure) == _machine(run)
 
 
-def _text(value: Any) -> str:
+def as_text(value: Any) -> str:
     """Return plain values as text that is the same for equal ones: order, tuples and 2.0 for 2 make no difference."""
     return json.dumps(_plain(value), sort_keys=True)
 

@@ -9,9 +9,8 @@ from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
-from vprbench.run import harness, machine
+from vprbench.run import harness, machine, sources
 from vprbench.run.record import content_key
-from vprbench.run.sources import source_hash
 from vprbench.run.stopwatch import Protocol
 
 
@@ -54,7 +53,13 @@ class Identity:
 
 def code_hash(method: type[Method]) -> str:
     """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
-    return hashlib.sha256(f"{source_hash(method)} {harness.VERSION}".encode()).hexdigest()
+    return _with_harness(sources.source_hash(method))
+
+
+def code_hash_of(target: str) -> str | None:
+    """Return the `code_hash` of a class by its full name, without importing it; None where its file cannot be told."""
+    found = sources.defined_in(target)
+    return None if found is None else _with_harness(sources.meaning(sources.behind_file(*found).values()))
 
 
 def fingerprint(dataset: Dataset) -> str:
@@ -91,3 +96,7 @@ def data_record(dataset: Dataset) -> DataRecord:
         "images": len(names),
         "bytes": None if files is None else sum(file.size_bytes for file in files),
     }
+
+
+def _with_harness(code: str) -> str:
+    return hashlib.sha256(f"{code} {harness.VERSION}".encode()).hexdigest()

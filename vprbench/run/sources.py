@@ -43,8 +43,12 @@ def behind(kind: type) -> dict[str, Path]:
     Imports are followed, inside functions too, within the package of the class and the `COMPUTING` modules of this
     project: the versions of other packages stand for what these hold.
     """
-    name = kind.__module__
-    found = {name: Path(inspect.getfile(kind))}
+    return behind_file(kind.__module__, Path(inspect.getfile(kind)))
+
+
+def behind_file(name: str, file: Path) -> dict[str, Path]:
+    """Return the files that compute for the module `name`, which is `file`, as `behind` does for a class."""
+    found = {name: file}
     waiting = [name]
     while waiting:
         current = waiting.pop()
@@ -53,6 +57,26 @@ def behind(kind: type) -> dict[str, Path]:
                 found[imported] = path
                 waiting.append(imported)
     return dict(sorted(found.items()))
+
+
+def defined_in(target: str) -> tuple[str, Path] | None:
+    """Return the module that defines a class, and its file, by the class's full name; nothing but packages is imported.
+
+    Imports of the name are followed. None where no file says which class it is.
+    """
+    module, _, name = target.rpartition(".")
+    path = _file(module)
+    if path is None:
+        return None
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef) and node.name == name:
+            return module, path
+        if _is_import(node) and (alias := next((a for a in node.names if name == (a.asname or a.name)), None)):
+            source = "." * node.level + (node.module or "")
+            source = importlib.util.resolve_name(source, package) if node.level else source
+            return defined_in(f"{source}.{alias.name}")
+    return None
 
 
 def _counts(module: str, asking: str) -> bool:

@@ -13,7 +13,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.style import Drawn, looks, png
 from vprbench.paper.plan import Quantity, Row, read_plan
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.note import Note
 
 PLAN = read_plan(ROOT / "conf" / "table.yaml")

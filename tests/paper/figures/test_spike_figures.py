@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.spikes import spike_statistics
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 
 

@@ -18,7 +18,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.paper.figures.style import Drawn, png
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
 

@@ -28,7 +28,7 @@ from report_page import (
 from report_reader import Reader, choose, colours, contrasts, listed, widest
 
 from vprbench.paper.page.page import Section, page
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 
 MINUS = "\N{MINUS SIGN}"
 ORDERS = {"route": "along the route", "lowest": "by margin, lowest first", "highest": "by margin, highest first"}

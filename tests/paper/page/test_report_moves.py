@@ -8,7 +8,7 @@ from report_page import N_QUERIES, SAD_WRONG, TEMPO_WRONG, answered
 from report_reader import Reader, choose, current, focused, listed, queries_of
 
 from vprbench.paper.page.page import Section, page
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 
 ROUTE = "along the route"
 

@@ -34,7 +34,7 @@ from vprbench.paper.page import page as report
 from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.page.small_png import small_png
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 
@@ -404,8 +404,10 @@ def test_without_frames_nothing_is_said_of_which_image_is_shown() -> None:
     assert section["firstReferences"] == ""
 
 
-def test_margin_and_verdicts_are_defined_on_the_page_itself() -> None:
+def test_terms_are_defined_on_the_page_itself_in_the_words_of_the_table() -> None:
     text = Parsed(made_up_page()).text
+    assert report.TRAINING_TIME in text
+    assert report.METHOD in text
     assert "best right place less the score of its best wrong place" in text
     assert "only if its best place is right and no wrong place has the same score" in text
 

@@ -27,7 +27,7 @@ from stored_runs import (
 )
 
 from vprbench.paper.plan import Row
-from vprbench.paper.selection import ColumnAsked
+from vprbench.paper.selection import ResolvedColumn
 from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 
@@ -71,7 +71,7 @@ def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes() -> None:
 def test_a_difference_to_the_paper_is_given_on_its_own_frames_and_never_on_those_that_stand_in() -> None:
     runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
     cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
-    real = table(runs, asked=[ColumnAsked(NORDLAND, RAILWAY)])
+    real = table(runs, asked=[ResolvedColumn(NORDLAND, RAILWAY)])
     differences = [cell(real, row, q, "nordland").difference for row, q in cells]
     assert differences == [approx(50 - 48), approx(400 - 10), approx(2 - 60)]
     rendered = table(runs)

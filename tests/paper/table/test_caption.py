@@ -8,7 +8,7 @@ import numpy as np
 from assembled import absences, measured, table, tempo
 from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
 
-from vprbench.paper.selection import ColumnAsked, groups
+from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
 
 
@@ -24,7 +24,7 @@ def test_seeds_are_named_where_they_differ_between_columns_and_devices() -> None
 
 
 def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own() -> None:
-    asked = ColumnAsked(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
+    asked = ResolvedColumn(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
     before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
     todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
     told = [s for s in table([before, todays], rows=[SAD], asked=[asked]).caption if "other options" in s]
@@ -57,8 +57,8 @@ def test_what_a_row_sets_aside_in_all_columns_is_one_sentence() -> None:
 
 def test_what_a_reader_has_to_know_of_a_column_stands_in_the_caption() -> None:
     remark = "How hard it is was set by hand."
-    asked = ColumnAsked(replace(RAIL.planned, remark=remark), RAIL.dataset)
-    columns = [asked, ColumnAsked(replace(TOWN.planned, remark=remark), TOWN.dataset)]
+    asked = ResolvedColumn(replace(RAIL.planned, remark=remark), RAIL.dataset)
+    columns = [asked, ResolvedColumn(replace(TOWN.planned, remark=remark), TOWN.dataset)]
     made = assemble(groups([run()], (), columns, [SAD]), [SAD], PLAN, {})
     assert made.caption.count(remark) == 1
 

@@ -19,7 +19,7 @@ from vprbench.metrics.tolerance import hits_within
 from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
 from vprbench.paper.figures.same_data import one_dataset
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.recall_intervals import METHOD, along_the_journey
 from vprbench.run.record import Run
 

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.gather import Asked, Compose, Material, gather, stored, wanted
+from vprbench.paper.gather import Material, TableRequest, gather, stored, wanted
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import fill, results_folder
 from vprbench.paper.plan import Quantity, Row
-from vprbench.paper.selection import ColumnAsked, Group, accuracy_series, groups, of_row, series, title
+from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
+from vprbench.paper.shelf import Compose
 from vprbench.paper.table.make import exit_code
 from vprbench.paper.table.markdown import shown_as_it_is
 from vprbench.run.record import Run
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+def make_figures(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
     from vprbench.paper.figures.style import write
 
@@ -41,7 +42,7 @@ def make_figures(asked: Asked, options: Sequence[str], compose: Compose) -> int:
         store = Store(results_folder(asked.results))
         once = replace(found.chosen, devices=("cpu",))
         sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
-        endings += fill(sizes, [*options, "frames=false"], store)  # nobody looks at theirs
+        endings += fill(sizes, [*options, "frames=false"], store, compose)  # nobody looks at theirs
         runs = tuple(stored(asked)[0])
     folder = Path(asked.results).expanduser() / "figures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -65,8 +66,8 @@ def listed(captions: Iterable[tuple[str, str]]) -> str:
 def draw_all(
     found: Material,
     runs: Sequence[Run],
-    growth: Sequence[ColumnAsked],
-    asked: Asked,
+    growth: Sequence[ResolvedColumn],
+    asked: TableRequest,
     report: Callable[[str], None] = logger.info,
 ) -> Iterator[tuple[str, Drawn]]:
     """Yield each figure with the name of its files; `report` is told which have nothing to show, and why."""
@@ -77,7 +78,7 @@ def draw_all(
             report(f"{name} is not drawn: {error}")
 
 
-def thumbnails_of(group: Group, asked: Asked) -> Thumbnails | None:
+def thumbnails_of(group: Group, asked: TableRequest) -> Thumbnails | None:
     """Return the frames that were kept of a group's dataset, from the first store that has them."""
     for folder in (asked.results, *asked.stores):
         kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
@@ -91,16 +92,16 @@ def group_name(group: Group) -> str:
     return group.asked.planned.name + (f"-{group.number}" if group.number > 1 else "")
 
 
-def growth_columns(found: Material, compose: Compose) -> list[ColumnAsked]:
+def growth_columns(found: Material, compose: Compose) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
-    return [ColumnAsked(column, dict(compose(column.options)["dataset"])) for column in planned]
+    return [ResolvedColumn(column, dict(compose(column.options)["dataset"])) for column in planned]
 
 
 Draw = Callable[[], "Drawn"]
 
 
-def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> Iterator[tuple[str, Draw]]:
+def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> Iterator[tuple[str, Draw]]:
     """Yield Figure 2: training time, query rate, and both against the number of places."""
     from vprbench.paper.figures import growth as growing
     from vprbench.paper.figures import speed
@@ -114,7 +115,7 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) 
     yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
 
 
-def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ColumnAsked]) -> list[GrowthSamples]:
+def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
     """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
     chosen = []
     for row in _growing(found):
@@ -143,7 +144,7 @@ def _growing(found: Material) -> list[Row]:
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _of_columns(found: Material, asked: Asked) -> Iterator[tuple[str, Draw]]:
+def _of_columns(found: Material, asked: TableRequest) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
     from vprbench.paper.figures import accuracy, metrics, pictures, spikes, tradeoff
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_note
@@ -56,6 +56,12 @@ def noise_sentence(series: Sequence[Series]) -> str:
     """Name the series whose times are disturbed or too few; empty where there are none."""
     noisy = [one.name for one in series if any(map(best.disturbed, one.runs))]
     return f"Other work disturbed the machine, or laps were too few, while {listed(noisy)} ran." if noisy else ""
+
+
+def closing(series: Sequence[Series], of_seeds: str) -> tuple[str, ...]:
+    """Say at the end of a caption of times on what, with how many seeds and where they were measured."""
+    runs = runs_of(series)
+    return dataset_sentence(runs), seed_sentence(series, of_seeds), machine_sentence(runs), noise_sentence(series)
 
 
 def caption(*sentences: str) -> str:

@@ -9,7 +9,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.registry import Metric
 from vprbench.paper.figures.measured_on import caption, dataset_sentence, seed_sentence, tuned_sentence
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 
 
 @styled

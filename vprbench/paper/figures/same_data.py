@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.measured_on import runs_of
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 
 

@@ -15,18 +15,10 @@ from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.measured_on import (
-    caption,
-    dataset_sentence,
-    listed,
-    machine_sentence,
-    noise_sentence,
-    runs_of,
-    seed_sentence,
-)
+from vprbench.paper.figures.measured_on import caption, closing, listed
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
 from vprbench.paper.plan import PlannedColumn, Quantity, Row, published
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.paper.table.reasons import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.run.record import Run
@@ -82,7 +74,7 @@ def training_time(
             f"{listed(quoted)} come trained: the paper quotes these times and does not measure them."
             if quoted and any(panel.published for panel in panels)
             else "",
-            *_closing([*cpu, *gpu], f"the bar is the median, {_SPREAD}"),
+            *closing([*cpu, *gpu], f"the bar is the median, {_SPREAD}"),
         ),
     )
 
@@ -111,7 +103,7 @@ def query_rate(
             "The upright tick is encode and match together." if _has_ticks(panels) else "",
             _published_sentence(panels, column),
             "The line over a bar of one seed covers the middle 80 % of its single queries.",
-            *_closing([*cpu, *gpu], f"the bar is the mean, {_SPREAD}"),
+            *closing([*cpu, *gpu], f"the bar is the mean, {_SPREAD}"),
         ),
     )
 
@@ -132,9 +124,7 @@ def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
     rates = [best.rate(run, row.boundary) for run in runs]
     low, high = min(rates), max(rates)
     if len(runs) == 1:
-        streaming = runs[0].timing.streaming
-        stages = {"encode": streaming.encode_seconds, "match": streaming.match_seconds}
-        laps = streaming.total_seconds if row.boundary is None else stages[row.boundary]
+        laps = best.laps(runs[0], row.boundary)
         low, high = (1 / float(np.quantile(laps, share)) for share in (0.9, 0.1))
     total = None if row.boundary is None else mean(best.rate(run, None) for run in runs)
     return _Bar(mean(rates), low, high, total)
@@ -223,18 +213,9 @@ def _keys(panels: Sequence[_Panel], quoted: Sequence[str], tick: str) -> list[Pa
     if printed & set(quoted):
         keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_QUOTED, label="published, quoted there"))
     if _has_ticks(panels):
-        keys.append(
-            Line2D(
-                [],
-                [],
-                color="black",
-                marker="|",
-                linestyle="none",
-                markersize=8,
-                markeredgewidth=1.6,
-                label=tick,
-            )
-        )
+        mark = Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, markeredgewidth=1.6)
+        mark.set_label(tick)
+        keys.append(mark)
     return keys
 
 
@@ -260,8 +241,3 @@ def _published_sentence(panels: Sequence[_Panel], column: PlannedColumn) -> str:
         f"Hatched bars are those of the paper for {column.published}{rendered}: {PAPER}, "
         f"on an {PAPER_CPU} and an {PAPER_GPU}."
     )
-
-
-def _closing(series: Sequence[Series], of_seeds: str) -> tuple[str, ...]:
-    runs = runs_of(series)
-    return dataset_sentence(runs), seed_sentence(series, of_seeds), machine_sentence(runs), noise_sentence(series)

@@ -15,7 +15,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
 from vprbench.paper.figures.same_data import one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 
 _HEIGHT_MM = 62.0

@@ -12,19 +12,10 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import Interval
 from vprbench.paper.figures.label_places import Label, place_labels
 from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.measured_on import (
-    caption,
-    dataset_sentence,
-    listed,
-    machine_sentence,
-    noise_sentence,
-    runs_of,
-    seed_sentence,
-    tuned_sentence,
-)
+from vprbench.paper.figures.measured_on import caption, closing, listed, tuned_sentence
 from vprbench.paper.figures.same_data import one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
 from vprbench.run.recall_intervals import METHOD, recall_interval
 from vprbench.run.record import Run
@@ -163,12 +154,8 @@ def _on_gpu(series: Sequence[Series]) -> str:
 
 
 def _closing(series: Sequence[Series]) -> tuple[str, ...]:
-    runs = runs_of(series)
     return (
         f"Bars are 95 % intervals of R@1: {METHOD}.",
-        dataset_sentence(runs),
-        seed_sentence(series, "means over the seeds, the bar is that of the mean hits"),
-        machine_sentence(runs),
-        noise_sentence(series),
+        *closing(series, "means over the seeds, the bar is that of the mean hits"),
         tuned_sentence(series),
     )

@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
-from vprbench.paper.gather import Asked, Compose, gather
+from vprbench.paper.gather import TableRequest, gather
 from vprbench.paper.selection import accuracy_series, series, title
+from vprbench.paper.shelf import Compose
 from vprbench.paper.table import markdown
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 
 
-def make_report(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Write results/report.html; returns the exit code, 1 where a run failed.
 
     Runs of the table that are missing are made; those of the growth are drawn where they are stored.

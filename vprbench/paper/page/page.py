@@ -17,7 +17,9 @@ from markupsafe import Markup
 from vprbench.paper.page import words
 from vprbench.paper.page.fitting import fitting
 from vprbench.paper.page.small_png import small_png
-from vprbench.paper.series import Series
+from vprbench.paper.selection import Series
+from vprbench.paper.table.quantities import TRAINING_TIME
+from vprbench.run.recall_intervals import METHOD
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
@@ -86,7 +88,8 @@ def page(
         ],
         "absent": absent,
         "protocols": [(one.title, words.protocol([run for _, run in _named(one)])) for one in sections],
-        "terms": words.TERMS,
+        "interval_method": METHOD,
+        "training_time": TRAINING_TIME,
         "machines": words.machines(series for _, series in measured),
         "notes": words.notes(measured),
     }

@@ -1,4 +1,4 @@
-"""What a reader of the numbers has to know, in words: protocol, terms, machines and notes."""
+"""What a reader of the numbers has to know of the runs, in words: protocol, machines and notes."""
 
 from __future__ import annotations
 
@@ -6,49 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vprbench.paper.series import Series
-from vprbench.paper.table.quantities import TRAINING_TIME
-from vprbench.run.recall_intervals import METHOD
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 from vprbench.run.tuned import all_notes
 
 Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
-
-_MARGIN = (
-    "The margin of a query is the score of its best right place less the score of its best wrong place. Above 0 the "
-    "query is right; below 0 it is wrong, and the lower, the surer the method was of a wrong place; 0 is a tie. Scores "
-    "have a unit of the method's own: compare margins of one method, never of two."
-)
-_VERDICTS = (
-    "A query counts as right only if its best place is right and no wrong place has the same score. Where a right and "
-    "a wrong place share the best score the query is tied: it counts as wrong and is shown as tied. Among equal scores "
-    "wrong places are listed first. A query without a right place cannot be answered."
-)
-TERMS: Facts = (
-    (
-        "R@1",
-        "The share of all queries whose best place is a right one, in percent. Where several places share the best "
-        "score, a query counts by the share of right ones among them.",
-    ),
-    (
-        "Interval",
-        f"95 % interval of R@1 over the queries, of several seeds that of their mean hits: {METHOD}.",
-    ),
-    (
-        "Seeds",
-        "Methods with chance in their training run with several seeds. Their cells hold the mean and the standard "
-        "deviation over the seeds, which is not the interval of the queries.",
-    ),
-    ("Train", TRAINING_TIME),
-    (
-        "Query rate",
-        "Images per second when one image is asked at a time and is in memory already: 1 / median time of a query, "
-        "after a warm-up. Encode needs no map, match scores all places, and total is both together. The paper prints "
-        "only one of the two stages of each method; total is the one rate that all rows share.",
-    ),
-    ("Right, tied, wrong", _VERDICTS),
-    ("Margin", _MARGIN),
-)
 
 _TRAVERSES = ("references", "reference")
 _QUERIES = ("query", "queries")

@@ -92,7 +92,7 @@ def mean_recall(runs: Sequence[Run]) -> float | None:
 
 def rate(run: Run, stage: Stage) -> float:
     """Return the streaming rate of a stage in Hz: 1 / median."""
-    return 1 / float(np.median(_laps(run, stage)))
+    return 1 / float(np.median(laps(run, stage)))
 
 
 def disturbed(run: Run) -> bool:
@@ -143,7 +143,7 @@ def _faster(one: Contestant, other: Contestant) -> bool:
     for (first, second), (ours, theirs) in product(product(one.runs, other.runs), stages):
         if rate(first, ours) < FASTER * rate(second, theirs):
             return False
-        if mannwhitneyu(_laps(first, ours), _laps(second, theirs)).pvalue >= RATE_CHANCE:
+        if mannwhitneyu(laps(first, ours), laps(second, theirs)).pvalue >= RATE_CHANCE:
             return False
     return True
 
@@ -159,7 +159,8 @@ def _timed_by(run: Run) -> tuple[object, ...]:
     return run.config.get("timing"), run.environment.get("libraries"), run.environment.get("threads")
 
 
-def _laps(run: Run, stage: Stage) -> Seconds:
+def laps(run: Run, stage: Stage) -> Seconds:
+    """Return the seconds of the streaming laps of a stage."""
     streaming = run.timing.streaming
     if stage is None:
         return streaming.total_seconds

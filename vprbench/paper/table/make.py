@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vprbench.paper.gather import Asked, Compose, Material, gather
+from vprbench.paper.gather import Material, TableRequest, gather
+from vprbench.paper.shelf import Compose
 from vprbench.paper.table import markdown
 from vprbench.run import rows
 from vprbench.run.processes import Ending
@@ -13,7 +14,7 @@ from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 
 
-def make_table(asked: Asked, options: Sequence[str], compose: Compose) -> int:
+def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
     found = gather(asked, options, compose)
     folder = Path(asked.results).expanduser()
@@ -38,7 +39,7 @@ def write(found: Material, folder: Path, name: str) -> list[Path]:
     return [folder / file for file in texts]
 
 
-def file_name(asked: Asked) -> str:
+def file_name(asked: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
     return asked.name or ("-".join(asked.columns) if asked.columns else "table")
 

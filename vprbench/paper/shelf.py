@@ -1,0 +1,99 @@
+"""Which of the wanted runs a store holds already, so that no process is started for them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import chdir
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from vprbench.api.dataset import Dataset
+from vprbench.plugins import registry
+from vprbench.progress import progress_shown
+from vprbench.run import thumbnails
+from vprbench.run.identity import Identity, code_hash_of, fingerprint
+from vprbench.run.record import Run, content_key
+from vprbench.run.settings import checked_settings, n_threads
+from vprbench.run.store import Store
+from vprbench.storage.hashes import content_hash
+
+if TYPE_CHECKING:
+    from vprbench.paper.missing_runs import MissingRun
+
+logger = logging.getLogger(__name__)
+
+Compose = Callable[[Sequence[str]], Mapping[str, Any]]  # options of the command line -> the configuration they make
+
+
+class Shelf:
+    """The runs of a store as they are when it is first asked."""
+
+    def __init__(self, store: Store, options: Sequence[str], compose: Compose) -> None:
+        """Compare with runs of these options, which `compose` makes a configuration of."""
+        self._store = store
+        self._options = options
+        self._compose = compose
+        self._datasets: dict[str, tuple[Dataset, str]] = {}
+
+    def holds(self, wanted: MissingRun) -> bool:
+        """Tell whether a process would find the run in the store and have nothing to add to it.
+
+        It has the key of a stored run; the frames behind the key are looked at only if the arguments are those of one.
+        False for whatever raises an error here, so that a process tells it.
+        """
+        if not self._runs:
+            return False
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), chdir("."):
+                return self._found(wanted)
+        except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
+            logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)
+            return False
+
+    @cached_property
+    def _runs(self) -> list[Run]:
+        return list(self._store.runs())
+
+    def _found(self, wanted: MissingRun) -> bool:
+        config = dict(self._compose([*wanted.options(), *self._options]))
+        settings = checked_settings(config)
+        config["method"], tuned_on = registry.declared(wanted.row.method, config["method"])
+        alike = [run for run in self._runs if run.method == wanted.row.method and _told(run.config) == _told(config)]
+        code = code_hash_of(config["method"]["_target_"])
+        if settings.force or not alike or code is None:
+            return False
+        config["files"] = _files(config["method"], alike)
+        dataset, images = self._dataset(config["dataset"])
+        held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
+        of_class = config["method"]["_target_"].rpartition(".")[2]
+        threads = n_threads(settings)
+        keys = {Identity(of_class, code, config, dataset, images, h, settings.timing, threads).key() for h in held_out}
+        found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
+        if settings.frames and thumbnails.find(self._store.root, images) is None:
+            return False
+        return any(settings.cache or run.fit_seconds is not None for run in found)
+
+    def _dataset(self, config: Mapping[str, Any]) -> tuple[Dataset, str]:
+        """Return a dataset and the fingerprint of its frames, which may have to be hashed."""
+        key = content_key(config)
+        if key not in self._datasets:
+            with progress_shown(str(config["name"])):
+                dataset = registry.make_dataset(config)
+                self._datasets[key] = dataset, fingerprint(dataset)
+        return self._datasets[key]
+
+
+def _told(config: Mapping[str, Any]) -> str:
+    """Return what is cheap to compare of a configuration, as a hash."""
+    arguments = {name: value for name, value in config["method"].items() if name not in ("_target_", "device")}
+    return content_key({"arguments": arguments, "seed": config["seed"], "depth": config["depth"]})
+
+
+def _files(arguments: Mapping[str, Any], stored: Sequence[Run]) -> list[list[str]]:
+    """Return the weights of a method; one whose stored runs used none is not imported for it."""
+    if not any(run.config["files"] for run in stored):
+        return []
+    return [[path.name, content_hash(path)] for path in registry.make_method(arguments).files()]
