@@ -17,7 +17,7 @@ from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.run import machine as environment
+from vprbench.run import machine
 from vprbench.run.record import content_key
 from vprbench.run.runner import code_hash, fingerprint
 from vprbench.run.sources import meaning
@@ -87,7 +87,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     """
     started = time.perf_counter()
     jobs = _jobs(settings.jobs)
-    surroundings = environment.capture("cpu", 1)
+    surroundings = machine.capture("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
@@ -100,7 +100,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
         "space": [asdict(parameter) for parameter in space.PARAMETERS],
         "seed": settings.seed,
-        "libraries": {**environment.library_versions(), "optuna": optuna.__version__},
+        "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
     }
     results = Path(settings.results).expanduser()
     folder = results / "search" / content_key(origin)
@@ -188,7 +188,7 @@ def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mappin
 
 def _jobs(asked: int | None) -> int:
     """Return how many processes there may be: more than there are cores would only be in each other's way."""
-    cores = len(environment.cores())
+    cores = len(machine.cores())
     if asked is not None and asked > cores:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"
         logger.info("jobs=%d: %s, one for each core that is there for this process", asked, used)
