@@ -14,6 +14,8 @@ from typing import Any
 import optuna
 
 from vprbench import progress
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
@@ -94,16 +96,8 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     stretches = {name: places.cut(whole, stretch) for name, stretch in _named(allowed).items()}
     method = {**method, "seed": settings.seed, "device": "cpu"}
     encoder = registry.make_method(method)
-    origin = {
-        "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
-        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
-        "space": [asdict(parameter) for parameter in space.PARAMETERS],
-        "seed": settings.seed,
-        "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
-    }
     results = Path(settings.results).expanduser()
-    folder = results / "search" / content_key(origin)
+    folder = results / "search" / content_key(_origin(settings.seed, method, encoder, stretches))
     with opened(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
@@ -133,6 +127,20 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         minutes=(time.perf_counter() - started) / 60,
         environment=surroundings,
     )
+
+
+def _origin(
+    seed: int, method: Mapping[str, Any], encoder: Method, stretches: Mapping[StretchName, Dataset]
+) -> dict[str, Any]:
+    """Return what decides the trials of a search."""
+    return {
+        "method": {name: value for name, value in method.items() if name != "_target_"},
+        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
+        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
+        "space": [asdict(parameter) for parameter in space.PARAMETERS],
+        "seed": seed,
+        "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
+    }
 
 
 def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int) -> int:
