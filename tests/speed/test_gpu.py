@@ -29,28 +29,25 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
 
 
-def test_without_a_gpu_one_line_says_so_and_nothing_is_written(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("options", "n_gpus", "wanted"),
+    [
+        ([], 0, r"PyTorch \S+ sees no GPU here: .*"),
+        (["place=3"], 0, r"option place is unknown: did you mean places\?.*"),
+        (["device=cpu"], 1, r"device=cpu: gpu-check compares .*"),
+        (["pixels=0"], 1, "pixels=0: give at least 1"),
+        (["batch_sizes=[]"], 1, r"batch_sizes=\[\]: give .*"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused_in_one_line_and_nothing_is_written(
+    options: list[str], n_gpus: int, wanted: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    assert main(["gpu-check"]) == 2
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: n_gpus)
+    assert main(["gpu-check", *options]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert re.fullmatch(r"vprbench: PyTorch \S+ sees no GPU here: .*\n", captured.err)
+    assert re.fullmatch(rf"vprbench: {wanted}\n", captured.err)
     assert not list(Path().iterdir())
-
-
-def test_unknown_options_are_refused_by_name_even_without_a_gpu(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gpu-check", "place=3"]) == 2
-    assert "option place is unknown: did you mean places?" in capsys.readouterr().err
-
-
-def test_the_cpu_cannot_be_checked_against_itself(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    assert main(["gpu-check", "device=cpu"]) == 2
-    assert "device=cpu: gpu-check compares a GPU with the CPU" in capsys.readouterr().err
 
 
 def make(name: str, device: str, **arguments: Any) -> Method:

@@ -17,9 +17,10 @@ from vprbench.api import images
 from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
-from vprbench.speed import bench, reading, reading_text
-from vprbench.speed.reading import drawn, frame_files, in_own_process, reading_cell
-from vprbench.speed.settings import QUICK, Failed, ReadingCell, Settings
+from vprbench.speed import frames, rows
+from vprbench.speed.cells import Failed, ReadingCell
+from vprbench.speed.frames import drawn, frame_files, in_own_process, reading_cell
+from vprbench.speed.settings import QUICK, Settings
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 
@@ -37,11 +38,11 @@ def paths(tmp_path: Path) -> list[Path]:
 def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
     """Who reads which file, each in 10 ms."""
     clock = Clock()
-    clock.replaces_those_of([reading, images], monkeypatch)
+    clock.replaces_those_of([frames, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    monkeypatch.setattr(reading.machine, "cores", lambda: [0, 1, 2])
+    monkeypatch.setattr(frames.machine, "cores", lambda: [0, 1, 2])
     found: list[tuple[str, Path]] = []
-    for module, who in ((reading, "bare"), (images, "ahead")):
+    for module, who in ((frames, "bare"), (images, "ahead")):
 
         def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
             clock.spend(0.01)
@@ -52,16 +53,15 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
     return found
 
 
-def test_as_many_files_as_were_asked_for_hold_as_many_different_frames(paths: list[Path]) -> None:
+def test_as_many_files_as_were_asked_for_hold_as_many_different_frames(
+    paths: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
     assert len(paths) == len(set(paths)) == N_FRAMES
     assert len({path.read_bytes() for path in paths}) == N_FILES
     assert all(path.samefile(paths[number % N_FILES]) for number, path in enumerate(paths))
     assert {read_image(path).shape for path in paths[:N_FILES]} == {(24, 40, 3)}
-
-
-def test_fewer_frames_than_different_ones_are_all_different(tmp_path: Path) -> None:
-    paths = frame_files(quick_settings("reading_frames=3"), tmp_path)
-    assert len({path.read_bytes() for path in paths}) == 3
+    few = frame_files(quick_settings("reading_frames=3"), tmp_path_factory.mktemp("few"))
+    assert len({path.read_bytes() for path in few}) == 3
 
 
 def test_a_frame_is_drawn_again_from_its_seed_and_needs_as_many_bytes_as_a_photograph(tmp_path: Path) -> None:
@@ -108,25 +108,10 @@ READ = ReadingCell(
 )
 
 
-def told(*cells: ReadingCell | Failed) -> list[str]:
-    report: Any = SimpleNamespace(settings=Settings(), reading=list(cells))
-    return reading_text.reading(report)
-
-
-def cells_of(markdown: str) -> list[str]:
-    return [cell.strip() for cell in markdown.splitlines()[-1].strip("|").split("|")]
-
-
 def test_a_share_is_the_median_of_those_of_the_turns() -> None:
     # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
-    table = told(READ)[2]
-    assert cells_of(table) == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
-
-
-def test_what_could_not_be_read_says_why_in_its_row() -> None:
-    heading, _, table = told(Failed({"frame": "640x360"}, "no room on the disk"))
-    assert heading == "## Reading frames from files"
-    assert cells_of(table) == ["640x360", "no room on the disk"]
+    row = [*rows.reading_row(READ).values()]
+    assert row == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
 
 
 def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
@@ -135,17 +120,11 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
     def fails(*_: object) -> None:
         raise MemoryError("only 3 bytes are left")
 
-    monkeypatch.setattr(bench, "in_own_process", fails)
-    monkeypatch.setattr(bench.tempfile, "tempdir", str(tmp_path))
-    cells = list(bench._reading(quick_settings()))
+    bench: Any = SimpleNamespace(settings=quick_settings())
     failed = Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")
-    assert cells == [failed]
-    monkeypatch.setattr(bench, "frame_files", fails)
-    assert list(bench._reading(quick_settings())) == [failed]
+    monkeypatch.setattr(frames, "in_own_process", fails)
+    monkeypatch.setattr(frames.tempfile, "tempdir", str(tmp_path))
+    assert list(frames.reading(bench)) == [failed]
+    monkeypatch.setattr(frames, "frame_files", fails)
+    assert list(frames.reading(bench)) == [failed]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("option", ["reading_frames", "reading_files"])
-def test_at_least_one_frame_is_read(option: str) -> None:
-    with pytest.raises(BadInput, match=f"{option}=0: give at least 1"):
-        quick_settings(f"{option}=0")

@@ -12,13 +12,16 @@ from stopped_clock import Clock
 from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import module, recipe, simulation, training
+from vprbench.methods.vprsnn import benchmark, module, recipe, simulation, training
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.speed import measure, vprsnn, vprsnn_text
+from vprbench.run import machine
+from vprbench.run.stopwatch import Protocol
+from vprbench.speed import measure, rows, text, vprsnn
+from vprbench.speed.cells import AskingCell, Failed, ModuleCell, Report
 from vprbench.speed.measure import Fit
 from vprbench.speed.route import Route
-from vprbench.speed.settings import QUICK, AskingCell, Failed, ModuleCell, Settings
-from vprbench.speed.vprsnn import affordable, asking_cell, copies, module_cell, watched
+from vprbench.speed.settings import QUICK, SECTIONS, Bench, Settings
+from vprbench.speed.vprsnn import affordable, asking_cell, copies, module_cell
 
 MODULE = {"height": 6, "width": 6, "patch": 3, "places_per_module": 2, "n_excitatory": 12, "epochs": 4, "seed": 3}
 WATCHED = {"spike_train": recipe, "normalise": training, "present": training}
@@ -29,6 +32,10 @@ def clock(monkeypatch):
     clock = Clock()
     clock.replaces_those_of([vprsnn, measure], monkeypatch)
     return clock
+
+
+def watched():
+    return benchmark.watched(vprsnn.Stopwatch(Protocol()).lap)
 
 
 def shown():
@@ -165,27 +172,28 @@ def test_a_training_has_its_own_functions_back_whatever_happened():
 def cores(monkeypatch):
     """The numbers of cores that were asked for, one after the other."""
     pinned = []
-    monkeypatch.setattr(vprsnn.environment, "pin_threads", pinned.append)
+    monkeypatch.setattr(vprsnn.machine, "pin_threads", pinned.append)
     return pinned
 
 
 def test_a_module_is_trained_in_rounds_on_one_core_and_once_more_for_its_parts(clock, cores, monkeypatch):
     loops = Loops(clock, monkeypatch)
-    made, modules = [], {}
+    made = []
 
     def make(name, device, **arguments):
         made.append((name, device, arguments["places_per_module"], cores[-1:]))
         return Trained(clock, loops, presentations=2)
 
     settings = Settings(**{**QUICK, "threads": 5, "vprsnn_rounds": 3})
-    cell = module_cell(settings, make, Route.drawn(2, 8, 8, 0), modules, "vprsnn_fast")
+    bench = Bench(settings, make, Route.drawn(2, 8, 8, 0))
+    cell = module_cell(bench, "vprsnn_fast")
     assert made == [("vprsnn_fast", "cpu", 2, [1])] * 5  # one that compiles, three rounds, one for the parts
     assert cores == [1, 5]
     each = (1 + 2 + 16) + (1 + 2 + 17)
     assert [fit.seconds for fit in cell.fits] == [each] * 3
     assert (cell.presentations, cell.input_spikes, cell.excitatory_spikes) == (2, 6, 32)
     assert cell.parts["with learning"] == [16.0]
-    assert list(modules) == ["vprsnn_fast"]
+    assert list(bench.modules) == ["vprsnn_fast"]
 
 
 def test_both_methods_are_asked_in_turn_on_the_cores_that_are_named(clock, cores, monkeypatch):
@@ -199,7 +207,7 @@ def test_both_methods_are_asked_in_turn_on_the_cores_that_are_named(clock, cores
 
     monkeypatch.setattr(vprsnn, "affordable", lambda wanted, module_bytes: given.update({wanted: module_bytes}) or 4)
     settings = Settings(**{**QUICK, "threads": 5, "minimum_seconds": 14.5})
-    cell = asking_cell(settings, make, Route.drawn(20, 8, 8, 0), {}, 9, 2)
+    cell = asking_cell(Bench(settings, make, Route.drawn(20, 8, 8, 0)), 9, 2)
     assert given == {9: 2 * 3 * 8}
     assert (cell.modules, cell.wanted, cell.places, cell.threads) == (4, 9, 8, 2)
     assert cell.seconds == {"vprsnn": [2.0] * 5, "vprsnn_fast": [1.0] * 5}  # five turns of three seconds
@@ -219,9 +227,6 @@ def test_the_modules_that_are_asked_are_copies_with_places_of_their_own():
 def test_no_more_modules_are_asked_than_memory_has_room_for(free, modules, monkeypatch):
     monkeypatch.setattr(vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
     assert affordable(111, 2_000_000) == modules
-
-
-def test_where_memory_has_no_room_for_one_module_it_says_so(monkeypatch):
     monkeypatch.setattr(vprsnn.psutil, "virtual_memory", lambda: SimpleNamespace(available=7e6))
     with pytest.raises(BadInput, match="one module takes 8 MB, and 7 MB are free"):
         affordable(18, 2_000_000)
@@ -248,49 +253,6 @@ CELL = ModuleCell(
 )
 
 
-def told(section, **cells):
-    report = SimpleNamespace(settings=Settings(), **{"vprsnn_training": [], "vprsnn_queries": [], **cells})
-    return "\n".join(section(report))
-
-
-def row(text, first, number=0):
-    lines = [line for line in text.splitlines() if line.startswith(f"| {first}")]
-    return [part.strip() for part in lines[number].split("|")[1:-1]]
-
-
-def test_a_training_is_told_by_its_median_and_what_happens_in_a_second():
-    # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
-    assert row(told(vprsnn_text.training, vprsnn_training=[CELL]), "vprsnn") == [
-        "vprsnn",
-        "15 (3)",
-        "1,500",
-        "10",
-        "13,125,000",
-        "5,250 million",
-        "350 million",
-        "9,876",
-    ]
-
-
-def test_shares_are_of_whole_presentations_and_add_up():
-    # input 1.5 + normalising 0.5 + presentations 18 = 20 s, of two
-    text = told(vprsnn_text.training, vprsnn_training=[CELL])
-    assert row(text, "vprsnn ", 1) == ["vprsnn", "2", "10,000", "7.5 %", "25.0 %", "15.0 %", "50.0 %", "2.5 %"]
-
-
-def test_the_papers_training_stands_beside_the_measured_one():
-    text = told(vprsnn_text.training, vprsnn_training=[CELL])
-    assert "one module of 25 places, on one core: vprsnn 15 s." in text
-    assert "The paper prints 360 min for 3,300 places" in text
-    assert "164 s for each of its 132 modules of 25." in text  # 21,600 s / 132
-
-
-def test_a_training_that_failed_has_its_row_and_claims_nothing():
-    text = told(vprsnn_text.training, vprsnn_training=[Failed({"method": "vprsnn"}, "no room")])
-    assert row(text, "vprsnn ")[1] == "no room"
-    assert "Measured" not in text
-
-
 ASKED = [
     AskingCell(18, 18, 450, 1, {"vprsnn": [0.1], "vprsnn_fast": [0.05]}),
     AskingCell(60, 111, 1500, 1, {"vprsnn": [0.4, 0.5, 9.0], "vprsnn_fast": [0.2, 0.25, 0.3]}),
@@ -298,28 +260,34 @@ ASKED = [
 ]
 
 
+def test_a_training_is_told_by_its_median_and_what_happens_in_a_second():
+    # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
+    row = [*rows.module_row(CELL).values()]
+    assert row == ["vprsnn", "15 (3)", "1,500", "10", "13,125,000", "5,250 million", "350 million", "9,876"]
+
+
+def test_shares_are_of_whole_presentations_and_add_up():
+    # input 1.5 + normalising 0.5 + presentations 18 = 20 s, of two
+    row = [*rows.parts_row(CELL).values()]
+    assert row == ["vprsnn", "2", "10,000", "7.5 %", "25.0 %", "15.0 %", "50.0 %", "2.5 %"]
+
+
 def test_queries_are_told_by_medians_and_the_modules_that_memory_left():
-    text = told(vprsnn_text.queries, vprsnn_queries=ASKED)
-    assert row(text, "18")[:3] == ["18", "450", "1"]
-    wanted = ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
-    assert row(text, "60 of 111") == wanted
+    assert [*rows.asking_row(ASKED[0]).values()][:3] == ["18", "450", "1"]
+    row = [*rows.asking_row(ASKED[1]).values()]
+    assert row == ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
 
 
-def test_the_papers_queries_stand_beside_those_of_the_most_modules():
-    text = told(vprsnn_text.queries, vprsnn_queries=ASKED)
-    assert "queries to 60 modules, 1,500 places: 2 Hz on 1 core, 4 Hz on 2 cores." in text
-    assert "The paper prints 2 Hz for 3,300 places, 132 modules" in text
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"vprsnn_modules": []}, r"vprsnn_modules=\[\]: give numbers of modules"),
-        ({"vprsnn_modules": [18, 0]}, r"vprsnn_modules=\[18, 0\]: give numbers of modules"),
-        ({"vprsnn_rounds": 0}, "vprsnn_rounds=0: give at least 1"),
-        ({"vprsnn_neurons": 0}, "vprsnn_neurons=0: give at least 1"),
-    ],
-)
-def test_settings_without_a_module_are_refused(changed, message):
-    with pytest.raises(BadInput, match=message):
-        Settings(**changed)
+def test_the_papers_numbers_stand_beside_those_of_a_module_and_of_the_most_modules():
+    settings = Settings(sections=["vprsnn_training", "vprsnn_queries"])
+    cells = {name: [] for name in SECTIONS}
+    failed = Failed({"method": "vprsnn_fast"}, "no room")
+    here = {**machine.capture("cpu", 1), "cpu_pressure_avg10": None}
+    cells |= {"vprsnn_training": [CELL, failed], "vprsnn_queries": ASKED}
+    told = text.text_of(Report(settings, here, {"start": 1.0, "training": 1.25}, [0.5], 3.0, 60.0, **cells))
+    assert "25 places, on one core: vprsnn 15 s. The paper prints 360 min for 3,300 places" in told
+    assert "164 s for each of its 132 modules of 25." in told  # 21,600 s / 132
+    assert "60 modules, 1,500 places: 2 Hz on 1 core, 4 Hz on 2 cores. The paper prints 2 Hz" in told
+    assert "no room" in told
+    assert "CPU pressure before and after: unknown, 3 %" in told
+    assert "after training 1.25." in told  # a drift of more than 5 %

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -16,9 +18,10 @@ from vprbench.tuning.objective import Task, Tried
 from vprbench.tuning.search import explore
 from vprbench.tuning.space import Values
 from vprbench.tuning.study import opened
-from vprbench.tuning.workers import Workers
+from vprbench.tuning.workers import Answer, Workers
 
 HALTS = "halts"
+CALLS = itertools.count(1)  # of this process
 
 
 def recall(values: Values) -> float:
@@ -32,27 +35,17 @@ class Stub:
 
     fails_above: float = 2.0  # rate_max
     diverges_above: float = 2.0  # rate_max
-    constant: bool = False
     dies_once: Path | None = None  # the file that says that it did
     shifts_by_seed: float = 0.0  # how much less recall a seed has than the one before
-    unprepared: bool = False
     halts_at_call: int | None = None  # says so, and goes on when the search was killed
 
-    def __call__(self) -> Callable[[Task], Tried]:
-        if self.unprepared:
-            raise ValueError("no spikes are there")
-        calls = [0]
-
-        def tried(task: Task) -> Tried:
-            calls[0] += 1
-            if calls[0] == self.halts_at_call:
-                parent = parent_process()
-                assert parent is not None
-                print(HALTS, flush=True)
-                wait([parent.sentinel])
-            return self.tried(task.values, task.seed or 0)
-
-        return tried
+    def __call__(self, task: Task) -> Tried:
+        if next(CALLS) == self.halts_at_call:
+            parent = parent_process()
+            assert parent is not None
+            print(HALTS, flush=True)
+            wait([parent.sentinel])
+        return self.tried(task.values, task.seed or 0)
 
     def tried(self, values: Values, seed: int) -> Tried:
         if self.dies_once is not None and not self.dies_once.exists():
@@ -63,7 +56,29 @@ class Stub:
         nothing = np.zeros(1)
         if values["rate_max"] > self.diverges_above:
             return Tried(nothing, nothing, "one output neuron wins for all")
-        return Tried(np.array([0.5 if self.constant else recall(values) - seed * self.shifts_by_seed]), nothing)
+        return Tried(np.array([recall(values) - seed * self.shifts_by_seed]), nothing)
+
+
+class Here:
+    """In place of processes: tries in this one."""
+
+    def __init__(self, attempt: Callable[[Task], Tried], count: int = 1) -> None:
+        self.attempt, self.started = attempt, count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing was started."""
+
+    def answers(self, tasks: Sequence[Task], begins: Callable[[int], None]) -> Iterator[Answer[Tried]]:
+        for number, task in enumerate(tasks):
+            begins(number)
+            try:
+                answer = Answer(number, self.attempt(task))
+            except Exception as error:
+                answer = Answer(number, None, f"{type(error).__name__}: {error}")
+            yield answer
 
 
 def search_on(folder: Path, trials: int, halts_at_call: int) -> None:

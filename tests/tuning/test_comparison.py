@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from search_stub import Stub, recall
+from search_stub import Here, Stub, recall
 
 from vprbench.tuning.comparison import Comparison, Verdict, compare, compared
-from vprbench.tuning.objective import Task, Tried
+from vprbench.tuning.objective import Tried
 from vprbench.tuning.space import PAPER
-from vprbench.tuning.workers import Workers
 
 RIGHT, WRONG = np.ones(40), np.zeros(40)
 SEEDS = (1, 2, 3, 4, 5)
@@ -80,13 +80,8 @@ def test_too_few_queries_give_no_verdict() -> None:
     assert (compared.interval, compared.verdict) == (None, "not told apart")
 
 
-@pytest.fixture(scope="module")
-def workers() -> Iterator[Workers[Task, Tried]]:
-    with Workers(Stub(shifts_by_seed=0.01), 1) as workers:
-        yield workers
-
-
-def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one(workers: Workers[Task, Tried]) -> None:
+def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one() -> None:
+    workers: Any = Here(Stub(shifts_by_seed=0.01))
     best = {**PAPER, "rate_min": 0.4}
     both = compared(workers, best, {"searched": 12, "checked": 10}, seed=7)
     assert {name: (each.n_places, each.seeds) for name, each in both.items()} == {
@@ -99,8 +94,6 @@ def test_both_settings_are_trained_with_the_five_seeds_after_the_searched_one(wo
 
 
 def test_a_training_that_fails_in_the_comparison_ends_it_with_the_reason() -> None:
-    with (
-        Workers(Stub(fails_above=0.0), 1) as failing,
-        pytest.raises(RuntimeError, match="the comparison with the paper's settings failed: MemoryError: no room"),
-    ):
+    failing: Any = Here(Stub(fails_above=0.0))
+    with pytest.raises(RuntimeError, match="failed: MemoryError: no room"):
         compared(failing, PAPER, {"searched": 12}, seed=0)

@@ -32,31 +32,30 @@ ROBOTCAR = config("oxford_robotcar")
 
 
 @pytest.mark.parametrize("name", ["synthetic", "street"])
-def test_a_rendered_journey_is_another_one_than_every_reported_one(name: str) -> None:
+def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_its_places_are_queried(name: str) -> None:
     reported = [column(f"dataset={name}"), column(f"dataset={name}", "dataset.seed=7")]
-    allowed = searchable(name, {**config(name), "seed": 3}, 20, reported)
-    assert allowed.dataset["seed"] not in (3, 7)
-
-
-@pytest.mark.parametrize("name", ["synthetic", "street"])
-def test_a_rendered_journey_has_as_many_places_to_check_as_to_search_and_all_are_queried(name: str) -> None:
-    allowed = searchable(name, config(name), 20, [])
-    assert (allowed.searched, allowed.checked) == (range(20), range(20, 40))
-    dataset = registry.make_dataset(allowed.dataset)
-    assert [right.tolist() for right in dataset.positives] == [[place] for place in range(40)]
-
-
-@pytest.mark.parametrize("name", ["synthetic", "street"])
-def test_the_frames_of_the_other_journey_are_none_of_the_reported_one(name: str) -> None:
-    other = registry.make_dataset(searchable(name, config(name), 10, []).dataset)
-    reported = registry.make_dataset({**config(name), "places": 20})
+    assert searchable(name, {**config(name), "seed": 3}, 20, reported).dataset["seed"] not in (3, 7)
+    allowed = searchable(name, config(name), 10, [])
+    assert (allowed.searched, allowed.checked) == (range(10), range(10, 20))
+    other, usual = registry.make_dataset(allowed.dataset), registry.make_dataset({**config(name), "places": 20})
+    assert [right.tolist() for right in other.positives] == [[place] for place in range(20)]
     for frame in (0, 1, 20, 21):  # of both traverses
-        assert not np.array_equal(other.references[frame], reported.references[frame])
+        assert not np.array_equal(other.references[frame], usual.references[frame])
 
 
-def test_of_nordland_only_the_600_places_that_the_paper_does_not_query_are_searched() -> None:
-    allowed = searchable("nordland", NORDLAND, 500, [column("dataset=nordland")])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        [column("dataset=nordland")],
+        [replace(column("dataset=nordland", "dataset.protocol=vprsnn"), on_request=True)],
+        [column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset.query_places=500")],
+    ],
+    ids=["its own", "on request", "of another dataset"],
+)
+def test_of_nordland_only_the_600_places_that_the_paper_does_not_query_are_searched(columns: list[Any]) -> None:
+    allowed = searchable("nordland", NORDLAND, 500, columns)
     assert (allowed.searched, allowed.checked) == (range(500), range(500, 600))
+    assert allowed.dataset == {**NORDLAND, "first_query_place": 0, "query_places": 3300}
 
 
 def test_places_that_a_column_of_the_table_queries_are_left_out_too() -> None:
@@ -65,16 +64,6 @@ def test_places_that_a_column_of_the_table_queries_are_left_out_too() -> None:
     )
     allowed = searchable("nordland", NORDLAND, 150, [smaller])
     assert (allowed.searched, allowed.checked) == (range(450, 600), range(90))
-
-
-def test_a_column_on_request_takes_nothing_away() -> None:
-    asked_for = replace(column("dataset=nordland", "dataset.protocol=vprsnn"), on_request=True)
-    assert searchable("nordland", NORDLAND, 500, [asked_for]).searched == range(500)
-
-
-def test_columns_of_other_datasets_take_nothing_away() -> None:
-    other = column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset.query_places=500")
-    assert searchable("nordland", NORDLAND, 500, [other]).searched == range(500)
 
 
 def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked() -> None:
@@ -89,12 +78,6 @@ def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_ch
     assert len(allowed.searched) == 100
     assert not queried & {*allowed.searched, *allowed.checked}
     assert not {*allowed.searched} & {*allowed.checked}
-
-
-def test_a_recorded_dataset_is_configured_so_that_both_stretches_are_queried() -> None:
-    allowed = searchable("nordland", NORDLAND, 500, [])
-    assert (allowed.dataset["first_query_place"], allowed.dataset["query_places"]) == (0, 3300)
-    assert allowed.dataset["root"] == NORDLAND["root"]
 
 
 def test_of_robotcar_the_first_90_places_are_left() -> None:

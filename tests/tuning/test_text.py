@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from checkout import ROOT
 
 from vprbench.metrics.intervals import McNemar, WiderInterval
 from vprbench.paper.plan import read_plan
@@ -80,6 +81,7 @@ def a_search(**changes: Any) -> Found:
             "memory_bytes": 8e9,
             "platform": "Linux",
             "python": "3.11.7",
+            "vprbench": "0.6.1",
             "libraries": {"torch": "2.6.0"},
             "git": None,
             "time_utc": "2025-01-31T12:00:00Z",
@@ -88,114 +90,51 @@ def a_search(**changes: Any) -> Found:
     return replace(found, **changes)
 
 
-def row(found: Found, first: str) -> list[str]:
-    (line,) = (line for line in text.text_of(found).splitlines() if line.startswith(f"| {first} "))
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def test_each_parameter_stands_with_the_best_and_the_papers_value() -> None:
-    assert row(a_search(), "f_min") == ["f_min", "method.rate_min", "0.35", "0.2", "0.05 to 1", "62.5"]
-    assert row(a_search(), "eta_STDP init")[2:5] == ["0.00062", "0.005", "0.0002 to 0.02 (log)"]
-
-
-def test_what_mattered_is_named_in_order() -> None:
-    told = text.text_of(a_search())
-    assert "What mattered most: f_min 62.5 %, P_exc 25.0 %, eta_ITP init 12.5 %." in told
-    assert "2 trials are few for this" in told
-
-
-def test_where_the_recall_never_varied_nothing_is_said_to_matter() -> None:
-    told = text.text_of(a_search(importance={}))
-    assert "nothing says which parameters mattered" in told
-    assert row(a_search(importance={}), "f_min")[-1] == "-"
-
-
-def test_both_stretches_are_compared_by_mean_deviation_and_difference() -> None:
+def test_a_search_is_told_as_it_is_stored() -> None:
     # the sample deviation of 30, 40, 50, 60 and 70 is sqrt(1000 / 4) = 15.8
-    assert row(a_search(), "searched (they") == [
-        "searched (they chose)", "40", "36", "50.0 ± 15.8", "25.0 ± 15.8", "+25.0 [+12.5, +37.5]", "5 of 5",
-    ]  # fmt: skip
-    assert row(a_search(), "held out (they")[3:] == ["50.0 ± 15.8", "37.5 ± 15.8", "+12.5 [-6.2, +25.0]", "5 of 5"]
+    assert text.text_of(a_search()) == (ROOT / "tests/tuning/search.md").read_text(encoding="utf-8")
 
 
-def test_each_seed_stands_with_its_difference_and_its_own_test() -> None:
-    lines = [line for line in text.text_of(a_search()).splitlines() if line.startswith("| held out |")]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert [line[1] for line in cells] == ["6", "7", "8", "9", "10"]
-    assert cells[2] == ["held out", "8", "50.0", "37.5", "+12.5", "2", "4", "0.25"]
-
-
-def test_the_recall_of_the_best_trial_is_told_as_the_highest_of_all_trials() -> None:
-    told = text.text_of(a_search())
-    assert "The best trial has R@1 50.0 %. That is the highest of 3 trials, all trained with seed 5" in told
+FEW = replace(OPEN, n_queries=12, interval=None)
+DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are alike", None, None, None)))
 
 
 @pytest.mark.parametrize(
-    ("checked", "verdict", "warning"),
+    ("changes", "told"),
     [
-        (OPEN, "On the places held out, best and paper cannot be told apart.", "not shown to be better than"),
-        (BETTER, "On the places held out the best settings are better.", None),
-        (WORSE, "On the places held out the paper's settings are better.", "worse than"),
+        ({"importance": {}}, "nothing says which parameters mattered"),
+        ({"compared": {"searched": comparison(0.0, -0.1, 0.1), "checked": OPEN}}, "do not beat the paper's"),
+        ({"compared": {"searched": FEW, "checked": FEW}}, "12 queries are too few"),
+        ({"compared": {"searched": FEW, "checked": FEW}}, "+12.5 [-]"),
+        ({"compared": {"searched": OPEN, "checked": DIVERGED}}, "held out the training under the paper's settings"),
+        ({"compared": {"searched": OPEN, "checked": DIVERGED}}, "with seed 7: more than half are alike."),
+        ({"queried_by": ("synthetic/sad-1", "synthetic/sad-2")}, "synthetic/sad-1, synthetic/sad-2 do:"),
+        ({"queried_by": tuple("abcde")}, "a, b, c and 2 more do:"),
+        ({"protocols": {name: {"stretch": [0, 9]} for name in ("searched", "checked")}}, "As references they stay"),
+        ({"jobs": 1}, "Abacus 9, 1 process of one thread"),
+        ({"minutes": 0.5}, "in 30 seconds"),
+        ({"method": {"rules": "reference", "max_module": 1100}}, "method.rules=reference"),
     ],
 )
+def test_what_is_peculiar_to_a_search_is_told(changes: dict[str, Any], told: str) -> None:
+    assert told in text.text_of(a_search(**changes))
+    assert told not in text.text_of(a_search())
+
+
+@pytest.mark.parametrize(
+    ("checked", "warning"), [(OPEN, "not shown to be better than"), (BETTER, None), (WORSE, "worse than")]
+)
 def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command(
-    checked: Comparison, verdict: str, warning: str | None
+    checked: Comparison, warning: str | None
 ) -> None:
     told = text.text_of(a_search(compared={"searched": BETTER, "checked": checked}))
-    assert verdict in told
     above = told.partition("## Run the best settings")[2].partition("```")[0].strip()
     assert above == ("" if warning is None else f"On the places held out these settings were {warning} the paper's.")
-
-
-def test_where_the_searched_places_show_no_gain_either_that_is_said() -> None:
-    told = text.text_of(a_search(compared={"searched": comparison(0.0, -0.1, 0.1), "checked": OPEN}))
-    assert "the best settings do not beat the paper's where they were searched either" in told
-
-
-def test_too_few_queries_for_an_interval_are_told() -> None:
-    few = replace(OPEN, n_queries=12, interval=None)
-    told = text.text_of(a_search(compared={"searched": few, "checked": few}))
-    assert "12 queries are too few for an interval" in told
-    assert row(a_search(compared={"searched": few, "checked": few}), "held out (they")[5] == "+12.5 [-]"
-
-
-def test_a_training_that_diverged_in_the_comparison_is_told() -> None:
-    worse = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are alike", None, None, None)))
-    told = text.text_of(a_search(compared={"searched": OPEN, "checked": worse}))
-    assert (
-        "On the places held out the training under the paper's settings diverged with seed 7: more than half are alike."
-        in told
+    best = told.partition("## Best against paper")[2].partition("Seed by seed")[0]
+    assert ("the best settings are better." in best, "the paper's settings are better." in best) == (
+        checked is BETTER,
+        checked is WORSE,
     )
-
-
-def test_who_else_queries_these_places_is_told() -> None:
-    assert "No column of the table and no stored run queries any of these places." in text.text_of(a_search())
-    told = text.text_of(a_search(queried_by=("synthetic/sad-1", "synthetic/sad-2")))
-    assert "but of the stored runs synthetic/sad-1, synthetic/sad-2 do: under the best settings" in told
-
-
-def test_recorded_places_are_said_to_stay_in_the_map_of_reported_results() -> None:
-    recorded = {"searched": {"stretch": [0, 39]}, "checked": {"stretch": [40, 79]}}
-    stay = "As references they stay in the map of reported results, and columns on request may query them."
-    assert stay in text.text_of(a_search(protocols=recorded))
-    assert stay not in text.text_of(a_search())
-
-
-def test_trials_are_counted_by_what_came_of_them() -> None:
-    told = text.text_of(a_search())
-    assert "3 trials of VPRTempo on synthetic: 2 with random settings, then 1 on a grid" in told
-    assert "In 1 of them the training diverged, which counts as R@1 0. Failed or killed, and made up for: 2." in told
-    assert "made up for" not in text.text_of(a_search(trials=TRIALS[:2]))
-
-
-def test_places_time_machine_and_study_are_named() -> None:
-    told = text.text_of(a_search())
-    assert "Places of the journey with seed 1: 0 to 39 (searched) and 40 to 79 (held out)." in told
-    assert "tried 2 settings in 2.5 minutes." in told
-    assert "results/search/0123456789abcdef" in told
-    assert "Abacus 9, 2 processes of one thread on 8 cores, 8 GB, Linux." in told
-    assert "Abacus 9, 1 process of one thread on 8 cores" in text.text_of(a_search(jobs=1))
-    assert "in 30 seconds" in text.text_of(a_search(minutes=0.5))
 
 
 def test_the_command_gives_the_best_settings_to_a_run() -> None:
@@ -204,10 +143,6 @@ def test_the_command_gives_the_best_settings_to_a_run() -> None:
     given = dict(word.split("=") for word in words[5:])
     assert {name: float(value) for name, value in given.items()} == {f"method.{n}": v for n, v in BEST.items()}
     assert text.command(a_search()) in text.text_of(a_search())
-
-
-def test_the_command_names_rules_other_than_the_papers() -> None:
-    assert "method.rules=reference" in text.command(a_search(method={"rules": "reference", "max_module": 1100}))
 
 
 def composed(found: Found) -> dict[str, Any]:

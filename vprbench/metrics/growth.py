@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import log
+from math import inf, log
 from typing import Literal
 
 import numpy as np
@@ -83,7 +83,7 @@ def compare(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Comparison:
     fits = {law: _fit(law, sizes, times) for law in LAWS}
     best = min(LAWS, key=lambda law: fits[law].aicc)
     differences = {law: fits[law].aicc - fits[best].aicc for law in LAWS}
-    return Comparison(fits, best, differences, _exponent(sizes, times))
+    return Comparison(fits, best, differences, exponent(sizes, times))
 
 
 def _fit(law: Law, sizes: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> Fit:
@@ -119,11 +119,18 @@ def _aicc(mean_square: float, n_samples: int, n_parameters: int) -> float:
     return n_samples * log(max(mean_square, _CLOSEST**2)) + 2 * n_parameters + correction
 
 
-def _exponent(sizes: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> Exponent:
+def exponent(n_places: npt.ArrayLike, seconds: npt.ArrayLike) -> Exponent:
+    """Return the slope of ln seconds (n_sizes,) over ln places (n_sizes,), with Student's 95 % interval.
+
+    Two sizes leave no residuals: their interval is infinite.
+    """
     from scipy.stats import t  # takes long to import
 
-    x, y = np.log(sizes) - np.log(sizes).mean(), np.log(times) - np.log(times).mean()
+    sizes, times = np.log(np.asarray(n_places, np.float64)), np.log(np.asarray(seconds, np.float64))
+    x, y = sizes - sizes.mean(), times - times.mean()
     slope = float(x @ y / (x @ x))
-    left = len(sizes) - 2
+    left = len(x) - 2
+    if left == 0:
+        return Exponent(slope, -inf, inf)
     half = float(t.ppf(0.975, left)) * float(np.sqrt(np.sum((y - slope * x) ** 2) / left / (x @ x)))
     return Exponent(slope, slope - half, slope + half)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, cast, get_args, get_type_hints
 
 import yaml
@@ -88,6 +89,10 @@ class Entry:
         except (yaml.YAMLError, KeyError, TypeError) as error:
             reason = str(error).splitlines()[0]
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
+
+    def beside(self, module: str) -> ModuleType:
+        """Import and return a module of the package of the class or function, such as what a benchmark asks for."""
+        return importlib.import_module(f"{self.target().__module__.rpartition('.')[0]}.{module}")
 
     def _values(self) -> DictConfig:
         """Return the values of the yaml, merged over the values of the yamls it builds on."""

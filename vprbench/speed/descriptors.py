@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import gc
-import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,13 @@ from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.run import machine as environment
-from vprbench.run.machine import machine_lines
-from vprbench.run.rows import markdown
+from vprbench.run import machine
+from vprbench.run.document import document
 from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.speed.cells import Failed, attempt
+from vprbench.speed.format import hertz, publish, size, table
 from vprbench.speed.measure import Make, median
 from vprbench.speed.route import Route
-from vprbench.storage.atomic import replace_text
 
 PRECISIONS = ("float32", "float16", "bfloat16")
 
@@ -114,16 +114,6 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Failed:
-    """What could not be measured, with the reason."""
-
-    method: str
-    frame: tuple[int, int]
-    way: Way
-    reason: str
-
-
-@dataclass(frozen=True)
 class Report:
     """Everything that one run of the benchmark measured."""
 
@@ -139,7 +129,7 @@ class Report:
 
 def measure(settings: Settings, make: Make) -> Report:
     """Measure each method at each size; what cannot be measured becomes a cell that says why."""
-    surroundings = environment.capture(settings.devices[-1], settings.threads or len(environment.cores()))
+    surroundings = machine.capture(settings.devices[-1], settings.threads or len(machine.cores()))
     return Report(settings, surroundings, list(_cells(settings, make)))
 
 
@@ -148,13 +138,15 @@ def _cells(settings: Settings, make: Make) -> Iterator[Cell | Failed]:
         for way in _ways(settings, make, name):
             for height, width in settings.frames:
                 gc.collect()
-                progress.report(f"{name} at {width}x{height}, {way}", 0.0)
-                try:
-                    yield _cell(settings, make, name, (height, width), way)
-                except Exception as error:  # one cell never ends the others
-                    reason = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-                    logging.warning("%s at %dx%d, %s failed: %s", name, width, height, way, reason)
-                    yield Failed(name, (height, width), way, reason.splitlines()[0])
+                progress.report(f"{name} at {size(height, width)}, {way}", 0.0)
+                what = _named(settings, name, (height, width), way)
+                yield attempt(what, partial(_cell, settings, make, name, (height, width), way))
+
+
+def _named(settings: Settings, name: str, frame: tuple[int, int], way: Way) -> dict[str, str]:
+    """Return the columns by which a cell is found."""
+    on = {} if settings.devices == ["cpu"] else {"on": str(way)}
+    return {"method": name, "frame": size(*frame), **on}
 
 
 def _ways(settings: Settings, make: Make, name: str) -> list[Way]:
@@ -252,49 +244,29 @@ def _laps(call: Callable[[], object], settings: Settings, device: str) -> list[f
 
 def write(report: Report, results: Path) -> None:
     """Print the report as Markdown, and leave it in descriptors.md of the folder `results`."""
-    text = text_of(report)
-    replace_text(results / "descriptors.md", text)
-    print(text, end="")
-    print(f"\nwritten to {results / 'descriptors.md'}")
+    publish(results, descriptors_md=text_of(report))
 
 
 def text_of(report: Report) -> str:
     """Return a report as Markdown."""
-    settings = report.settings
-    parts = [
-        "# How fast descriptors are here",
-        "**quick=true: tiny sizes, no number means anything.**" if settings.quick else "",
-        f"Frames in memory, one at a time and {settings.batch} together; medians of at least {_FEWEST} calls and "
-        f"{settings.minimum_seconds:g} s. Networks have their published sizes and random values, which cost what "
-        "published ones cost: no weights are needed, and nothing here says which method is better. *encode* turns a "
-        "frame into its code, *match* scores all places exactly. Methods that learn from their references have "
-        f"{settings.fitted_places} of them, the others {settings.places:,}. Everything was measured in one run.",
-        markdown([_row(cell, settings) for cell in report.cells]),
-        "## Machine",
-        *machine_lines(report.environment),
-    ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return document(
+        Path(__file__).with_name("descriptors.md.j2"),
+        settings=report.settings,
+        rows=table(report.cells, partial(_row, report.settings)),
+        machine=machine.machine_lines(report.environment),
+        FEWEST=_FEWEST,
+    )
 
 
-def _row(cell: Cell | Failed, settings: Settings) -> dict[str, str]:
-    height, width = cell.frame
-    row = {"method": cell.method, "frame": f"{width}x{height}"}
-    if settings.devices != ["cpu"]:
-        row["on"] = str(cell.way)
-    if isinstance(cell, Failed):
-        return {**row, "seen as": f"FAILED: {cell.reason}"}
+def _row(settings: Settings, cell: Cell) -> dict[str, str]:
     return {
-        **row,
-        "seen as": "" if cell.seen is None else f"{cell.seen[1]}x{cell.seen[0]}",
+        **_named(settings, cell.method, cell.frame, cell.way),
+        "seen as": "" if cell.seen is None else size(*cell.seen),
         "numbers": f"{cell.n_dimensions:,}",
         "encode ms": f"{1000 * median(cell.encode_one):,.3g}",
-        "encode Hz": _hz(1 / median(cell.encode_one)),
-        f"encode Hz, {settings.batch} together": _hz(settings.batch / median(cell.encode_batch)),
+        "encode Hz": hertz(1 / median(cell.encode_one)),
+        f"encode Hz, {settings.batch} together": hertz(settings.batch / median(cell.encode_batch)),
         "places": f"{cell.places:,}",
-        "match Hz": _hz(1 / median(cell.match_one)),
-        f"match Hz, {settings.batch} together": _hz(settings.batch / median(cell.match_batch)),
+        "match Hz": hertz(1 / median(cell.match_one)),
+        f"match Hz, {settings.batch} together": hertz(settings.batch / median(cell.match_batch)),
     }
-
-
-def _hz(rate: float) -> str:
-    return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"

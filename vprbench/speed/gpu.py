@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
-import logging
 import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,15 +21,14 @@ from vprbench.api.arrays import Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.run import machine as environment
-from vprbench.run.machine import machine_lines
-from vprbench.run.rows import markdown
+from vprbench.run import machine
+from vprbench.run.document import document
 from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
+from vprbench.speed.cells import Failed, attempt
+from vprbench.speed.format import publish, rates_text, table
 from vprbench.speed.measure import Make, Rates, measured_rates
 from vprbench.speed.route import Route
 from vprbench.speed.settings import FRAME, PATCH, RULES, TRAVERSES
-from vprbench.speed.text import rates_text
-from vprbench.storage.atomic import replace_text
 
 TOLERANCE = 1e-4  # of the largest weight or score
 TARGET_FIT_SECONDS = 2.0  # on an H200
@@ -108,15 +107,6 @@ class Timed:
 
 
 @dataclass(frozen=True)
-class Failed:
-    """What ended with an error."""
-
-    rules: str
-    what: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class Report:
     """Everything that one check found."""
 
@@ -149,63 +139,38 @@ def require_gpu(device: str) -> None:
 
 def measure(settings: Settings, make: Make) -> Report:
     """Time the GPU, then compare it with the CPU."""
-    surroundings = environment.capture(settings.device, settings.threads or len(environment.cores()))
+    surroundings = machine.capture(settings.device, settings.threads or len(machine.cores()))
     route = Route.drawn(max(settings.check_places, settings.places), *FRAME, settings.seed)
-    timed: list[Timed | Failed] = []
     comparisons: list[Comparison | Failed] = []
     with _nothing_compiled():  # timed before anything else makes Triton compile
+        timed = [attempt({"rules": rules}, partial(_timed, settings, make, route, rules)) for rules in RULES]
         for rules in RULES:
-            try:
-                timed.append(_timed(settings, make, route, rules))
-            except Exception as error:
-                timed.append(_failed(rules, "times", error))
-        for rules in RULES:
-            try:
-                comparisons += compared(settings, make, route, rules)
-            except Exception as error:
-                comparisons.append(_failed(rules, "comparison", error))
+            found = attempt({"rules": rules}, partial(compared, settings, make, route, rules))
+            comparisons += [found] if isinstance(found, Failed) else found
     return Report(settings, surroundings, _triton(), timed, comparisons)
 
 
 def write(report: Report, results: Path) -> None:
     """Print the report as Markdown, and leave it in gpu.md of the folder `results`."""
-    text = text_of(report)
-    replace_text(results / "gpu.md", text)
-    print(text, end="")
-    print(f"\nwritten to {results / 'gpu.md'}")
+    publish(results, gpu_md=text_of(report))
 
 
 def text_of(report: Report) -> str:
     """Return a report as Markdown."""
-    settings = report.settings
-    verdict = "The GPU gives what the CPU gives." if report.correct else "**FAILED: see below.**"
-    parts = [
-        "# The GPU, checked",
-        verdict,
-        "**quick=true: tiny sizes, the times mean nothing.**" if settings.quick else "",
-        "## Correctness",
-        f"{settings.check_places} places, {TRAVERSES} traverses, {settings.epochs} epochs. The difference is the "
-        "largest one, as a share of the largest weight of its array or of the largest score of its query; at most "
-        f"{TOLERANCE:g} is wanted, and the same best places.",
-        markdown([_comparison_row(each) for each in report.comparisons]),
-        "## Training",
-        f"{settings.places:,} places, {TRAVERSES} traverses, {settings.epochs} epochs, images in memory. Triton "
-        "compiles at the first fit; what else the process does once for a GPU counts there, too.",
-        markdown([_training_row(each) for each in report.timed]),
-        f"## Queries at {settings.places:,} places",
-        "Streaming is one image at a time (1 / median), offline images / time of batches. Encode runs on the CPU.",
-        markdown([row for each in report.timed for row in _query_rows(each)]),
-        "Targets are for an H200, and those of queries for the total. Everything was measured in one run.",
-        "## Machine",
-        *machine_lines(report.environment),
-        f"triton {report.triton}",
-    ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return document(
+        Path(__file__).with_name("gpu.md.j2"),
+        report=report,
+        settings=report.settings,
+        comparisons=table(report.comparisons, _comparison_row),
+        training=table(report.timed, _training_row),
+        queries=[row for each in report.timed for row in _query_rows(each)],
+        places=f"{report.settings.places:,}",
+        machine=machine.machine_lines(report.environment),
+        **{"TOLERANCE": TOLERANCE, "TRAVERSES": TRAVERSES},
+    )
 
 
-def _comparison_row(each: Comparison | Failed) -> dict[str, str]:
-    if isinstance(each, Failed):
-        return {"rules": each.rules, "compared": each.what, "result": f"FAILED: {each.reason}"}
+def _comparison_row(each: Comparison) -> dict[str, str]:
     return {
         "rules": each.rules,
         "compared": each.what,
@@ -215,9 +180,7 @@ def _comparison_row(each: Comparison | Failed) -> dict[str, str]:
     }
 
 
-def _training_row(each: Timed | Failed) -> dict[str, str]:
-    if isinstance(each, Failed):
-        return {"rules": each.rules, "failed": each.reason}
+def _training_row(each: Timed) -> dict[str, str]:
     return {
         "rules": each.rules,
         "first fit s": f"{each.first_fit_seconds:.2f}",
@@ -228,7 +191,7 @@ def _training_row(each: Timed | Failed) -> dict[str, str]:
 
 def _query_rows(each: Timed | Failed) -> Iterator[dict[str, str]]:
     if isinstance(each, Failed):
-        yield {"rules": each.rules, "failed": each.reason}
+        yield {**each.what, "failed": each.reason}
         return
     rates = each.rates
     note = "" if rates.valid else " INVALID"
@@ -314,12 +277,6 @@ def _timed(settings: Settings, make: Make, route: Route, rules: str) -> Timed:
     )
     rates = measured_rates(f"{rules}: queries", network, queries, protocol, settings.device)
     return Timed(rules, fits[0], fits[1], rates)
-
-
-def _failed(rules: str, what: str, error: Exception) -> Failed:
-    reason = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
-    logging.warning("%s, %s failed: %s", rules, what, reason)
-    return Failed(rules, what, reason.splitlines()[0])
 
 
 @contextmanager

@@ -1,9 +1,9 @@
-"""What the benchmark of speed measures: a fit by its stages, rates of queries, floors of memory, and growth."""
+"""What the benchmark of speed measures: a fit by its stages, rates of queries, and floors of memory."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextvars import copy_context
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -159,28 +159,6 @@ def floor_laps(touch: Literal["read", "pass"], n_bytes: int, device: str, minimu
 def weight_bytes(method: Method, bytes_per_weight: int) -> int:
     """Return the bytes of all numbers in a fitted method's state, at so many bytes each."""
     return bytes_per_weight * sum(array.size for array in method.state().values())
-
-
-@dataclass(frozen=True)
-class Growth:
-    """The exponent b of seconds = a * places ** b, by least squares on the logarithms."""
-
-    exponent: float
-    low: float | None  # 95 % interval from the residuals; None for two sizes, which leave none
-    high: float | None
-
-
-def growth(places: Sequence[int], seconds: Sequence[float]) -> Growth | None:
-    """Return how seconds grow with places, None for fewer than two different sizes."""
-    from scipy.stats import linregress, t
-
-    if len(set(places)) < 2:
-        return None
-    line = linregress(np.log(places), np.log(seconds))
-    if len(places) < 3:
-        return Growth(float(line.slope), None, None)
-    half = float(t.ppf(0.975, len(places) - 2) * line.stderr)
-    return Growth(float(line.slope), float(line.slope) - half, float(line.slope) + half)
 
 
 def median(laps: Iterable[float]) -> float:

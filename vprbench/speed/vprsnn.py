@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from itertools import count
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,31 +15,48 @@ import psutil
 from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
+from vprbench.plugins import registry
 from vprbench.progress import listening
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol, Stopwatch
-from vprbench.speed.measure import Fit, Make, rounded, timed_fit
-from vprbench.speed.route import Route
-from vprbench.speed.settings import LOOKED, TRAVERSES, VPRSNN, AskingCell, ModuleCell, Part, Settings
+from vprbench.speed.cells import AskingCell, Failed, ModuleCell, attempt
+from vprbench.speed.measure import Fit, rounded, timed_fit
+from vprbench.speed.settings import TRAVERSES, VPRSNN, Bench, Settings
 
-_PLUG_IN = "vprbench.methods.vprsnn"  # the contract of methods does not show the parts of a training
 _LITTLE = {"places_per_module": 2, "epochs": 1, "n_excitatory": 8}  # a training that only compiles
 _COPIES = 4  # of a module's weights at most in memory at once
 
 
-def module_cell(settings: Settings, make: Make, route: Route, modules: dict[str, Method], method: str) -> ModuleCell:
-    """Train a module on one core, several times and once more part by part; the last is left in `modules`."""
-    references, places = route.references(settings.vprsnn_places, TRAVERSES)
+def training(bench: Bench) -> Iterator[ModuleCell | Failed]:
+    """Train a module of each method; they are left in `bench.modules`."""
+    for method in VPRSNN:
+        yield attempt({"method": method}, partial(module_cell, bench, method))
+
+
+def queries(bench: Bench) -> Iterator[AskingCell | Failed]:
+    """Ask copies of a trained module, on one core and on all."""
+    for wanted in bench.settings.vprsnn_modules:
+        for threads in sorted({1, bench.settings.threads or len(machine.cores())}):
+            what = {"modules": str(wanted), "cores": str(threads)}
+            yield attempt(what, partial(asking_cell, bench, wanted, threads))
+
+
+def module_cell(bench: Bench, method: str) -> ModuleCell:
+    """Train a module on one core, several times and once more part by part; the last is left in `bench.modules`."""
+    settings = bench.settings
+    references, places = bench.route.references(settings.vprsnn_places, TRAVERSES)
+    watched = partial(registry.entries("method")[method].beside("benchmark").watched, Stopwatch(Protocol()).lap)
     fits: list[Fit] = []
     with _on_cores(1, settings):
-        _warm_up(settings, make, route, method)
+        with listening(lambda *_: None), watched():  # lets all loops be compiled, those of the parts too
+            bench.vprsnn(method, **_LITTLE).fit(*bench.route.references(1, TRAVERSES))
         for turn in range(settings.vprsnn_rounds):
             title = f"{method}, round {turn + 1} of {settings.vprsnn_rounds}"
-            module = make(method, "cpu", **settings.vprsnn())
+            module = bench.vprsnn(method)
             fits.append(timed_fit(title, module, references, places, "cpu"))
-        modules[method] = module
+        bench.modules[method] = module
         with watched() as watch:
-            timed_fit(f"{method}, parts", make(method, "cpu", **settings.vprsnn()), references, places, "cpu")
+            timed_fit(f"{method}, parts", bench.vprsnn(method), references, places, "cpu")
     return ModuleCell(
         method,
         watch.presentations,
@@ -52,17 +68,14 @@ def module_cell(settings: Settings, make: Make, route: Route, modules: dict[str,
     )
 
 
-def asking_cell(
-    settings: Settings, make: Make, route: Route, modules: dict[str, Method], wanted: int, threads: int
-) -> AskingCell:
+def asking_cell(bench: Bench, wanted: int, threads: int) -> AskingCell:
     """Ask `wanted` copies of a trained module, or as many as memory has room for; trains one where there is none."""
+    settings = bench.settings
     progress.report(f"vprsnn queries, modules={wanted}, cores={threads}", 0.0)
-    states = {method: _trained(settings, make, route, modules, method).state() for method in VPRSNN}
+    states = {method: _trained(bench, method).state() for method in VPRSNN}
     n_modules = affordable(wanted, sum(state["weights"].nbytes for state in states.values()) // len(states))
-    asked = {}
-    for method, state in states.items():
-        asked[method] = make(method, "cpu", **settings.vprsnn()).restore(copies(state, n_modules))
-    singles = list(route.queries(settings.places, settings.sample)[0].blocks(1))
+    asked = {method: bench.vprsnn(method).restore(copies(state, n_modules)) for method, state in states.items()}
+    singles = list(bench.route.queries(settings.places, settings.sample)[0].blocks(1))
     watch = Stopwatch(Protocol())
     laps: dict[str, list[float]] = {method: [] for method in asked}
     with _on_cores(threads, settings):
@@ -80,7 +93,7 @@ def asking_cell(
 
 
 def affordable(wanted: int, module_bytes: int) -> int:
-    """Return how many modules of so many bytes are asked; raises BadInput where memory has no room for one."""
+    """Return how many modules of so many bytes are asked; raises BadInput if memory has no room for one."""
     free = psutil.virtual_memory().available
     room = int(free // (_COPIES * module_bytes))
     if room < 1:
@@ -99,96 +112,11 @@ def copies(state: Mapping[str, npt.NDArray[Any]], n_modules: int) -> dict[str, n
     return several
 
 
-class Watch:
-    """Counts the spikes of a training, and times the parts of the presentations that are looked at.
-
-    Its functions stand in for those that a training calls; they do the same. Before a presentation that is looked at
-    what arrives is summed once by itself, and the presentation is shown once to a copy of the state, without learning.
-    """
-
-    def __init__(self, own: Mapping[str, Any], sum_arrivals: Any) -> None:
-        """Take the functions of VPRSNN's training by name, and the sum of arrivals of its simulation."""
-        self.presentations = self.input_spikes = self.excitatory_spikes = 0
-        self.laps: dict[Part, list[float]] = {
-            "input": [],
-            "normalising": [],
-            "arrivals": [],
-            "without learning": [],
-            "with learning": [],
-        }
-        self._stopwatch = Stopwatch(Protocol())
-        self._own, self._sum_arrivals = own, sum_arrivals
-
-    def spike_train(self, *arguments: Any) -> Any:
-        """Draw the input of a presentation."""
-        with self._part("input"):
-            train = self._own["spike_train"](*arguments)
-        self.input_spikes += len(train.step)
-        return train
-
-    def normalise(self, *arguments: Any) -> None:
-        """Scale the weights of a presentation."""
-        with self._part("normalising"):
-            self._own["normalise"](*arguments)
-
-    def present(self, synapses: Any, state: Any, train: Any, room: Any, *arguments: Any) -> None:
-        """Show an image; the last two arguments say whether it is learnt, and whether a rest follows."""
-        *others, learning, resting = arguments
-        if self._looking:
-            copy = type(state)(*(array.copy() for array in state))
-            with self._part("arrivals"):
-                self._sum_arrivals(synapses, train, room.ring, room.drive)
-            with self._part("without learning"):
-                self._own["present"](synapses, copy, train, room, *others, False, resting)
-        with self._part("with learning"):
-            self._own["present"](synapses, state, train, room, *others, learning, resting)
-        self.excitatory_spikes += int(state.counts.sum())
-        self.presentations += 1
-
-    @property
-    def _looking(self) -> bool:
-        return self.presentations % LOOKED == 0
-
-    @contextmanager
-    def _part(self, part: Part) -> Iterator[None]:
-        with self._stopwatch.lap() as lap:
-            yield
-        if self._looking:
-            self.laps[part] += lap
-
-
-@contextmanager
-def watched() -> Iterator[Watch]:
-    """Watch the trainings of single modules inside the block."""
-    recipe, training, simulation = (_module(name) for name in ("recipe", "training", "simulation"))
-    homes = {"spike_train": recipe, "normalise": training, "present": training}
-    own = {name: getattr(home, name) for name, home in homes.items()}
-    watch = Watch(own, simulation._sum_arrivals)
-    for name, home in homes.items():
-        setattr(home, name, getattr(watch, name))
-    try:
-        yield watch
-    finally:
-        for name, home in homes.items():
-            setattr(home, name, own[name])
-
-
-def _module(name: str) -> ModuleType:
-    return importlib.import_module(f"{_PLUG_IN}.{name}")
-
-
-def _trained(settings: Settings, make: Make, route: Route, modules: dict[str, Method], method: str) -> Method:
-    if method not in modules:
-        module = make(method, "cpu", **settings.vprsnn())
-        modules[method] = module.fit(*route.references(settings.vprsnn_places, TRAVERSES))
-    return modules[method]
-
-
-def _warm_up(settings: Settings, make: Make, route: Route, method: str) -> None:
-    """Let all loops be compiled, those of the parts too."""
-    references, places = route.references(1, TRAVERSES)
-    with listening(lambda *_: None), watched():
-        make(method, "cpu", **{**settings.vprsnn(), **_LITTLE}).fit(references, places)
+def _trained(bench: Bench, method: str) -> Method:
+    if method not in bench.modules:
+        references, places = bench.route.references(bench.settings.vprsnn_places, TRAVERSES)
+        bench.modules[method] = bench.vprsnn(method).fit(references, places)
+    return bench.modules[method]
 
 
 @contextmanager

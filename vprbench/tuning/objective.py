@@ -20,7 +20,6 @@ from vprbench.errors import TrainingDivergedError
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
-from vprbench.run import machine
 
 StretchName = Literal["searched", "checked"]
 
@@ -52,17 +51,13 @@ class Tried:
 
 @dataclass(frozen=True)
 class Training:
-    """Gives, in a process of its own, what tries settings on stretches whose codes lie in a folder."""
+    """Tries settings on stretches whose codes lie in a folder."""
 
     folder: Path
     method: Mapping[str, Any]  # its configuration; settings replace arguments
 
-    def __call__(self) -> Callable[[Task], Tried]:
-        """Limit the process to one thread, and return what tries a task."""
-        machine.pin_threads(1)
-        return self._tried
-
-    def _tried(self, task: Task) -> Tried:
+    def __call__(self, task: Task) -> Tried:
+        """Train the method under the settings of a task, and ask it all queries of the stretch."""
         stretch = _Stretch.read(self.folder / task.stretch)
         n_places = int(stretch.places.max()) + 1
         fitting = {"max_module": min(self.method["max_module"], n_places)}

@@ -14,10 +14,12 @@ from typing import Any
 import optuna
 
 from vprbench import progress
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
-from vprbench.run import machine as environment
+from vprbench.run import machine
 from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.record import content_key
 from vprbench.run.sources import meaning
@@ -87,23 +89,15 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     """
     started = time.perf_counter()
     jobs = _jobs(settings.jobs)
-    surroundings = environment.capture("cpu", 1)
+    surroundings = machine.capture("cpu", 1)
     columns = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns.values()
     allowed = places.searchable(settings.dataset, dataset, settings.places, columns)
     whole = registry.make_dataset(allowed.dataset)
     stretches = {name: places.cut(whole, stretch) for name, stretch in _named(allowed).items()}
     method = {**method, "seed": settings.seed, "device": "cpu"}
     encoder = registry.make_method(method)
-    origin = {
-        "method": {name: value for name, value in method.items() if name != "_target_"},
-        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
-        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
-        "space": [asdict(parameter) for parameter in space.PARAMETERS],
-        "seed": settings.seed,
-        "libraries": {**environment.library_versions(), "optuna": optuna.__version__},
-    }
     results = Path(settings.results).expanduser()
-    folder = results / "search" / content_key(origin)
+    folder = results / "search" / content_key(_origin(settings.seed, method, encoder, stretches))
     with opened(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
@@ -133,6 +127,20 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         minutes=(time.perf_counter() - started) / 60,
         environment=surroundings,
     )
+
+
+def _origin(
+    seed: int, method: Mapping[str, Any], encoder: Method, stretches: Mapping[StretchName, Dataset]
+) -> dict[str, Any]:
+    """Return what decides the trials of a search."""
+    return {
+        "method": {name: value for name, value in method.items() if name != "_target_"},
+        "code": [code_hash(type(encoder)), meaning([Path(objective.__file__)])],
+        "stretches": {name: [dict(part.protocol), fingerprint(part)] for name, part in stretches.items()},
+        "space": [asdict(parameter) for parameter in space.PARAMETERS],
+        "seed": seed,
+        "libraries": {**machine.library_versions(), "optuna": optuna.__version__},
+    }
 
 
 def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int) -> int:
@@ -188,7 +196,7 @@ def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mappin
 
 def _jobs(asked: int | None) -> int:
     """Return how many processes there may be: more than there are cores would only be in each other's way."""
-    cores = len(environment.cores())
+    cores = len(machine.cores())
     if asked is not None and asked > cores:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"
         logger.info("jobs=%d: %s, one for each core that is there for this process", asked, used)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
+from vprbench.run.document import document
 from vprbench.run.machine import machine_lines
-from vprbench.run.rows import markdown
 from vprbench.storage.atomic import replace_text
-from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated, Verdict
+from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings
 from vprbench.tuning.space import PARAMETERS
@@ -21,11 +21,8 @@ _NAMED = 3  # stored runs, at most
 
 _SHORT: dict[StretchName, str] = {"searched": "searched", "checked": "held out"}
 _LONG: dict[StretchName, str] = {"searched": "searched (they chose)", "checked": "held out (they chose nothing)"}
-_VERDICTS: dict[Verdict, str] = {
-    "better": "On the places held out the best settings are better.",
-    "worse": "On the places held out the paper's settings are better.",
-    "not told apart": "On the places held out, best and paper cannot be told apart.",
-}
+_SYMBOLS = {parameter.name: parameter.symbol for parameter in PARAMETERS}
+_TEMPLATE = Path(__file__).with_name("search.md.j2")
 
 
 def write(found: Found, folder: Path) -> str:
@@ -44,26 +41,28 @@ def write(found: Found, folder: Path) -> str:
 
 def text_of(found: Found) -> str:
     """Return what was found as Markdown."""
-    parts = [
-        "# Hyperparameter search",
-        _how(found),
-        "## Best settings",
-        markdown(_parameter_rows(found)),
-        _highest_line(found),
-        _importance_line(found),
-        "## Best against paper",
-        markdown([_comparison_row(name, compared) for name, compared in found.compared.items()]),
-        *_verdicts(found),
-        "Seed by seed:",
-        markdown([row for name, compared in found.compared.items() for row in _seed_rows(name, compared)]),
-        "## Run the best settings",
-        *_warning(found.compared["checked"].verdict),
-        f"```\n{command(found)}\n```",
-        "## Where this comes from",
-        _trials_line(found),
-        *_machine(found),
-    ]
-    return "\n\n".join(parts) + "\n"
+    done = [trial for trial in found.trials if trial.recall_at_1 is not None]
+    return document(
+        _TEMPLATE,
+        found=found,
+        n_done=len(done),
+        n_random=sum(trial.stage == "random" for trial in done),
+        n_diverged=sum(trial.diverged is not None for trial in done),
+        parameters=_parameter_rows(found),
+        mattered=", ".join(f"{_SYMBOLS[name]} {_percent(share)} %" for name, share in [*found.importance.items()][:3]),
+        comparisons=[_comparison_row(name, compared) for name, compared in found.compared.items()],
+        seeds=[row for name, compared in found.compared.items() for row in _seed_rows(name, compared)],
+        searched=found.compared["searched"],
+        checked=found.compared["checked"],
+        diverged=list(_diverged(found)),
+        blocks=", ".join(f"{of.interval.block} {_SHORT[name]}" for name, of in found.compared.items() if of.interval),
+        command=command(found),
+        duration=f"{60 * found.minutes:.0f} seconds" if found.minutes < 2 else f"{found.minutes:.1f} minutes",
+        here=found.environment,
+        software=machine_lines({**found.environment})[1],
+        percent=_percent,
+        **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT},
+    )
 
 
 def command(found: Found) -> str:
@@ -94,37 +93,6 @@ def trials_csv(found: Found) -> str:
     return table.getvalue()
 
 
-def _how(found: Found) -> str:
-    done = [trial for trial in found.trials if trial.recall_at_1 is not None]
-    diverged = sum(trial.diverged is not None for trial in done)
-    n_random = sum(trial.stage == "random" for trial in done)
-    failed = len(found.trials) - len(done)
-    again = f" Failed or killed, and made up for: {failed}." * (failed > 0)
-    return (
-        f"{len(done)} trials of VPRTempo on {found.settings.dataset}: {n_random} with random settings, then "
-        f"{len(done) - n_random} on a grid of rates and probabilities around the best of those. In {diverged} of them "
-        f"the training diverged, which counts as R@1 0.{again} Each trial trains one network from the same seed on the "
-        f"searched places and asks all queries there; R@1 is the expected value under ties. {_apart(found)}"
-    )
-
-
-def _apart(found: Found) -> str:
-    """Say what else queries these places, or has them in its map."""
-    runs = found.queried_by
-    if runs:
-        more = f" and {len(runs) - _NAMED} more" * (len(runs) > _NAMED)
-        told = (
-            "No column of the table queries any of these places, but of the stored runs "
-            f"{', '.join(runs[:_NAMED])}{more} {'does' if len(runs) == 1 else 'do'}: under the best settings "
-            "that is no independent check."
-        )
-    else:
-        told = "No column of the table and no stored run queries any of these places."
-    recorded = "seed" not in found.protocols["searched"]
-    stay = " As references they stay in the map of reported results, and columns on request may query them."
-    return told + stay * recorded
-
-
 def _parameter_rows(found: Found) -> list[dict[str, str]]:
     return [
         {
@@ -137,27 +105,6 @@ def _parameter_rows(found: Found) -> list[dict[str, str]]:
         }
         for parameter in PARAMETERS
     ]
-
-
-def _highest_line(found: Found) -> str:
-    recalls = [trial.recall_at_1 for trial in found.trials if trial.recall_at_1 is not None]
-    return (
-        f"The best trial has R@1 {_percent(found.best.recall_at_1)} %. That is the highest of {len(recalls)} trials, "
-        f"all trained with seed {found.settings.seed}, on the queries that chose it: a maximum, which luck raises. "
-        "Only the comparison below says what these settings are worth."
-    )
-
-
-def _importance_line(found: Found) -> str:
-    n_random = sum(trial.stage == "random" and trial.recall_at_1 is not None for trial in found.trials)
-    if not found.importance:
-        return f"R@1 was the same in all {n_random} random trials: nothing says which parameters mattered."
-    mattered = ", ".join(f"{_symbol(name)} {_percent(share)} %" for name, share in list(found.importance.items())[:3])
-    chance = f" {n_random} trials are few for this: read it as a hint." * (n_random < _FEW)
-    return (
-        f"What mattered most: {mattered}. Importance is the share of a parameter alone in how R@1 varies over the "
-        f"{n_random} random trials (fANOVA, shares of all single parameters).{chance}"
-    )
 
 
 def _comparison_row(name: StretchName, compared: Comparison) -> dict[str, str]:
@@ -191,70 +138,15 @@ def _seed_rows(name: StretchName, compared: Comparison) -> list[dict[str, str]]:
     ]
 
 
-def _verdicts(found: Found) -> list[str]:
-    searched, checked = found.compared["searched"], found.compared["checked"]
-    verdicts = []
-    if searched.best.recall_at_1 <= searched.paper.recall_at_1:
-        verdicts.append("With these seeds the best settings do not beat the paper's where they were searched either.")
-    verdicts.append(_VERDICTS[checked.verdict])
-    if checked.interval is None:
-        verdicts.append(f"{checked.n_queries} queries are too few for an interval: search more places.")
-    verdicts += [
-        f"On the places {_SHORT[name]} the training under {whose} settings diverged with {_seeds(compared, repeated)}."
-        for name, compared in found.compared.items()
-        for whose, repeated in (("the best", compared.best), ("the paper's", compared.paper))
-        if any(repeated.diverged)
-    ]
-    verdicts.append(
-        f"Both settings are trained with the same {SEEDS} seeds, none of which chose the best: R@1 is the mean over "
-        "them and ± their standard deviation. The interval is that of the difference of per-query mean hits: the wider "
-        "one of Agresti and Min's, which takes queries as independent, and that of a bootstrap of blocks of "
-        f"neighbouring queries, as long as the queries are found to be alike{_blocks(found.compared)}. One is called "
-        f"better only where that interval excludes 0 and {AGREE} or more of the {SEEDS} seeds agree. What the searched "
-        "places say holds for no others, because the best settings were chosen there."
-    )
-    return verdicts
-
-
-def _blocks(compared: Mapping[StretchName, Comparison]) -> str:
-    """Name the lengths of the blocks; nothing without an interval."""
-    lengths = [f"{each.interval.block} {_SHORT[name]}" for name, each in compared.items() if each.interval]
-    return f" ({', '.join(lengths)})" if lengths else ""
-
-
-def _seeds(compared: Comparison, repeated: Repeated) -> str:
-    """Name the seeds whose training diverged, and how."""
-    reasons = {seed: reason for seed, reason in zip(compared.seeds, repeated.diverged, strict=True) if reason}
-    return "; ".join(f"seed {seed}: {reason}" for seed, reason in reasons.items())
-
-
-def _warning(verdict: Verdict) -> list[str]:
-    """Return what has to be known before the best settings are used."""
-    if verdict == "better":
-        return []
-    told = "worse than" if verdict == "worse" else "not shown to be better than"
-    return [f"On the places held out these settings were {told} the paper's."]
-
-
-def _trials_line(found: Found) -> str:
-    places = " and ".join(
-        f"{protocol['stretch'][0]} to {protocol['stretch'][1]} ({_SHORT[name]})"
-        for name, protocol in found.protocols.items()
-    )
-    journey = found.protocols["searched"].get("seed")
-    of = "" if journey is None else f" of the journey with seed {journey}"
-    return (
-        f"Places{of}: {places}. This call tried {found.tried_now} settings in {_duration(found.minutes)}. "
-        f"All trials lie in {found.folder}: the same command goes on there."
-    )
-
-
-def _machine(found: Found) -> list[str]:
-    here = dict(found.environment)
-    _, software = machine_lines(here)
-    processes = f"{found.jobs} process{'es' * (found.jobs != 1)} of one thread"
-    memory = f"{here['memory_bytes'] / 1e9:.0f} GB"
-    return [f"{here['processor']}, {processes} on {here['cores']} cores, {memory}, {here['platform']}.", software]
+def _diverged(found: Found) -> Iterator[tuple[str, str, str]]:
+    """Yield on which places the training diverged, under whose settings, with which seeds and how."""
+    for name, compared in found.compared.items():
+        for whose, repeated in (("the best", compared.best), ("the paper's", compared.paper)):
+            reasons = [
+                f"seed {seed}: {how}" for seed, how in zip(compared.seeds, repeated.diverged, strict=True) if how
+            ]
+            if reasons:
+                yield _SHORT[name], whose, "; ".join(reasons)
 
 
 def _stem(settings: Settings) -> str:
@@ -272,11 +164,3 @@ def _signed(share: float) -> str:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f}"
-
-
-def _duration(minutes: float) -> str:
-    return f"{60 * minutes:.0f} seconds" if minutes < 2 else f"{minutes:.1f} minutes"
-
-
-def _symbol(name: str) -> str:
-    return next(parameter.symbol for parameter in PARAMETERS if parameter.name == name)

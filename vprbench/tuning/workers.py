@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
+import os
 import signal
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from multiprocessing import get_context, parent_process
+from threading import Thread
+from typing import Generic, Self, TypeVar
+
+from vprbench.run import machine
 
 Asked = TypeVar("Asked")
 Given = TypeVar("Given")
-Attempt = Callable[[Asked], Given]
-
-_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
 
 
 @dataclass(frozen=True)
@@ -30,115 +29,85 @@ class Answer(Generic[Given]):
     error: str = ""
 
 
-@dataclass
-class _Worker:
-    link: Connection
-    process: BaseProcess
-    ready: bool = False
-    task: int | None = None
-
-
 class Workers(Generic[Asked, Given]):
-    """A number of processes, each of which calls `prepare` once and then what that returned, task by task.
+    """At most `count` processes of one thread, each a pool of its own: one that dies takes no other with it.
 
-    `prepare`, the tasks and what is given for them have to be picklable. A process whose parent is gone ends with
-    its current task.
+    `attempt`, the tasks and what is given for them have to be picklable. A process whose parent is gone ends.
     """
 
-    def __init__(self, prepare: Callable[[], Attempt[Asked, Given]], count: int) -> None:
-        """Start nothing yet; there will be at most `count` processes, and never more than there were tasks."""
-        self._prepare = prepare
-        self._count = count
-        self._workers: list[_Worker] = []
+    def __init__(self, attempt: Callable[[Asked], Given], count: int) -> None:
+        """Start nothing yet; there will never be more processes than there were tasks."""
+        self._attempt, self._count = attempt, count
+        self._pools: list[ProcessPoolExecutor] = []
+        self._numbers: list[Future[int]] = []  # of the processes, as the system knows them
 
     def __enter__(self) -> Self:
         """Start nothing yet: `answers` knows how many processes have something to do."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the processes: they hold nothing that could be lost."""
-        for worker in self._workers:
-            worker.link.close()
-            worker.process.terminate()
-        for worker in self._workers:
-            worker.process.join()
+        for number in self._numbers:
+            if number.done() and number.exception() is None:
+                with suppress(ProcessLookupError):
+                    os.kill(number.result(), signal.SIGTERM)
+        for pool in self._pools:
+            pool.shutdown(cancel_futures=True)
 
     @property
     def started(self) -> int:
         """How many processes there are."""
-        return len(self._workers)
+        return len(self._pools)
 
     def answers(self, tasks: Sequence[Asked], begins: Callable[[int], None]) -> Iterator[Answer[Given]]:
-        """Yield what comes of each task, in the order in which they end; `begins` is told of each that is handed out.
+        """Yield what comes of each task, in the order in which they end; `begins` is told of each handed out."""
+        while len(self._pools) < min(self._count, len(tasks)):
+            self._start(len(self._pools))
+        waiting, idle = deque(enumerate(tasks)), list(range(len(self._pools)))
+        busy: dict[Future[Given], tuple[int, int]] = {}
+        while waiting or busy:
+            while waiting and idle:
+                task, asked = waiting.popleft()
+                number = idle.pop()
+                begins(task)
+                busy[self._submitted(number, asked)] = task, number
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                task, number = busy.pop(future)
+                idle.append(number)
+                error = future.exception()
+                if error is None:
+                    yield Answer(task, future.result())
+                elif isinstance(error, BrokenExecutor):
+                    self._start(number)
+                    yield Answer(task, None, "the process that tried it ended")
+                else:
+                    traceback.print_exception(error)
+                    yield Answer(task, None, f"{type(error).__name__}: {error}")
 
-        Raises RuntimeError where a process cannot even prepare.
-        """
-        while len(self._workers) < min(self._count, len(tasks)):
-            self._workers.append(self._started())
-        waiting = deque(enumerate(tasks))
-        while waiting or any(worker.task is not None for worker in self._workers):
-            for worker in self._workers:
-                if waiting and worker.ready and worker.task is None:
-                    worker.task, asked = waiting.popleft()
-                    begins(worker.task)
-                    with contextlib.suppress(*_GONE):  # what is gone is noticed below
-                        worker.link.send(asked)
-            links = {worker.link: number for number, worker in enumerate(self._workers)}
-            for link in wait(list(links)):
-                assert isinstance(link, Connection)
-                yield from self._heard(links[link])
-
-    def _heard(self, number: int) -> Iterator[Answer[Given]]:
-        """Take a process's message, or put a new one in the place of one that is gone."""
-        worker = self._workers[number]
+    def _submitted(self, number: int, asked: Asked) -> Future[Given]:
         try:
-            what, content = worker.link.recv()
-        except _GONE:
-            worker.process.join()
-            ended = f"a worker process ended with exit code {worker.process.exitcode}"
-            if not worker.ready:
-                raise RuntimeError(f"{ended} while it prepared") from None
-            self._workers[number] = self._started()
-            if worker.task is not None:
-                yield Answer(worker.task, None, ended)
-            return
-        if what == "unprepared":
-            raise RuntimeError(f"a worker process could not prepare: {content}")
-        task, worker.task, worker.ready = worker.task, None, True
-        if task is not None:
-            yield Answer(task, content) if what == "given" else Answer(task, None, content)
+            return self._pools[number].submit(self._attempt, asked)
+        except BrokenExecutor:  # it died while it had nothing to do
+            self._start(number)
+            return self._pools[number].submit(self._attempt, asked)
 
-    def _started(self) -> _Worker:
-        context = multiprocessing.get_context("spawn")  # forking a process that has threads is not safe
-        link, far_end = context.Pipe()
-        process = context.Process(target=_work, args=(self._prepare, far_end), daemon=True)
-        process.start()
-        far_end.close()
-        return _Worker(link, process)
+    def _start(self, number: int) -> None:
+        """Start a process, in the place of the one that died where there was one."""
+        context = get_context("spawn")  # forking a process that has threads is not safe
+        pool = ProcessPoolExecutor(1, context, initializer=_begin)
+        self._pools[number:] = [pool, *self._pools[number + 1 :]]
+        self._numbers[number:] = [pool.submit(os.getpid), *self._numbers[number + 1 :]]
 
 
-def _work(prepare: Callable[[], Attempt[Any, Any]], link: Connection) -> None:
-    """Do in a process of its own what comes over the link, until that is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal interrupts all of them; the parent decides
-    with contextlib.suppress(*_GONE):
-        try:
-            attempt = prepare()
-        except Exception as error:  # told to the parent, which ends the search by it
-            traceback.print_exc()
-            link.send(("unprepared", _told(error)))
-            return
-        link.send(("ready", None))
-        while True:
-            asked = link.recv()
-            try:
-                message = ("given", attempt(asked))
-            except Exception as error:  # whatever one setting leads to ends its trial, not the search
-                traceback.print_exc()
-                message = ("failed", _told(error))
-            link.send(message)
+def _begin() -> None:
+    """Prepare a process: a terminal interrupts all of them, and the parent decides; without it nobody asks."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    machine.pin_threads(1)
+    Thread(target=_end_with_parent, daemon=True).start()
 
 
-def _told(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

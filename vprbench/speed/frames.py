@@ -1,11 +1,13 @@
-"""What the benchmark of speed measures of files: reading them."""
+"""The benchmark of frames: reading them from files, preprocessing a traverse once and again, and both engines."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -19,10 +21,14 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.decoding import read_image
 from vprbench.api.images import Images
+from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol, Stopwatch
+from vprbench.speed.cells import Failed, PreprocessingCell, ReadingCell, attempt
+from vprbench.speed.format import size
 from vprbench.speed.measure import rounded
-from vprbench.speed.settings import ReadingCell, Settings
+from vprbench.speed.route import Route
+from vprbench.speed.settings import ENGINES, FRAME, PATCH, Bench, Settings
 
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
@@ -30,6 +36,49 @@ Answer = TypeVar("Answer")
 _TURNS = 8  # of each way of reading
 _LEVELS = ((64, 90.0), (16, 40.0), (4, 15.0))  # pixels of a cell, grey levels to either side
 _NOISE = 3.0  # grey levels
+
+
+def reading(bench: Bench) -> Iterator[ReadingCell | Failed]:
+    """Read files."""
+    settings = bench.settings
+    frame = {"frame": size(*settings.frame)}
+    with tempfile.TemporaryDirectory(prefix="vprbench-") as folder:
+        paths = attempt(frame, partial(frame_files, settings, Path(folder)))
+        if isinstance(paths, Failed):
+            yield paths
+            return
+        progress.report(f"reading {len(paths)} files", 0.0)
+        yield attempt(frame, partial(in_own_process, reading_cell, settings, paths))
+
+
+def preprocessing(bench: Bench) -> Iterator[PreprocessingCell | Failed]:
+    """Preprocess images in memory by both engines."""
+    settings = bench.settings
+    for height, width in (FRAME, tuple(settings.frame)):
+        for images_per_call in (1, settings.batch):
+            what = {"frame": size(height, width), "images a call": str(images_per_call)}
+            yield attempt(what, partial(_preprocessing_cell, settings, height, width, images_per_call))
+
+
+def _preprocessing_cell(settings: Settings, height: int, width: int, images_per_call: int) -> PreprocessingCell:
+    progress.report(f"preprocessing, {size(height, width)}, {images_per_call} a call", 0.0)
+    images, _ = Route.drawn(settings.batch, height, width, settings.seed).references(settings.batch, 1)
+    parts = list(images.blocks(images_per_call))
+    engines = {engine: PatchNormalisation("C", settings.pixels, settings.pixels, PATCH, engine) for engine in ENGINES}
+    for normalise in engines.values():
+        normalise(parts[0])
+    watch = Stopwatch(Protocol())
+    laps: dict[Engine, list[float]] = {engine: [] for engine in ENGINES}
+    for turn in count(1):
+        for engine, normalise in engines.items():
+            with watch.lap() as lap:
+                normalise(parts[turn % len(parts)])
+            laps[engine] += lap
+        if turn >= settings.rounds and sum(laps["readable"]) >= settings.minimum_seconds:
+            break
+    return PreprocessingCell(
+        height, width, images_per_call, {engine: rounded(seconds) for engine, seconds in laps.items()}
+    )
 
 
 def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
