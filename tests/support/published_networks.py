@@ -111,8 +111,8 @@ class PublishedNetwork:
         yield "descriptors", self._has_the_descriptors_of_the_slow_computation
         yield "batches", self._neither_batch_nor_repetition_changes_a_descriptor
         yield "half precision", self._half_the_precision_keeps_the_descriptor
-        for trap in self.traps:
-            yield f"trap {trap}", partial(self._falls_into_no, trap)
+        for number, trap in enumerate(self.traps):
+            yield f"trap {number} {' '.join(trap)}", partial(self._falls_into_no, trap)
         for name in self.missing:
             yield f"missing {name}", partial(self._names, name, None)
         for name, shape in (dict.fromkeys(self.unexpected, (3, 3)) | dict(self.misshapen)).items():

@@ -22,7 +22,6 @@ from stored_runs import (
     VPRSNN,
     VPRTEMPO,
     failure,
-    older,
     run,
 )
 
@@ -359,7 +358,7 @@ def test_the_order_of_a_store_changes_nothing() -> None:
         run(protocol={"query": "night"}, day="2025-02-01"),
         *(tempo(seed) for seed in (0, 1, 2)),
         tempo(0, config={"code": "beef"}, day="2025-04-01"),
-        older(run("vprsnn")),
+        run("vprsnn"),
         run("netvlad"),
     ]
     failures = [failure("vprsnn"), failure("vprtempo", 2, day="2025-05-01")]

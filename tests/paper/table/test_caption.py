@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from assembled import absences, measured, table, tempo
-from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, older, run
+from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
@@ -37,13 +37,6 @@ def test_a_seed_that_failed_after_it_was_stored_is_named_in_the_caption() -> Non
     made = table(runs, [failure("vprtempo", 1, "it diverged", day="2025-04-01")], rows=[VPRTEMPO])
     assert absences(made, "VPRTempo")[0] == "measured"
     assert "VPRTempo, Railway (rendered), CPU: seed 1 failed since: it diverged." in made.caption
-
-
-def test_an_older_record_is_set_aside_by_name() -> None:
-    made = table([run(), older(run(day="2025-01-01", hits=[1, 1, 1, 1]))], rows=[SAD])
-    assert measured(made, "SAD", "recall_at_1").value == 50
-    (sentence,) = [sentence for sentence in made.caption if "set aside" in sentence]
-    assert sentence.startswith("SAD: 1 run in an older record")
 
 
 def test_what_a_row_sets_aside_in_all_columns_is_one_sentence() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPRTEMPO, answers, older, run
+from stored_runs import ABACUS, CITY, LOOM, NETVLAD, NORDLAND, PLANNED, SAD, VPRTEMPO, answers, run
 
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.table.quantities import QUANTITIES, RATES, RECALL, TRAINING, Quantity
@@ -131,8 +131,6 @@ SHORT = timed(minimum_seconds=0.01, minimum_queries=1)
         ({"A": SHORT, "B": timed(), "C": timed()}, {"A": "B and C: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": SHORT}, {"B": "A: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": timed(), "C": timed(), "D": timed(sample=8)}, {"D": "most rows: sample 8"}),
-        ({"A": timed(), "B": older(run())}, {"B": "hold"}),
-        ({"A": older(run()), "B": timed()}, {"B": "A: at least 2 s and 64 queries"}),
     ],
 )
 def test_the_row_that_is_timed_otherwise_says_how(runs: dict[str, Run], told: dict[str, str]) -> None:
