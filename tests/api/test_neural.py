@@ -535,6 +535,7 @@ def test_what_does_not_change_a_descriptor_fits_any_map() -> None:
 def test_it_keeps_the_rules_of_the_contract(
     arguments: dict[str, Any], file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parent)
     weights = {"file": file.name, "licence": "none", "trained_on": "nothing", "path": str(file)}
     config = {"_target_": "test_neural.Tiny", "weights": weights, **arguments}
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []

@@ -74,7 +74,7 @@ def heads(lines: list[list[str]], number: int) -> bool:
 SECTIONS = {
     "A training step": ["paper", "reference"],
     "The fit that users ask for": ["paper", "reference"],
-    "Reading frames": ["40x24", "256"],
+    "Reading frames": ["40x24"],
     "Preprocessing": ["64x32", "64x32", "40x24", "40x24"],
     "Queries at": [
         "sad",
