@@ -165,19 +165,18 @@ def by_hand(file: Path, image: Image) -> npt.NDArray[np.float64]:
     return (x / x.norm()).numpy()
 
 
-def test_the_constructor_reads_nothing() -> None:
-    Tiny(weights=NOWHERE)
-
-
-def test_the_network_is_loaded_when_first_needed_and_once(weights: Weights, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_network_is_loaded_when_first_needed_and_once_and_changes_neither_equality_nor_repr(
+    weights: Weights, monkeypatch: pytest.MonkeyPatch
+) -> None:
     loaded = []
     load = Tiny.load
     monkeypatch.setattr(Tiny, "load", lambda self, path: loaded.append(path) or load(self, path))
-    method = Tiny(weights=weights)
+    method, fresh = Tiny(weights=weights), Tiny(weights=weights)
     assert loaded == []
     for _ in range(2):
         method.encode(Images.from_arrays(noise(3)))
     assert loaded == [Path(weights.path or "")]
+    assert (method, repr(method)) == (fresh, repr(fresh))
 
 
 def test_its_file_is_the_one_that_its_weights_name(weights: Weights, file: Path) -> None:
@@ -190,23 +189,15 @@ def test_a_missing_file_is_named_when_files_are_asked_for_and_when_images_are() 
             ask(Tiny(weights=NOWHERE))
 
 
-def test_a_loaded_network_changes_neither_equality_nor_repr(weights: Weights) -> None:
-    loaded, fresh = Tiny(weights=weights), Tiny(weights=weights)
-    loaded.encode(Images.from_arrays(noise(1)))
-    assert loaded == fresh
-    assert repr(loaded) == repr(fresh)
-
-
-def test_a_descriptor_is_what_the_formulas_give(weights: Weights, file: Path) -> None:
+def test_a_descriptor_is_what_the_formulas_give_of_unit_length_and_the_same_each_time(
+    weights: Weights, file: Path
+) -> None:
     images = mixed()
-    codes = Tiny(weights=weights).encode(Images.from_arrays(images))
+    codes, again = (Tiny(weights=weights).encode(Images.from_arrays(images)) for _ in range(2))
     assert codes.dtype == np.float32
-    assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
-
-
-def test_descriptors_have_unit_length(weights: Weights) -> None:
-    codes = Tiny(weights=weights).encode(Images.from_arrays(mixed()))
+    assert np.array_equal(codes, again)
     assert np.abs(np.linalg.norm(codes.astype(np.float64), axis=1) - 1).max() < 1e-6
+    assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
 
 
 def test_an_output_of_zeros_is_a_zero_vector() -> None:
@@ -230,13 +221,9 @@ def test_an_output_that_is_not_finite_is_refused(precision: str, pinned: list) -
 
 @pytest.mark.parametrize("arguments", [{}, {"height": 30}, {"height": 8, "width": 9}])
 def test_no_images_give_no_rows_of_the_right_length(arguments: dict[str, int], weights: Weights) -> None:
-    codes = Tiny(weights=weights, **arguments).encode(Images.from_arrays([]))
-    assert codes.shape == (0, 6)
-    assert codes.dtype == np.float32
-
-
-def test_no_images_are_also_nothing_for_a_network_that_needs_large_ones(weights: Weights) -> None:
-    assert Large(weights=weights).encode(Images.from_arrays([])).shape == (0, 6)
+    for kind in (Tiny, Large):
+        codes = kind(weights=weights, **(arguments if kind is Tiny else {})).encode(Images.from_arrays([]))
+        assert (codes.shape, codes.dtype) == ((0, 6), np.float32)
 
 
 def test_a_batch_gives_what_its_images_give_one_by_one(weights: Weights) -> None:
@@ -247,44 +234,36 @@ def test_a_batch_gives_what_its_images_give_one_by_one(weights: Weights) -> None
     assert np.abs(together - alone).max() < 1e-6
 
 
-def test_the_same_images_give_the_same_numbers(weights: Weights) -> None:
-    first, second = (Tiny(weights=weights).encode(Images.from_arrays(mixed())) for _ in range(2))
-    assert np.array_equal(first, second)
+TWO_SIZES = [image[:3] if i in (2, 3) else image for i, image in enumerate(numbered(7))]
 
 
-def test_batches_hold_images_in_order_and_as_many_as_asked_for() -> None:
-    method, network = watching(batch_size=3)
-    method.encode(Images.from_arrays(numbered(8)))
-    assert numbers(network) == [[0, 1, 2], [3, 4, 5], [6, 7]]
-
-
-def test_images_of_one_size_alone_share_a_batch() -> None:
-    method, network = watching(batch_size=3)
-    images = numbered(7)
-    images[2], images[3] = images[2][:3], images[3][:3]
-    codes = method.encode(Images.from_arrays(images))
-    assert numbers(network) == [[0, 1], [2, 3], [4, 5, 6]]
-    assert np.allclose(codes, np.concatenate([method.encode(Images.from_arrays([image])) for image in images]))
-
-
-def test_images_resized_to_one_size_share_a_batch() -> None:
-    method, network = watching(batch_size=9, height=5, width=5)
-    method.encode(Images.from_arrays([image[: 3 + i % 2] for i, image in enumerate(numbered(4))]))
-    assert numbers(network) == [[0, 1, 2, 3]]
-
-
-def test_floats_of_a_batch_fit_into_the_bytes_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neural, "_BATCH_BYTES", 4 * 3 * 4 * 4 * 2.5)
-    method, network = watching(batch_size=16)
-    method.encode(Images.from_arrays(numbered(5)))
-    assert numbers(network) == [[0, 1], [2, 3], [4]]
-
-
-def test_an_image_larger_than_the_bytes_allowed_goes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neural, "_BATCH_BYTES", 10)
-    method, network = watching(batch_size=16)
-    method.encode(Images.from_arrays(numbered(2)))
-    assert numbers(network) == [[0], [1]]
+@pytest.mark.parametrize(
+    ("arguments", "images", "n_bytes", "batches"),
+    [
+        ({"batch_size": 3}, numbered(8), None, [[0, 1, 2], [3, 4, 5], [6, 7]]),
+        ({"batch_size": 3}, TWO_SIZES, None, [[0, 1], [2, 3], [4, 5, 6]]),
+        (
+            {"batch_size": 9, "height": 5, "width": 5},
+            [image[: 3 + i % 2] for i, image in enumerate(numbered(4))],
+            None,
+            [[0, 1, 2, 3]],
+        ),
+        ({}, numbered(5), 4 * 3 * 4 * 4 * 2.5, [[0, 1], [2, 3], [4]]),
+        ({}, numbered(2), 10, [[0], [1]]),
+    ],
+    ids=["as many as asked for", "two sizes", "resized to one size", "as many as bytes allow", "one at least"],
+)
+def test_images_of_one_size_share_a_batch_in_order_as_many_as_fit(
+    arguments: dict[str, int],
+    images: list[Image],
+    n_bytes: float | None,
+    batches: list[list[int]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(neural, "_BATCH_BYTES", n_bytes or neural._BATCH_BYTES)
+    method, network = watching(**arguments)
+    method.encode(Images.from_arrays(images))
+    assert numbers(network) == batches
 
 
 @pytest.mark.parametrize(("side", "allowed"), [(8, 2), (2, 9)])
@@ -358,7 +337,6 @@ def test_sides_are_rounded_to_the_nearest_multiple(size: tuple[int, int], wanted
 
 def test_sides_given_are_the_target_whatever_the_image_has() -> None:
     assert Fourteen(weights=NOWHERE, height=224).target(100, 150) == (224, 154)
-    assert Tiny(weights=NOWHERE, height=5, width=7).target(100, 150) == (5, 7)
 
 
 @pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
@@ -374,11 +352,7 @@ def test_an_image_too_small_is_refused_by_its_size(how: Any, weights: Weights) -
     method = Large(weights=weights, width=400, resize=how)
     with pytest.raises(BadInput, match=r"26x20.*400x20.*300.*pixels.*method\.height"):
         method.encode(Images.from_arrays(noise(1)))
-
-
-def test_an_image_that_is_resized_to_what_the_network_needs_is_taken(weights: Weights) -> None:
-    method = Large(weights=weights, height=300, width=300)
-    assert method.encode(Images.from_arrays(noise(1))).shape == (1, 6)
+    assert Large(weights=weights, height=300, width=300).encode(Images.from_arrays(noise(1))).shape == (1, 6)
 
 
 @pytest.mark.parametrize(
@@ -397,22 +371,20 @@ def test_arguments_that_do_not_fit_are_named(kind: Any, arguments: dict, message
             kind(weights=weights, **arguments).encode(Images.from_arrays(images))
 
 
+@pytest.mark.parametrize(
+    ("kind", "images", "wanted"),
+    [
+        (Tiny, slowly(noise(9), broken=5), "image 5 is torn"),
+        (Large, slowly([*noise(3, (300, 300)), *noise(4)]), "Large needs 300 pixels"),
+    ],
+    ids=["torn", "too small"],
+)
 @pytest.mark.parametrize("device", ["cpu", GPU])
-def test_an_image_that_cannot_be_read_is_the_callers_error(
-    device: str, weights: Weights, pinned: list, no_thread_stays: None
+def test_an_image_that_cannot_be_described_is_the_callers_error(
+    device: str, kind: Any, images: Images, wanted: str, weights: Weights, pinned: list, no_thread_stays: None
 ) -> None:
-    method = Tiny(weights=weights, batch_size=2, device=device)
-    with pytest.raises(BadInput, match="image 5 is torn"):
-        method.encode(slowly(noise(9), broken=5))
-
-
-@pytest.mark.parametrize("device", ["cpu", GPU])
-def test_an_image_too_small_among_others_is_the_callers_error(
-    device: str, weights: Weights, pinned: list, no_thread_stays: None
-) -> None:
-    method = Large(weights=weights, batch_size=2, device=device)
-    with pytest.raises(BadInput, match="Large needs 300 pixels"):
-        method.encode(slowly([*noise(3, (300, 300)), *noise(4)]))
+    with pytest.raises(BadInput, match=wanted):
+        kind(weights=weights, batch_size=2, device=device).encode(images)
 
 
 @pytest.mark.parametrize("device", ["cpu", GPU])
@@ -426,11 +398,7 @@ def test_no_thread_stays_where_the_network_fails_even_while_the_error_is_held(de
     assert held.tb is not None
 
 
-def test_no_thread_stays_after_all_images(weights: Weights, pinned: list, no_thread_stays: None) -> None:
-    Tiny(weights=weights, batch_size=2, device=GPU).encode(slowly(noise(30)))
-
-
-def test_the_way_over_a_gpu_gives_what_the_cpu_gives(weights: Weights, pinned: list) -> None:
+def test_the_way_over_a_gpu_gives_what_the_cpu_gives(weights: Weights, pinned: list, no_thread_stays: None) -> None:
     over_a_gpu = Tiny(weights=weights, batch_size=2, device=GPU).encode(slowly(mixed()))
     assert np.abs(over_a_gpu - Tiny(weights=weights).encode(Images.from_arrays(mixed()))).max() < 1e-6
 
@@ -506,24 +474,20 @@ def test_half_precision_gives_nearly_the_same_descriptor(
     assert 1e-6 < difference < tolerance
 
 
-def test_convolutions_are_exact_while_encoding_and_left_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_network_evaluates_with_exact_convolutions_left_as_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
     method, network = watching()
     method.encode(Images.from_arrays(numbered(1)))
     assert network.tf32 == [False]
+    assert not network.training
+    assert not any(parameter.requires_grad for parameter in [*network.parameters(), *network.seen])
     assert torch.backends.cudnn.allow_tf32 is True
     method.use(nn.Linear(7, 7))
     with pytest.raises(RuntimeError):
         method.encode(Images.from_arrays(numbered(1)))
     assert torch.backends.cudnn.allow_tf32 is True
-
-
-def test_the_network_evaluates_and_keeps_no_gradients(weights: Weights) -> None:
-    method, network = watching()
-    method.encode(Images.from_arrays(numbered(1)))
-    assert not network.training
-    assert not any(parameter.requires_grad for parameter in network.parameters())
-    assert not network.seen[0].requires_grad
 
 
 def test_what_does_not_change_a_descriptor_fits_any_map() -> None:

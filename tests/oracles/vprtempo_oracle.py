@@ -165,27 +165,6 @@ def train_separate_output(
     return plus, minus, theta
 
 
-def query_reference(W_f: Floats, W_o: Floats, x: Floats) -> Floats:
-    """Return linear scores (n_places,) of one input (n_pre,), public code QVPR/VPRTempo 64154e5."""
-    return np.asarray(W_o, dtype=np.float64) @ (np.asarray(W_f, dtype=np.float64) @ x)
-
-
-def query_spiking(
-    exc_f: Floats,  # (n_features, n_pre), magnitudes, as inh_f
-    inh_f: Floats,
-    c: Floats,  # (n_features,), as thr_f
-    thr_f: Floats,
-    exc_o: Floats,  # (n_places, n_features), magnitudes, as inh_o
-    inh_o: Floats,
-    thr_o: Floats,  # (n_places,)
-    x: Floats,  # (n_pre,)
-    clip: float,
-) -> Floats:
-    """Return clipped output activity (n_places,) of one input by Eq. 1 of the VPRTempo paper."""
-    feature = np.clip(exc_f @ x - inh_f @ x + c - thr_f, 0.0, clip)
-    return np.clip(exc_o @ feature - inh_o @ feature - thr_o, 0.0, clip)
-
-
 def _limit_signed(w: Floats, positive_mask: Bools, negative_mask: Bools) -> Floats:
     """Keep sign and size of signed weights (n_post, n_pre), public code QVPR/VPRTempo 64154e5."""
     w = np.where(positive_mask, np.clip(w, SMALLEST, LARGEST), w)

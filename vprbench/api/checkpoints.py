@@ -37,29 +37,20 @@ class Partial:
     """
 
     def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
-        """Look what an interrupted run has left in `folder`."""
+        """Take over what an interrupted run has left in `folder`."""
         self._folder = folder
         self._clock = clock
         self._last = clock()  # when the last part was kept
         self._one_at_a_time = threading.Lock()
         self._refused = False
-        self._found: dict[str, float] = {}  # seconds that other runs spent, by part that they left
-        self._taken: dict[str, float] = {}  # the same of the parts that this run has asked for
-        self._own: dict[str, float] = {}  # seconds that this one spent on the parts that it kept
+        self._taken: dict[str, float] = {}  # seconds that other runs spent, by part that this run has asked for
+        self._own: dict[str, float] = {}  # seconds that this run spent on the parts that it kept
         remove_leftovers(folder)
-        with suppress(OSError):
-            for path in sorted(folder.iterdir()):
-                self._look_at(path)
 
     @property
     def seconds(self) -> float:
         """The wall time that interrupted runs had spent on the parts that this run has asked for."""
         return sum(self._taken.values())
-
-    @property
-    def found_seconds(self) -> float:
-        """The wall time that interrupted runs had spent on all parts that they left."""
-        return sum(self._found.values())
 
     def get(self, name: str) -> dict[str, Array] | None:
         """Return the arrays of a part; None if it is not there, or was damaged, and then is removed."""
@@ -110,18 +101,8 @@ class Partial:
         """Remove all parts."""
         _remove(self._folder)
 
-    def _look_at(self, path: Path) -> None:
-        if path.name.endswith(_PART):
-            try:
-                self._found[path.name.removesuffix(_PART)] = _seconds(path)
-            except FileNotFoundError:  # another process has ended the same training
-                return
-            except (OSError, ValueError) as error:
-                self._discard(path, error)
-
     def _discard(self, path: Path, error: Exception) -> None:
-        for seconds in (self._found, self._taken):
-            seconds.pop(path.name.removesuffix(_PART), None)
+        self._taken.pop(path.name.removesuffix(_PART), None)
         logger.warning("%s cannot be used (%s): that part is trained anew", path, error)
         if isinstance(error, ValueError):  # damaged; what only could not be read now may be whole
             with suppress(OSError):
@@ -232,11 +213,6 @@ def _read(path: Path) -> tuple[dict[str, Array], float]:
     if stated is None or not whole:
         raise ValueError("it is not what was written")
     return arrays, float(stated)
-
-
-def _seconds(path: Path) -> float:
-    """Return the seconds spent on the arrays of a file, unread; raises ValueError if it is damaged."""
-    return float(_SEAL.read_text(path) or "no seconds")
 
 
 def _remove_forgotten(root: Path, wanted: Path) -> None:
