@@ -136,7 +136,7 @@ def draw_layer(
 ) -> Layer:
     """Draw a layer's initial state, one generator and one size per module; smaller modules are padded with nothing.
 
-    `probabilities` are those of an excitatory and an inhibitory connection. A module's draws do not depend on
+    `probabilities` are the shares of excitatory and of inhibitory connections. A module's draws do not depend on
     the other modules.
     """
     modules = [

@@ -47,7 +47,7 @@ class VPRTempo(Method):
     """The spiking network of the VPRTempo paper, its public code (64154e5) or the submission's (v1.0.0).
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
-    one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
+    one choice (`Rules` describes them). Rates, probabilities and thresholds come from the paper's Table I.
     `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
     results, slower).
     A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
@@ -194,7 +194,7 @@ class VPRTempo(Method):
         return self._trained().scores(codes)
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
-        """Return the spikes of the input, feature and output layers of the network, of several those of the first.
+        """Return the spikes of the input, feature and output layers of the network, or of the first of several.
 
         A linear query passes no layer that spikes but the input. Raises NotFittedError before `fit`.
         """
@@ -206,7 +206,7 @@ class VPRTempo(Method):
         return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
-        """Return the arrays of the trained network, those of several numbered."""
+        """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
         return members_state(self._members)
 

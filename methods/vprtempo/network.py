@@ -23,7 +23,7 @@ _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.wei
 
 @dataclass(frozen=True)
 class Network:
-    """Signed weights of both layers and what Eq. 1 adds to them; modules lie side by side, places in their order."""
+    """Signed weights, constants and thresholds of both layers; modules lie side by side, places in their order."""
 
     features: Tensor  # (modules, n_features, n_pixels)
     constant: Tensor  # (modules, n_features)
@@ -112,7 +112,7 @@ class Network:
 
 
 def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:
-    """Return the arrays of networks to be stored, those of several numbered."""
+    """Return the arrays of networks to be stored; the arrays of several networks are numbered."""
     if len(members) == 1:
         return members[0].state()
     states = [member.state() for member in members]

@@ -120,7 +120,7 @@ class SpikingQuery:
         return torch.from_numpy(above)[None]
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
-        """Return the spikes of the feature neurons, those of all modules side by side, and of the output neurons."""
+        """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
         features = self._features(torch.tensor(spikes, device=self._device))
         outputs = self._fired(self._above(features))
         return features.cpu().numpy(), outputs.cpu().numpy()
@@ -178,7 +178,7 @@ def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
 
 
 def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
-    """Return the product of both layers, (n_places, n_pixels), and what it adds; the mean over several networks."""
+    """Return the product of both layers, (n_places, n_pixels), and its bias, (n_places,); means over the members."""
     weights, biases = [], []
     for member in members:
         product = torch.cat([outputs.T @ member.features[module] for module, outputs in enumerate(member.outputs)])
@@ -228,7 +228,7 @@ def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
 
 
 def _compile() -> None:
-    """Compile what asks a single query, or read it from the cache, so that no query waits for it."""
+    """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
     _add_active(weights, row, row.copy())

@@ -44,7 +44,7 @@ class Rules:
     silent_winner: bool = False
     """Where a query leaves all outputs silent, the first module's least inhibited neuron answers (v1.0.0)."""
     calibrated_scores: bool = False
-    """A place's score is standardised by those that the reference images give it, so that no place is louder than
+    """A place's score is standardised by the scores that the reference images give it, so that no place is louder than
     others (no public version)."""
     query_rule: QueryRule = "spiking"
     """A query passes thresholds, clip and C as in Eq. 1, or the two weight matrices alone (public code)."""

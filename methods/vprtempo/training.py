@@ -114,7 +114,7 @@ def train_places(
 
 
 def check_weights(layer: Layer, name: str) -> None:
-    """Raise TrainingDivergedError where weights are no numbers, or more than 1 % of them stand at the limit."""
+    """Raise TrainingDivergedError if weights are no numbers, or if more than 1 % of them stand at the limit."""
     weights = torch.stack([layer.excitation.abs().amax((1, 2)), layer.inhibition.abs().amax((1, 2))])
     if not bool(torch.isfinite(weights).all()):
         raise TrainingDivergedError(
@@ -132,7 +132,7 @@ def check_weights(layer: Layer, name: str) -> None:
 
 
 def check_inputs(spikes: npt.NDArray[np.float32]) -> None:
-    """Raise BadInput where more than half of some references are one and the same input.
+    """Raise BadInput if more than half of some references are one and the same input.
 
     `spikes` (n_probes, n_pixels) are the inputs of reference images of as many different places.
     """
@@ -147,7 +147,7 @@ def check_inputs(spikes: npt.NDArray[np.float32]) -> None:
 
 
 def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
-    """Raise TrainingDivergedError where a network answers alike to different references.
+    """Raise TrainingDivergedError if a network answers alike to different references.
 
     `scores` (n_probes, n_places) are its answers to reference images of as many different places, spread evenly
     over the route; `module` (n_places,) is the module of each place. A healthy network answers most of them with

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,7 @@ def test_a_part_of_this_run_is_no_time_of_another(tmp_path: Path, clock: Clock) 
 
 def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path: Path, clock: Clock) -> None:
     with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
-        spend(tmp_path, clock, ("first", 5), ("second", 7))
+        Context().run(spend, tmp_path, clock, ("first", 5), ("second", 7))
         assert kept.seconds == 0
         assert kept.get("first") is not None
         assert kept.seconds == 5

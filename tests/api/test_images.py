@@ -148,22 +148,13 @@ def test_each_iteration_reads_every_image_once_in_other_threads():
 
 
 @pytest.mark.parametrize("looked_at", [1, 500])
-def test_only_a_bounded_number_of_images_is_read_ahead(looked_at, chunks):
+def test_reading_goes_on_while_the_caller_works_but_a_bounded_number_ahead(looked_at, chunks):
     reader = Reader()
     iterator = iter(reader.images(5000))
     for _ in range(looked_at):
         next(iterator)
     wait_until_idle(chunks)
-    assert looked_at < len(reader.read) <= looked_at + 150
-    iterator.close()
-
-
-def test_reading_goes_on_while_the_caller_works(chunks):
-    reader = Reader()
-    iterator = iter(reader.images(5000))
-    next(iterator)
-    wait_until_idle(chunks)
-    assert len(reader.read) > 8  # more than one reader takes at a time, though one image was asked for
+    assert looked_at + 7 < len(reader.read) <= looked_at + 150
     iterator.close()
 
 
@@ -252,7 +243,9 @@ def test_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path)
 def test_files_of_different_sizes_keep_their_own(tmp_path, suffix):
     sizes = [(4, 6), (7, 3), (1, 1)]
     paths = [save(tmp_path / f"{i}.{suffix}", noise(*size)) for i, size in enumerate(sizes)]
-    assert [image.shape for image in Images.from_files(paths)] == [(*size, 3) for size in sizes]
+    images = Images.from_files(paths)
+    assert [image.shape for image in images] == [(*size, 3) for size in sizes]
+    assert images.names == (f"0.{suffix}", f"1.{suffix}", f"2.{suffix}")
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -265,36 +258,9 @@ def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(tmp_path,
         read_image(too_large)
 
 
-def test_a_file_is_named_without_its_folder(tmp_path):
-    assert Images.from_files([tmp_path / "a" / "b.png"]).names == ("b.png",)
-
-
-def test_a_colour_png_comes_as_its_rgb_pixels(tmp_path):
-    pixels = noise(5, 7)
-    image = read_image(save(tmp_path / "a.png", pixels))
-    assert image.dtype == np.uint8
-    assert np.array_equal(image, pixels)
-
-
-def test_red_is_the_first_channel_of_a_jpeg(tmp_path):
-    path = save(tmp_path / "a.jpg", np.full((16, 16, 3), (200, 100, 20), np.uint8), quality=100)
-    assert np.abs(read_image(path).astype(int) - (200, 100, 20)).max() <= 3
-
-
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_grey_is_repeated_in_three_channels(tmp_path, suffix):
-    image = read_image(save(tmp_path / f"a.{suffix}", np.full((8, 8), 120, np.uint8), quality=100))
-    assert image.tolist() == np.full((8, 8, 3), 120).tolist()
-
-
 def test_alpha_is_dropped_without_touching_the_colour(tmp_path):
     pixels = np.dstack([noise(3, 4), np.array([[0, 1, 128, 255]] * 3, np.uint8)])
     assert np.array_equal(read_image(save(tmp_path / "a.png", pixels)), pixels[:, :, :3])
-
-
-def test_grey_with_alpha_is_repeated_in_three_channels(tmp_path):
-    PillowImage.fromarray(np.array([[[40, 0], [50, 255]]], np.uint8), mode="LA").save(tmp_path / "a.png")
-    assert read_image(tmp_path / "a.png").tolist() == [[[40, 40, 40], [50, 50, 50]]]
 
 
 def test_sixteen_bit_grey_is_reduced_to_eight(tmp_path):
@@ -309,11 +275,6 @@ def test_a_palette_is_looked_up_without_a_warning(tmp_path, options):
     image.putdata([1, 0, 2])
     image.save(tmp_path / "a.png", **options)
     assert read_image(tmp_path / "a.png").tolist() == [[[200, 100, 0], [10, 20, 30], [5, 6, 7]]]
-
-
-def test_a_bilevel_png_is_black_and_white(tmp_path):
-    PillowImage.fromarray(np.array([[True, False]])).save(tmp_path / "a.png")
-    assert read_image(tmp_path / "a.png").tolist() == [[[255] * 3, [0] * 3]]
 
 
 def half_of(suffix):

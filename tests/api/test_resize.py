@@ -74,8 +74,8 @@ def as_image(batch: torch.Tensor) -> npt.NDArray[np.float32]:
     return batch[0].permute(1, 2, 0).numpy()
 
 
-def by_tensor(image: npt.NDArray, height: int, width: int, kind: Interpolation, antialias: bool = True):
-    return as_image(resize_batch(as_batch(image), height, width, kind, antialias))
+def by_tensor(image: npt.NDArray, height: int, width: int, kind: Interpolation):
+    return as_image(resize_batch(as_batch(image), height, width, kind))
 
 
 def by(how):
@@ -85,7 +85,6 @@ def by(how):
 # Images are rounded twice, for columns, then for rows.
 FILTERS = {
     "tensor": (by_tensor, True, 1e-3),
-    "tensor without antialiasing": (lambda *arguments: by_tensor(*arguments, antialias=False), False, 1e-3),
     "pillow": (by("pillow"), True, 1.2),
     "opencv": (by("opencv"), False, 1.2),
 }

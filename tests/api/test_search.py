@@ -232,10 +232,10 @@ def test_codes_of_another_length_are_refused(kind: Kind) -> None:
     ],
 )
 def test_bytes_of_a_place_count_what_answers_need(kind: Kind, wanted: int) -> None:
-    references, _ = clustered(20_000)
-    one_each = Search(references, np.arange(20_000), kind).bytes_per_place
+    references, _ = clustered(10_000)
+    one_each = Search(references, np.arange(10_000), kind).bytes_per_place
     assert wanted <= one_each <= 1.1 * wanted + 10
-    two_each = Search(references, np.arange(20_000) // 2, kind).bytes_per_place
+    two_each = Search(references, np.arange(10_000) // 2, kind).bytes_per_place
     assert two_each == pytest.approx(2 * one_each, abs=2)
 
 

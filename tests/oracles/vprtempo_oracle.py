@@ -111,7 +111,6 @@ def train_separate_feature(
     stdp_rates: Floats,  # (n_steps,) in force during each step
     itp_rates: Floats,  # (n_steps,) in force during each step
     heaviside: bool,  # Eq. 5 with spikes (VPRTempo paper) or with amplitudes (v1.0.0 a3b07b2)
-    divide_by_rate: bool = False,  # the 1 / f_j printed in Eq. 2, absent from every code version
 ) -> tuple[Floats, Floats, Floats]:
     """Return excitation and inhibition (n_post, n_pre), thresholds; VPRTempo paper or v1.0.0 a3b07b2."""
     plus, minus = np.array(excitation, dtype=np.float64), np.array(inhibition, dtype=np.float64)
@@ -121,8 +120,7 @@ def train_separate_feature(
         a = plus @ x - minus @ x + constant
         y = np.clip(a - theta, 0.0, TRAINING_CLIP)
         both_spike = np.outer(y > 0, x > 0)
-        gain = eta / rates if divide_by_rate else eta
-        change = (gain * (0.5 - y))[:, None]
+        change = (eta * (0.5 - y))[:, None]
         plus = np.where(excitation_mask & both_spike, plus + change, plus)
         minus = np.where(inhibition_mask & both_spike, minus + change, minus)
         plus, minus = _limit_magnitude(plus), _limit_magnitude(minus)

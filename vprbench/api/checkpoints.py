@@ -1,4 +1,4 @@
-"""Partial trainings: what a long fit has finished is kept on disk, so that an interrupted one goes on from there."""
+"""Partial trainings: finished parts of a long fit are kept on disk, so that an interrupted fit goes on from them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Partial:
 
 
 class Resumed:
-    """The trainings of one run: what they took over, and what there is to remove once all is done."""
+    """The trainings of one run: the parts that they took over, and the folders to remove once all is done."""
 
     def __init__(self) -> None:
         self._opened: dict[Path, Partial] = {}
@@ -123,11 +123,11 @@ class Resumed:
 
     @property
     def seconds(self) -> float:
-        """The wall time that interrupted runs had spent on what the trainings took over."""
+        """The wall time that interrupted runs had spent on the parts that the trainings took over."""
         return sum(kept.seconds for kept in self._opened.values())
 
     def open(self, folder: Path, clock: Callable[[], float]) -> Partial:
-        """Return what is kept in a folder; a second training of the same run goes on with its own parts."""
+        """Return the parts in a folder; a second training of the same run goes on with its own parts."""
         if folder not in self._opened:
             self._opened[folder] = Partial(folder, clock)
         return self._opened[folder]
@@ -137,7 +137,7 @@ class Resumed:
         self._done.add(folder)
 
     def remove(self) -> None:
-        """Remove what was kept of the trainings that have ended."""
+        """Remove the parts of the trainings that have ended."""
         for folder in self._done:
             self._opened[folder].remove()
 
@@ -147,7 +147,7 @@ _running: ContextVar[Resumed | None] = ContextVar("trainings_of_a_run", default=
 
 @contextmanager
 def ledger() -> Iterator[Resumed]:
-    """Collect what the trainings inside the block take over, and keep their parts until the block ends.
+    """Collect the trainings inside the block, and keep their parts until the block ends.
 
     So a run that is killed in a later training, or before its result is stored, loses none of the earlier ones. A
     ledger inside another one is the same.
@@ -169,7 +169,7 @@ def ledger() -> Iterator[Resumed]:
 def training(
     what: Mapping[str, Any], folder: Path | None = None, clock: Callable[[], float] = time.perf_counter
 ) -> Iterator[Partial]:
-    """Open what was kept of a training, and remove it once the block has ended without an error.
+    """Open the kept parts of a training, and remove them once the block has ended without an error.
 
     `what` (plain JSON) is all that decides about the outcome: only a training with an equal `what` is resumed. `folder`
     holds the trainings, one folder for each: by default VPRBENCH_PARTIAL, or one in the user's cache. A training that
@@ -178,14 +178,11 @@ def training(
     root = partial_folder() if folder is None else folder
     text = json.dumps({"format": FORMAT, "what": what}, sort_keys=True)
     home = root / hashlib.sha256(text.encode()).hexdigest()
-    run = _running.get()
-    _remove_forgotten(root, home)
-    kept = Partial(home, clock) if run is None else run.open(home, clock)
-    kept.start()
-    yield kept
-    if run is None:
-        kept.remove()
-    else:
+    with ledger() as run:
+        _remove_forgotten(root, home)
+        kept = run.open(home, clock)
+        kept.start()
+        yield kept
         run.done(home)
 
 

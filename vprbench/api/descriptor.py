@@ -69,7 +69,7 @@ class DescriptorMethod(Method):
         check_index(self.index, self.neighbours, n_references)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
-        """Return the inner product with the best reference image of each place; -inf where none was retrieved."""
+        """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
         return self._indexed().scores(codes)
 
     def keeps_descriptors(self) -> bool:

@@ -1,4 +1,4 @@
-"""PNG files: plain, whole ones decoded free of the interpreter's lock, and those refused that hold too few pixels."""
+"""PNG files: plain, whole ones decoded free of the interpreter's lock, and files with too few pixels refused."""
 
 from __future__ import annotations
 

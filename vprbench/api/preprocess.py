@@ -139,7 +139,7 @@ class PatchNormalisation:
 
     @property
     def _ddof(self) -> int:
-        """Return what is taken from the count of a window's pixels in its variance."""
+        """Return the number that is subtracted from the count of a window's pixels in its variance."""
         return 1 if self.variant == "C" else 0
 
 

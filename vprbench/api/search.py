@@ -18,7 +18,7 @@ _ROUNDING = 1e-6  # of inner products of unit vectors
 
 @dataclass(frozen=True)
 class Audit:
-    """How much of what exact search finds an index finds too; shares, 0 to 1, mean over the queries."""
+    """The share of the places found by exact search that an index finds too, 0 to 1, mean over the queries."""
 
     recall_at_1: float  # of the exactly best place
     recall_at_10: float  # of the 10 best places
@@ -38,11 +38,11 @@ class Search:
         """Index `references`, which stay where they are (they may be memory-mapped), with the place of each.
 
         An approximate index answers without them; they are kept to be compared with. Raises BadInput as `check_index`
-        does, and ValueError for places that are not one for each reference.
+        does, and for places that are not one for each reference.
         """
         check_index(kind, neighbours, len(references))
         if references.ndim != 2 or places.shape != (len(references),):
-            raise ValueError(
+            raise BadInput(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
                 "image or more, and a place for each"
             )
@@ -102,7 +102,7 @@ class Search:
 
 
 def check_index(kind: str, neighbours: int, n_images: int) -> None:
-    """Raise BadInput for what no index can be made of: an unknown kind, no neighbour, too few images."""
+    """Raise BadInput for an unknown kind, for fewer than one neighbour, and for too few images."""
     if kind not in get_args(Kind):
         raise BadInput(f"method.index={kind} is unknown: give {', '.join(get_args(Kind))}")
     if neighbours < 1:

@@ -105,17 +105,6 @@ def test_any_number_of_active_features_is_added_up(count: int, rules: Rules, ask
     assert ask(SpikingQuery(asked, rules), spikes) == pytest.approx(eq_1(asked, spikes, rules), abs=1e-6)
 
 
-@WAYS
-def test_modules_may_have_different_numbers_of_active_features(ask: Ask) -> None:
-    asked = network([4, 4, 2], n_features=24, n_pixels=24)
-    thresholds = torch.full((3, 24), 5.0)
-    thresholds[1, :9] = 0  # module 0 has none active, module 1 has 9, module 2 has all
-    thresholds[2] = 0
-    asked = replace(asked, features=torch.eye(24).repeat(3, 1, 1), feature_thresholds=thresholds)
-    spikes = shown(3, 24) + np.float32(0.01)
-    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(eq_1(asked, spikes, PAPER), abs=1e-6)
-
-
 @pytest.mark.parametrize("n_pixels", [1, 7, 8, 9, 65])
 @WAYS
 def test_any_number_of_pixels_is_added_up(n_pixels: int, ask: Ask) -> None:
