@@ -15,8 +15,7 @@ import triton.language as tl
 from torch import Tensor
 
 from .layer import LARGEST, SMALLEST, Layer
-from .rules import Rules
-from .training import Schedule
+from .training import Schedule, Training
 
 _STEPS_PER_LAUNCH = 1000
 _VALUES_HELD = 2**28  # of the rows that one launch shows, 1 GiB
@@ -24,47 +23,33 @@ _SYNAPSES_PER_THREAD = 16
 _LEAST, _MOST = tl.constexpr(SMALLEST), tl.constexpr(LARGEST)
 
 
-def train_features(
-    layer: Layer,
-    spikes: Tensor,
-    schedule: Schedule,
-    rates: Tensor,
-    stdp: float,
-    itp: float,
-    rules: Rules,
-    report: Callable[[float], None],
-) -> None:
+def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
     """Train a feature layer in place, as `training.train_features` does, all modules at once."""
-    for image, _, factor in _launches(schedule, spikes.shape[1], report):
+    rules = training.rules
+    for image, _, factor in _launches(schedule, training.spikes.shape[1], report):
         _launch(
             _learn_features,
             layer,
-            spikes[image],
-            (stdp * factor, itp * factor, rates, rules.homeostasis_gain, rules.clip),
+            training.spikes[image],
+            (training.stdp * factor, training.itp * factor, training.rates, rules.homeostasis_gain, rules.clip),
             (rules.threshold_rule, rules.stdp_divided_by_rate),
         )
 
 
 def train_places(
-    layer: Layer,
-    features: Layer,
-    spikes: Tensor,
-    schedule: Schedule,
-    rates: Tensor,
-    stdp: float,
-    rules: Rules,
-    report: Callable[[float], None],
+    layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
 ) -> None:
     """Train an output layer in place, as `training.train_places` does, all modules at once."""
-    weights = features.weights.mT
+    weights, rules = features.weights.mT, training.rules
     share = 1.0 if rules.error_to_each_sign else 0.5
     for image, neuron, factor in _launches(schedule, sum(weights.shape[1:]), report):
-        net = torch.baddbmm(features.constant[:, None], spikes[image], weights)
+        net = torch.baddbmm(features.constant[:, None], training.spikes[image], weights)
+        stdp = training.output_stdp * factor
         _launch(
             _learn_places,
             layer,
             net.sub_(features.thresholds[:, None]).clamp_(0, rules.clip),
-            (neuron, stdp * factor, 1 / rates, rules.homeostasis_gain, rules.clip, share),
+            (neuron, stdp, 1 / training.rates, rules.homeostasis_gain, rules.clip, share),
             (rules.output_thresholds_learn,),
         )
 
@@ -100,13 +85,13 @@ def _launch(
     # Its weights, limits and two rows take a thread 4 to 6 registers per synapse: with 16 synapses it stays clear of
     # spilling, and wider layers get more warps. With fewer synapses each, more warps would wait for the sum's barrier.
     warps = min(max(width // (32 * _SYNAPSES_PER_THREAD), 1), 16)
-    limits = (layer.excitation_limits, layer.inhibition_limits)
+    limits = (layer.largest_excitation, layer.largest_inhibition)
     # Triton launches on the current device, wherever the tensors are.
     with torch.cuda.device_of(shown):  # type: ignore[no-untyped-call]
         kernel[n_post, modules](
             # A view can't be had of what isn't contiguous, and the kernels know no strides.
             *(part.view(-1) for part in (layer.excitation, layer.inhibition)),
-            *(limit and limit[1].view(-1) for limit in limits),
+            *(None if limit is None else limit.view(-1) for limit in limits),
             *(part.view(-1) for part in (layer.thresholds, layer.constant, shown)),
             shown.shape[1],
             *arguments,

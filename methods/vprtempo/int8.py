@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from vprbench.api import BadInput
 
 from .method import VPRTempo
 from .quantised import MOST_INPUTS, Int8LinearQuery, Int8SpikingQuery
-from .query import Query, Spiking, calibrated, together
 
 
 @dataclass
@@ -19,6 +19,9 @@ class VPRTempoInt8(VPRTempo):
     is learnt during the training and leaves scores on a coarse grid.
     """
 
+    _linear_query: ClassVar[type[Int8LinearQuery]] = Int8LinearQuery
+    _spiking_query: ClassVar[type[Int8SpikingQuery]] = Int8SpikingQuery
+
     def _check_arguments(self, n_places: int) -> None:
         n_features = round(self.features_per_pixel * self.height * self.width)
         if max(n_features, self.height * self.width) > MOST_INPUTS:
@@ -27,12 +30,3 @@ class VPRTempoInt8(VPRTempo):
                 f"can sum: give at most {MOST_INPUTS}"
             )
         super()._check_arguments(n_places)
-
-    def _asking(self) -> Query:
-        rules = self.chosen_rules()
-        if rules.query_rule == "linear":
-            return Int8LinearQuery(self._members)
-        return together([calibrated(Int8SpikingQuery(member, rules), member) for member in self._members])
-
-    def _spiking(self) -> Spiking:
-        return Int8SpikingQuery(self._members[0], self.chosen_rules())

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from .rules import Rules
 
-# Limits of a weight's magnitude; compiled kernels are cached with them, so a change has to touch `fused.py` too.
+# Limits of a weight's magnitude; kernels are cached with them, so a change has to touch `fused_kernels.py` too.
 SMALLEST, LARGEST = 1e-6, 10.0
 
 
@@ -18,53 +20,27 @@ SMALLEST, LARGEST = 1e-6, 10.0
 class Layer:
     """Excitatory and inhibitory weights as magnitudes, with thresholds; every first axis is the module.
 
-    A synapse that does not exist has the upper limit 0. Limits of None mean that all synapses exist.
+    The largest magnitude of a synapse that does not exist is 0; without largest magnitudes all synapses exist.
     """
 
     excitation: Tensor  # (modules, n_post, n_pre)
     inhibition: Tensor  # (modules, n_post, n_pre)
-    excitation_limits: tuple[Tensor, Tensor] | None  # smallest and largest, each (modules, n_post, n_pre)
-    inhibition_limits: tuple[Tensor, Tensor] | None
+    largest_excitation: Tensor | None  # (modules, n_post, n_pre)
+    largest_inhibition: Tensor | None  # (modules, n_post, n_pre)
     thresholds: Tensor  # (modules, n_post)
     constant: Tensor  # (modules, n_post)
 
     def __getitem__(self, modules: slice) -> Layer:
         """Return some modules as a view: learning in it is learning here."""
-        return Layer(
-            self.excitation[modules],
-            self.inhibition[modules],
-            self.excitation_limits and (self.excitation_limits[0][modules], self.excitation_limits[1][modules]),
-            self.inhibition_limits and (self.inhibition_limits[0][modules], self.inhibition_limits[1][modules]),
-            self.thresholds[modules],
-            self.constant[modules],
-        )
-
-    @classmethod
-    def side_by_side(cls, layers: Sequence[Layer]) -> Layer:
-        """Join layers of the same width along the axis of the modules."""
-        if len(layers) == 1:
-            return layers[0]
-        excitation_limits = _limits_side_by_side([(layer.excitation, layer.excitation_limits) for layer in layers])
-        inhibition_limits = _limits_side_by_side([(layer.inhibition, layer.inhibition_limits) for layer in layers])
-        excitation, inhibition, thresholds, constant = (
-            torch.cat(parts)
-            for parts in zip(
-                *((layer.excitation, layer.inhibition, layer.thresholds, layer.constant) for layer in layers),
-                strict=True,
-            )
-        )
-        return cls(excitation, inhibition, excitation_limits, inhibition_limits, thresholds, constant)
+        return self._with_parts(lambda part: part[modules])
 
     def to(self, device: str) -> Layer:
         """Return the layer on another device."""
-        return Layer(
-            self.excitation.to(device),
-            self.inhibition.to(device),
-            self.excitation_limits and (self.excitation_limits[0].to(device), self.excitation_limits[1].to(device)),
-            self.inhibition_limits and (self.inhibition_limits[0].to(device), self.inhibition_limits[1].to(device)),
-            self.thresholds.to(device),
-            self.constant.to(device),
-        )
+        return self._with_parts(lambda part: part.to(device))
+
+    def _with_parts(self, change: Callable[[Tensor], Tensor]) -> Layer:
+        parts: list[Any] = [part if part is None else change(part) for part in vars(self).values()]
+        return Layer(*parts)
 
     @property
     def weights(self) -> Tensor:
@@ -79,18 +55,6 @@ class Layer:
     def spikes(self, net_input: Tensor, clip: float) -> Tensor:
         """Return the activation of Eq. 1, the net input above threshold, from 0 to `clip`."""
         return (net_input - self.thresholds).clamp_(0, clip)
-
-
-def _limits_side_by_side(
-    layers: Sequence[tuple[Tensor, tuple[Tensor, Tensor] | None]],
-) -> tuple[Tensor, Tensor] | None:
-    """Join the limits of layers, given with their weights; None where all synapses of all layers exist."""
-    if all(limits is None for _, limits in layers):
-        return None
-    pairs = [
-        limits or (torch.full_like(weights, SMALLEST), torch.full_like(weights, LARGEST)) for weights, limits in layers
-    ]
-    return torch.cat([smallest for smallest, _ in pairs]), torch.cat([largest for _, largest in pairs])
 
 
 def learn_features(layer: Layer, x: Tensor, rates: Tensor, stdp: Tensor, itp: Tensor, rules: Rules) -> None:
@@ -141,14 +105,13 @@ def learn_places(layer: Layer, x: Tensor, target: Tensor, pre_rates: Tensor, std
 
 def _limit(layer: Layer) -> None:
     """Keep every weight's sign and size."""
-    for weights, limits in (
-        (layer.excitation, layer.excitation_limits),
-        (layer.inhibition, layer.inhibition_limits),
+    for weights, largest in (
+        (layer.excitation, layer.largest_excitation),
+        (layer.inhibition, layer.largest_inhibition),
     ):
-        if limits is None:
-            weights.clamp_(SMALLEST, LARGEST)
-        else:
-            torch.clamp(weights, *limits, out=weights)
+        weights.clamp_(SMALLEST, LARGEST)
+        if largest is not None:
+            torch.minimum(weights, largest, out=weights)
 
 
 def _balance(layer: Layer, net_input: Tensor, stdp: Tensor, rules: Rules) -> None:
@@ -173,33 +136,37 @@ def draw_layer(
 ) -> Layer:
     """Draw a layer's initial state, one generator and one size per module; smaller modules are padded with nothing.
 
-    `probabilities` are those of an excitatory and an inhibitory connection. A module's draws do not depend on
+    `probabilities` are the shares of excitatory and of inhibitory connections. A module's draws do not depend on
     the other modules.
     """
     modules = [
-        _draw_module(generator, size, n_pre, probabilities, threshold_max, constant_max, rules)
+        _draw_module(generator, size, n_pre, probabilities, rules)
         for generator, size in zip(generators, n_post, strict=True)
     ]
-    widest = max(n_post)
-    padding = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)  # masks are padded as existing, so that a full layer needs none
-    excitation, inhibition, excitatory, inhibitory, thresholds, constant = (
-        torch.stack([_pad(module[part], widest, padding[part]) for module in modules]) for part in range(6)
+    # Padding counts as synapses that exist, so that a layer with all synapses needs no largest magnitudes.
+    padding = (0.0, 0.0, LARGEST, LARGEST, 0.0, 0.0)
+    excitation, inhibition, largest_excitation, largest_inhibition, thresholds, constant = (
+        pad_sequence([module[part] for module in modules], batch_first=True, padding_value=value)
+        for part, value in enumerate(padding)
     )
-    return Layer(excitation, inhibition, _limits(excitatory.bool()), _limits(inhibitory.bool()), thresholds, constant)
+    return Layer(
+        excitation,
+        inhibition,
+        None if bool(largest_excitation.all()) else largest_excitation,
+        None if bool(largest_inhibition.all()) else largest_inhibition,
+        threshold_max * thresholds,
+        constant_max * constant,
+    )
 
 
 def _draw_module(
-    generator: torch.Generator,
-    n_post: int,
-    n_pre: int,
-    probabilities: tuple[float, float],
-    threshold_max: float,
-    constant_max: float,
-    rules: Rules,
+    generator: torch.Generator, n_post: int, n_pre: int, probabilities: tuple[float, float], rules: Rules
 ) -> tuple[Tensor, ...]:
-    """Return excitation, inhibition, their masks (n_post, n_pre), thresholds and constant input (n_post,)."""
-    thresholds = threshold_max * torch.rand(n_post, generator=generator)
-    constant = constant_max * torch.rand(n_post, generator=generator)
+    """Return excitation, inhibition, their largest magnitudes (n_post, n_pre), thresholds and constant input (n_post,).
+
+    Thresholds and constant input are drawn from 0 to 1.
+    """
+    thresholds, constant = (torch.rand(n_post, generator=generator) for _ in range(2))
     drawn = []
     for probability in probabilities:
         magnitude = (0.5 + torch.randn(n_post, n_pre, generator=generator) / 6).clamp_(min=0)
@@ -213,14 +180,4 @@ def _draw_module(
         signed = excitation - inhibition
         excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
         excitatory, inhibitory = signed > 0, signed < 0
-    return excitation, inhibition, excitatory.float(), inhibitory.float(), thresholds, constant
-
-
-def _pad(part: Tensor, n_post: int, value: float) -> Tensor:
-    """Return `part` with `value` appended along its first axis up to n_post."""
-    return torch.cat([part, part.new_full((n_post - len(part), *part.shape[1:]), value)])
-
-
-def _limits(exists: Tensor) -> tuple[Tensor, Tensor] | None:
-    """Return the smallest and largest magnitude of each synapse, None where all exist."""
-    return None if bool(exists.all()) else (SMALLEST * exists.float(), LARGEST * exists.float())
+    return excitation, inhibition, LARGEST * excitatory, LARGEST * inhibitory, thresholds, constant

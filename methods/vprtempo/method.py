@@ -30,16 +30,15 @@ from vprbench.api import (
 from . import fused, training
 from .encoding import spikes_of
 from .layer import Layer, draw_layer, feature_rates
-from .network import Network
-from .query import Query, Spiking, SpikingQuery, asking
+from .network import Network, members_from_state, members_state
+from .query import LinearQuery, Query, SpikingQuery, asking, calibrated
 from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
-from .training import Schedule, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
+from .training import Schedule, Training, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
 
 logger = logging.getLogger(__name__)
 
 Engine = Literal["fused", "readable"]
 
-_CALIBRATED_TOGETHER = 256  # references
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
@@ -48,7 +47,7 @@ class VPRTempo(Method):
     """The spiking network of the VPRTempo paper, its public code (64154e5) or the submission's (v1.0.0).
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
-    one choice (`Rules` describes them). Rates, probabilities and thresholds are those of the paper's Table I.
+    one choice (`Rules` describes them). Rates, probabilities and thresholds come from the paper's Table I.
     `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
     results, slower).
     A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
@@ -94,6 +93,8 @@ class VPRTempo(Method):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
 
     stored_as: ClassVar[str] = "vprtempo"
+    _linear_query: ClassVar[Any] = LinearQuery
+    _spiking_query: ClassVar[Any] = SpikingQuery
 
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
     _query: Query | None = field(default=None, init=False, repr=False, compare=False)
@@ -118,7 +119,7 @@ class VPRTempo(Method):
         sizes = module_sizes(n_places, self.max_module)
         self._members = self._train(sizes, spikes, places, rules)
         if rules.calibrated_scores:
-            self._members = [_calibrated(member, spikes, rules) for member in self._members]
+            self._members = [calibrated(member, spikes, rules) for member in self._members]
         query = self._asking()
         check_winners(query.scores(codes[probes]), np.repeat(np.arange(len(sizes)), sizes))
         self._query = query
@@ -129,75 +130,58 @@ class VPRTempo(Method):
         return [self.seed]
 
     def _asking(self) -> Query:
-        """Return what answers queries with the trained networks."""
-        return asking(self._members, self.chosen_rules())
+        """Return the query of the trained networks."""
+        return asking(self._members, self.chosen_rules(), self._linear_query, self._spiking_query)
 
     def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
         """Train one network a seed: the modules of all of them lie side by side."""
         engine = self._engine()
-        drawn = [self._draw(seed, sizes, spikes.shape[1], places, rules) for seed in self._seeds()]
-        features, outputs = (
-            Layer.side_by_side(layers).to(self.device) for layers in zip(*(layers for layers, _ in drawn), strict=True)
-        )
-        schedules = [
-            Schedule.side_by_side(orders).to(self.device)
-            for orders in zip(*(orders for _, orders in drawn), strict=True)
-        ]
-        del drawn
-        rates = feature_rates(features.thresholds.shape[1], self.rate_min, self.rate_max).to(self.device)
+        features, outputs, order, output_order = self._draw(sizes, spikes.shape[1], places, rules)
+        n_modules, n_features = features.thresholds.shape
+        rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        groups = self._groups(len(features.thresholds))
+        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
+        together = 1 if spikes.device.type == "cpu" else n_modules
+        groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
             report = _reporting("training features", number, len(groups))
-            report(0.0)
-            engine.train_features(
-                features[group], spikes, schedules[0][group], rates, self.stdp_rate, self.itp_rate, rules, report
-            )
+            engine.train_features(features[group], order[group], training, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
-            report(0.0)
-            engine.train_places(
-                outputs[group], features[group], spikes, schedules[1][group], rates, output_stdp, rules, report
-            )
+            engine.train_places(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
-        members = range(0, len(features.thresholds), len(sizes))
-        return [
-            Network.of(features[first : first + len(sizes)], outputs[first : first + len(sizes)], sizes)
-            for first in members
-        ]
+        members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
+        return [Network.of(features[own], outputs[own], sizes) for own in members]
 
     def _draw(
-        self, seed: int, sizes: list[int], n_pixels: int, places: Places, rules: Rules
-    ) -> tuple[tuple[Layer, Layer], tuple[Schedule, Schedule]]:
-        """Draw both layers of a network and what each of them will see."""
-        seeds = np.random.SeedSequence(seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
-        generators = [torch.Generator().manual_seed(int(seed)) for seed in seeds]
+        self, sizes: list[int], n_pixels: int, places: Places, rules: Rules
+    ) -> tuple[Layer, Layer, Schedule, Schedule]:
+        """Draw both layers of all networks and what each of the layers will see."""
+        generators = [
+            torch.Generator().manual_seed(int(state))
+            for seed in self._seeds()
+            for state in np.random.SeedSequence(seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
+        ]
+        all_sizes = sizes * len(self._seeds())
         n_features = round(self.features_per_pixel * n_pixels)
+        probabilities = (self.p_excitatory, self.p_inhibitory)
+        n_post = [n_features] * len(all_sizes)
         features = draw_layer(
-            generators,
-            [n_features] * len(sizes),
-            n_pixels,
-            (self.p_excitatory, self.p_inhibitory),
-            self.threshold_max,
-            rules.constant_input,
-            rules,
+            generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
         )
-        outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
+        outputs = draw_layer(generators, all_sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
         for weights in (outputs.excitation, outputs.inhibition):
             if self.equal_output_weights:
-                for module, size in enumerate(sizes):
+                for module, size in enumerate(all_sizes):
                     weights[module, :size] = 1 / n_features
             if self.output_norm != 1:
                 weights *= self.output_norm
-        order = draw_schedule(generators, sizes, places, self.epochs, rules)
-        return (features, outputs), (order, draw_schedule(generators, sizes, places, self.epochs, rules))
-
-    def _groups(self, n_modules: int) -> list[slice]:
-        """Return which modules are trained together."""
-        # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
-        together = 1 if torch.device(self.device).type == "cpu" else n_modules
-        return [slice(start, start + together) for start in range(0, n_modules, together)]
+        order, output_order = (
+            draw_schedule(generators, sizes, places, self.epochs, rules).to(self.device) for _ in range(2)
+        )
+        return features.to(self.device), outputs.to(self.device), order, output_order
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return the input spikes, (n_images, height * width), amplitudes 0 to 1."""
@@ -207,53 +191,46 @@ class VPRTempo(Method):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
-        if self._query is None:
-            raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
-        return self._query.scores(codes)
+        return self._trained().scores(codes)
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
-        """Return the spikes of the input, feature and output layers of the network, of several those of the first.
+        """Return the spikes of the input, feature and output layers of the network, or of the first of several.
 
         A linear query passes no layer that spikes but the input. Raises NotFittedError before `fit`.
         """
-        if self._query is None:
-            raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
-        layers = [LayerSpikes("input", codes, "amplitude")]
+        self._trained()
+        layers = {"input": codes}
         if self.chosen_rules().query_rule == "spiking":
-            found = zip(("feature", "output"), self._spiking().layers(codes), strict=True)
-            layers += [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in found]
-        return layers
-
-    def _spiking(self) -> Spiking:
-        """Return what tells the spikes of the first network."""
-        return SpikingQuery(self._members[0], self.chosen_rules())
+            query = self._spiking_query(self._members[0], self.chosen_rules())
+            layers["feature"], layers["output"] = query.layers(codes)
+        return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
-        """Return the arrays of the trained network, those of several numbered."""
+        """Return the arrays of the trained network; the arrays of several networks are numbered."""
+        self._trained()
+        return members_state(self._members)
+
+    def _trained(self) -> Query:
         if self._query is None:
             raise NotFittedError("VPRTempo has no network yet: call fit(references, places) first")
-        if len(self._members) == 1:
-            return self._members[0].state()
-        states = [member.state() for member in self._members]
-        return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
+        return self._query
 
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network, or the arrays of a published checkpoint (QVPR/VPRTempo 64154e5)."""
         self._query = None
-        self._members = [Network.from_state(own, self.device) for own in _by_member(state, len(self._seeds()))]
+        self._members = members_from_state(state, len(self._seeds()), self.device)
         for member in self._members:
             if member.features.shape[2] != self.height * self.width:
                 raise BadInput(
                     f"the stored network reads {member.features.shape[2]} pixels, not method.height={self.height} x "
                     f"method.width={self.width}: give the size that it was trained on"
                 )
-            if self.chosen_rules().calibrated_scores != (member.score_mean is not None):
+            is_calibrated = member.calibration is not None
+            if self.chosen_rules().calibrated_scores != is_calibrated:
                 raise BadInput(
-                    f"the stored network is {'not ' * (member.score_mean is None)}calibrated: "
-                    f"set method.calibrated_scores={str(member.score_mean is not None).lower()}"
+                    f"the stored network is {'' if is_calibrated else 'not '}calibrated: "
+                    f"set method.calibrated_scores={str(is_calibrated).lower()}"
                 )
-        if len({member.n_places for member in self._members}) > 1:
-            raise BadInput("the members of the stored network know different numbers of places")
         self._query = self._asking()
         return self
 
@@ -314,31 +291,7 @@ class VPRTempo(Method):
         return fused_cuda
 
 
-def _by_member(state: Mapping[str, npt.NDArray[Any]], n_members: int) -> list[dict[str, npt.NDArray[Any]]]:
-    """Return the arrays of each member in the order of their numbers; those of a single network have none."""
-    own: dict[str, dict[str, npt.NDArray[Any]]] = {}
-    for name, array in state.items():
-        prefix, dot, rest = name.partition(".")
-        numbered = bool(dot) and prefix.startswith("member_")
-        own.setdefault(prefix if numbered else "", {})[rest if numbered else name] = array
-    wanted = [f"member_{number}" for number in range(n_members)] if n_members > 1 else [""]
-    if set(own) != set(wanted):
-        found = len(own) if state else 0
-        raise BadInput(f"the stored network has {found} members; wanted {n_members}, numbered from 0 where several")
-    return [own[member] for member in wanted]
-
-
-def _calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:
-    """Return the network with the mean and the spread of the scores that the references give each place."""
-    query = asking([network], rules)
-    total = total_of_squares = torch.zeros(network.n_places, dtype=torch.float64)
-    for block in torch.split(spikes, _CALIBRATED_TOGETHER):
-        scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
-        total = total + scores.sum(0)
-        total_of_squares = total_of_squares + scores.square().sum(0)
-    return network.calibrated(total, total_of_squares, len(spikes))
-
-
 def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
-    """Return a function that reports the share done of one group of modules as a share of the stage."""
+    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
+    progress.report(stage, group / groups)
     return lambda done: progress.report(stage, (group + done) / groups)

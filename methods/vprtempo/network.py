@@ -16,22 +16,21 @@ from vprbench.api import BadInput
 
 from .layer import Layer
 
-_CALIBRATION = ["score_mean", "score_spread"]
+_CALIBRATION = ("score_mean", "score_spread")
 _LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
 
 @dataclass(frozen=True)
 class Network:
-    """Signed weights of both layers and what Eq. 1 adds to them; modules lie side by side, places in their order."""
+    """Signed weights, constants and thresholds of both layers; modules lie side by side, places in their order."""
 
     features: Tensor  # (modules, n_features, n_pixels)
     constant: Tensor  # (modules, n_features)
     feature_thresholds: Tensor  # (modules, n_features)
     outputs: tuple[Tensor, ...]  # per module (n_features, n_places of the module)
     output_thresholds: tuple[Tensor, ...]  # per module (n_places of the module,)
-    score_mean: Tensor | None = None  # (n_places,), over the references, where scores are calibrated
-    score_spread: Tensor | None = None
+    calibration: tuple[Tensor, Tensor] | None = None  # mean and spread of each place's score over the references
 
     @property
     def n_places(self) -> int:
@@ -59,8 +58,8 @@ class Network:
             **{f"outputs_{module}": weights.T for module, weights in enumerate(self.outputs)},
             **{f"output_thresholds_{module}": thresholds for module, thresholds in enumerate(self.output_thresholds)},
         }
-        if self.score_mean is not None and self.score_spread is not None:
-            arrays |= {"score_mean": self.score_mean, "score_spread": self.score_spread}
+        if self.calibration is not None:
+            arrays |= zip(_CALIBRATION, self.calibration, strict=True)
         return {name: np.ascontiguousarray(tensor.cpu().numpy()) for name, tensor in arrays.items()}
 
     @classmethod
@@ -71,28 +70,23 @@ class Network:
         """
         if any(name.startswith("model_") for name in state):
             state = _from_published(state)
-        modules = max(sum(name.startswith(part) for name in state) for part in ("outputs_", "output_thresholds_"))
-        wanted = ["features", "constant", "feature_thresholds"]
-        wanted += [f"{part}_{module}" for part in ("outputs", "output_thresholds") for module in range(modules)]
-        if any(name in _CALIBRATION for name in state):
-            wanted += _CALIBRATION
-        if set(state) != set(wanted) or not modules:
-            missing, unexpected = sorted(set(wanted) - set(state)), sorted(set(state) - set(wanted))
-            what = f"lacks {missing[0]}" if missing else f"has an unexpected {(unexpected or ['nothing'])[0]}"
-            raise BadInput(f"the arrays of a VPRTempo network are wanted, but the stored one {what}")
         shapes = {name: np.shape(array) for name, array in state.items()}
-        n_features = shapes["features"][1] if len(shapes["features"]) == 3 else 0
-        expected = {
-            "features": (modules, n_features, shapes["features"][-1] if shapes["features"] else 0),
+        modules = max(1, *(sum(name.startswith(part) for name in state) for part in ("outputs_", "output_thresholds_")))
+        sizes = [next(iter(shapes.get(f"outputs_{module}", ())), 0) for module in range(modules)]
+        _, n_features, n_pixels = shapes["features"] if len(shapes.get("features", ())) == 3 else (0, 0, 0)
+        wanted: dict[str, tuple[int, ...]] = {
+            "features": (modules, n_features, n_pixels),
             "constant": (modules, n_features),
             "feature_thresholds": (modules, n_features),
         }
-        for module in range(modules):
-            size = shapes[f"outputs_{module}"][0] if shapes[f"outputs_{module}"] else 0
-            expected |= {f"outputs_{module}": (size, n_features), f"output_thresholds_{module}": (size,)}
-        n_places = sum(expected[f"output_thresholds_{module}"][0] for module in range(modules))
-        expected |= {name: (n_places,) for name in _CALIBRATION if name in state}
-        for name, shape in expected.items():
+        for module, size in enumerate(sizes):
+            wanted |= {f"outputs_{module}": (size, n_features), f"output_thresholds_{module}": (size,)}
+        if any(name in _CALIBRATION for name in state):
+            wanted |= dict.fromkeys(_CALIBRATION, (sum(sizes),))
+        if differing := sorted(wanted.keys() - shapes.keys()) or sorted(shapes.keys() - wanted.keys()):
+            what = f"{'lacks' if differing[0] in wanted else 'has an unexpected'} {differing[0]}"
+            raise BadInput(f"the arrays of a VPRTempo network are wanted, but the stored one {what}")
+        for name, shape in wanted.items():
             if shapes[name] != shape or 0 in shape:
                 raise BadInput(f"the stored network's {name} has the shape {shapes[name]}; wanted {shape}, without a 0")
             if not np.isfinite(state[name]).all():
@@ -104,8 +98,7 @@ class Network:
             tensors["feature_thresholds"],
             tuple(tensors[f"outputs_{module}"].T.contiguous() for module in range(modules)),
             tuple(tensors[f"output_thresholds_{module}"] for module in range(modules)),
-            tensors.get("score_mean"),
-            tensors.get("score_spread"),
+            (tensors["score_mean"], tensors["score_spread"]) if "score_mean" in tensors else None,
         )
 
     def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
@@ -115,7 +108,35 @@ class Network:
         # A place that hardly answers to any reference must not shout at the first query that it answers to.
         spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
         device = self.features.device
-        return replace(self, score_mean=mean.float().to(device), score_spread=spread.float().to(device))
+        return replace(self, calibration=(mean.float().to(device), spread.float().to(device)))
+
+
+def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:
+    """Return the arrays of networks to be stored; the arrays of several networks are numbered."""
+    if len(members) == 1:
+        return members[0].state()
+    states = [member.state() for member in members]
+    return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
+
+
+def members_from_state(state: Mapping[str, npt.NDArray[Any]], n_members: int, device: str) -> list[Network]:
+    """Read what `members_state` returned, or a published checkpoint.
+
+    Raises BadInput for another number of networks, networks of different numbers of places, and what
+    `Network.from_state` refuses.
+    """
+    own: dict[str, dict[str, npt.NDArray[Any]]] = {}
+    for name, array in state.items():
+        prefix, dot, rest = name.partition(".")
+        numbered = bool(dot) and prefix.startswith("member_")
+        own.setdefault(prefix if numbered else "", {})[rest if numbered else name] = array
+    wanted = [f"member_{number}" for number in range(n_members)] if n_members > 1 else [""]
+    if set(own) != set(wanted):
+        raise BadInput(f"the stored network has {len(own)} members; wanted {n_members}, numbered from 0 where several")
+    members = [Network.from_state(own[member], device) for member in wanted]
+    if len({member.n_places for member in members}) > 1:
+        raise BadInput("the members of the stored network know different numbers of places")
+    return members
 
 
 def _from_published(state: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

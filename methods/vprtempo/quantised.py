@@ -88,7 +88,7 @@ class Int8SpikingQuery:
         return self._fired(self._feature_levels(spikes))
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
-        """Return the spikes of the feature neurons, those of all modules side by side, and of the output neurons."""
+        """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
         levels = self._feature_levels(spikes)
         return levels * (self._clip / _LEVELS), self._fired(levels)
 
@@ -109,7 +109,7 @@ class Int8SpikingQuery:
 
 
 def _levels(activation: npt.NDArray[np.float32], most: np.float32) -> npt.NDArray[np.uint8]:
-    """Return activations as the nearest of 256 levels from 0 to `most`; what lies outside is clipped."""
+    """Return activations as the nearest of 256 levels from 0 to `most`; values outside are clipped."""
     levels = np.empty(activation.shape, np.uint8)
     _write_levels(activation.ravel(), _LEVELS / most, levels.ravel())
     return levels

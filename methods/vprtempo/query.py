@@ -23,37 +23,11 @@ _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held toget
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
 
 
-class Spiking(Protocol):
-    """What answers by spikes of both layers."""
-
-    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
-        """Return the spikes of the feature neurons and of the output neurons."""
-
-
 class Query(Protocol):
-    """What answers input spikes (n_queries, n_pixels) with the scores of all places (n_queries, n_places)."""
+    """Answers input spikes (n_queries, n_pixels) with the scores of all places (n_queries, n_places)."""
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron."""
-
-
-def asking(members: Sequence[Network], rules: Rules) -> Query:
-    """Return what asks networks of the same places by the query rule; the scores of several are averaged."""
-    if rules.query_rule == "linear":
-        return LinearQuery(members)
-    return together([calibrated(SpikingQuery(member, rules), member) for member in members])
-
-
-def together(queries: Sequence[Query]) -> Query:
-    """Return what answers with the mean score of several networks of the same places."""
-    return queries[0] if len(queries) == 1 else MeanQuery(queries)
-
-
-def calibrated(query: Query, network: Network) -> Query:
-    """Return what answers with calibrated scores, where the network is calibrated."""
-    if network.score_mean is None or network.score_spread is None:
-        return query
-    return CalibratedQuery(query, network.score_mean.cpu().numpy(), network.score_spread.cpu().numpy())
 
 
 class LinearQuery:
@@ -71,34 +45,31 @@ class LinearQuery:
         return np.asarray(scores.cpu().numpy(), np.float32)
 
 
-class CalibratedQuery:
-    """Scores in spreads above the mean that the references gave each place."""
-
-    def __init__(self, query: Query, mean: npt.NDArray[np.float32], spread: npt.NDArray[np.float32]) -> None:
-        """Standardise the scores of `query` by `mean` and `spread` (n_places,)."""
-        self._query, self._mean, self._spread = query, mean, spread
-
-    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
-        """Return the standardised state of every place's output neuron."""
-        scores = self._query.scores(spikes)
-        scores -= self._mean
-        scores /= self._spread
-        return scores
-
-
 class MeanQuery:
-    """The mean score of several networks of the same places."""
+    """The mean score of networks of the same places; scores of a calibrated network are standardised first."""
 
-    def __init__(self, members: Sequence[Query]) -> None:
-        """Ask these networks."""
-        self._members = members
+    def __init__(self, members: Sequence[Network], queries: Sequence[Query]) -> None:
+        """Ask each network by its query."""
+        self._queries = queries
+        self._calibrations = [
+            member.calibration and [part.cpu().numpy() for part in member.calibration] for member in members
+        ]
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the mean state of every place's output neurons."""
-        total = self._members[0].scores(spikes)
-        for member in self._members[1:]:
-            total += member.scores(spikes)
-        return total / np.float32(len(self._members))
+        total = self._member_scores(0, spikes)
+        for member in range(1, len(self._queries)):
+            total += self._member_scores(member, spikes)
+        return total / np.float32(len(self._queries))
+
+    def _member_scores(self, member: int, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the scores of one network, in spreads above the mean that the references gave each place."""
+        scores = self._queries[member].scores(spikes)
+        if calibration := self._calibrations[member]:
+            mean, spread = calibration
+            scores -= mean
+            scores /= spread
+        return scores
 
 
 class SpikingQuery:
@@ -149,7 +120,7 @@ class SpikingQuery:
         return torch.from_numpy(above)[None]
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
-        """Return the spikes of the feature neurons, those of all modules side by side, and of the output neurons."""
+        """Return the spikes of the feature neurons, all modules side by side, and of the output neurons."""
         features = self._features(torch.tensor(spikes, device=self._device))
         outputs = self._fired(self._above(features))
         return features.cpu().numpy(), outputs.cpu().numpy()
@@ -172,6 +143,30 @@ class SpikingQuery:
         return scores
 
 
+def asking(
+    members: Sequence[Network],
+    rules: Rules,
+    linear: Callable[[Sequence[Network]], Query] = LinearQuery,
+    spiking: Callable[[Network, Rules], Query] = SpikingQuery,
+) -> Query:
+    """Return the query of networks of the same places by the query rule; the scores of several are averaged."""
+    if rules.query_rule == "linear":
+        return linear(members)
+    queries = [spiking(member, rules) for member in members]
+    return queries[0] if len(members) == 1 and members[0].calibration is None else MeanQuery(members, queries)
+
+
+def calibrated(network: Network, spikes: Tensor, rules: Rules) -> Network:
+    """Return the network with the mean and the spread of the scores that the references give each place."""
+    query = asking([network], rules)
+    total = total_of_squares = torch.zeros(network.n_places, dtype=torch.float64)
+    for block in torch.split(spikes, _BLOCK):
+        scores = torch.from_numpy(query.scores(block.cpu().numpy())).double()
+        total = total + scores.sum(0)
+        total_of_squares = total_of_squares + scores.square().sum(0)
+    return network.calibrated(total, total_of_squares, len(spikes))
+
+
 def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
     """Return the affine map of inputs (n, n_in) by `weights` (n_out, n_in) and `bias` (n_out,)."""
     packable = weights.device.type == "cpu" and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
@@ -183,14 +178,15 @@ def _layer(weights: Tensor, bias: Tensor) -> Callable[[Tensor], Tensor]:
 
 
 def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
-    """Return the product of both layers, (n_places, n_pixels), and what it adds; the mean over several networks."""
+    """Return the product of both layers, (n_places, n_pixels), and its bias, (n_places,); means over the members."""
     weights, biases = [], []
     for member in members:
         product = torch.cat([outputs.T @ member.features[module] for module, outputs in enumerate(member.outputs)])
         bias = product.new_zeros(len(product))
-        if member.score_mean is not None and member.score_spread is not None:
-            product /= member.score_spread[:, None]
-            bias -= member.score_mean / member.score_spread
+        if member.calibration is not None:
+            mean, spread = member.calibration
+            product /= spread[:, None]
+            bias -= mean / spread
         weights.append(product)
         biases.append(bias)
     return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
@@ -232,7 +228,7 @@ def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
 
 
 def _compile() -> None:
-    """Compile what asks a single query, or read it from the cache, so that no query waits for it."""
+    """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
     _add_active(weights, row, row.copy())

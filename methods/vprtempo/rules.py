@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,97 +15,66 @@ QueryRule = Literal["spiking", "linear"]
 
 @dataclass(frozen=True)
 class Rules:
-    """The choices in which the paper, its public code and the code of the submission differ."""
+    """The choices in which the paper, its public code and the code of the submission differ; the defaults are PAPER."""
 
-    one_sign_per_synapse: bool
+    one_sign_per_synapse: bool = False
     """The sum of both draws is one signed weight (public code), or W+ and W- live side by side (paper)."""
-    normalise_by_last_neuron: bool
+    normalise_by_last_neuron: bool = False
     """Initial weights are divided by the last neuron's L1 norm (public code), or each neuron's by its own."""
-    constant_input: float
+    constant_input: float = 0.1
     """Upper end of the uniform constant input C of a feature neuron (paper, Table I)."""
-    clip: float
+    clip: float = 0.9
     """Upper limit of an activation: 0.9 in all public versions, 1 as printed in the paper."""
-    threshold_rule: ThresholdRule
+    threshold_rule: ThresholdRule = "spike"
     """Eq. 5 with Theta(x_j); with the amplitude x_j (v1.0.0); or with a spike that is never set (public code)."""
-    stdp_divided_by_rate: bool
+    stdp_divided_by_rate: bool = False
     """Eq. 2 with its factor 1/f_j, which no public version has."""
-    homeostasis_gain: float
+    homeostasis_gain: float = 50.0
     """W- is scaled by 1 + gain * learning rate * net input."""
-    output_thresholds_learn: bool
+    output_thresholds_learn: bool = False
     """Output thresholds follow the sign of the error (v1.0.0)."""
-    error_to_each_sign: bool
+    error_to_each_sign: bool = False
     """Eq. 6 moves W+ and W- by the full amount each (v1.0.0), or the signed weight W+ - W- by it, half in each."""
-    shuffle: bool
+    shuffle: bool = True
     """Images come in a new random order each epoch, or traverse after traverse."""
-    annealing_restarts: bool
+    annealing_restarts: bool = False
     """Eq. 3 runs over one epoch and starts again, or once over the training."""
-    annealing_interval: int
+    annealing_interval: int = 100
     """Steps between two changes of the learning rates."""
-    silent_winner: bool
+    silent_winner: bool = False
     """Where a query leaves all outputs silent, the first module's least inhibited neuron answers (v1.0.0)."""
-    calibrated_scores: bool
-    """A place's score is standardised by those that the reference images give it, so that no place is louder than
+    calibrated_scores: bool = False
+    """A place's score is standardised by the scores that the reference images give it, so that no place is louder than
     others (no public version)."""
-    query_rule: QueryRule
+    query_rule: QueryRule = "spiking"
     """A query passes thresholds, clip and C as in Eq. 1, or the two weight matrices alone (public code)."""
 
 
 # VPRTempo paper, Eqs. 1 to 6; v1.0.0 where it is silent; but shuffled and annealed once, for v1.0.0's fixed order
 # with restarts collapses on a single traverse. Eq. 2 is without 1/f_j, as in every public version; Eq. 6 is about
 # the signed weight, which v1.0.0 moves twice as far by adding the step to W+ and to W-.
-PAPER = Rules(
-    one_sign_per_synapse=False,
-    normalise_by_last_neuron=False,
-    constant_input=0.1,
-    clip=0.9,
-    threshold_rule="spike",
-    stdp_divided_by_rate=False,
-    homeostasis_gain=50.0,
-    output_thresholds_learn=False,
-    error_to_each_sign=False,
-    shuffle=True,
-    annealing_restarts=False,
-    annealing_interval=100,
-    silent_winner=False,
-    calibrated_scores=False,
-    query_rule="spiking",
-)
+PAPER = Rules()
 # QVPR/VPRTempo 64154e5
-REFERENCE = Rules(
+REFERENCE = replace(
+    PAPER,
     one_sign_per_synapse=True,
     normalise_by_last_neuron=True,
     constant_input=0.0,
-    clip=0.9,
     threshold_rule="decay",
-    stdp_divided_by_rate=False,
-    homeostasis_gain=50.0,
-    output_thresholds_learn=False,
     error_to_each_sign=True,
-    shuffle=True,
-    annealing_restarts=False,
-    annealing_interval=100,
-    silent_winner=False,
-    calibrated_scores=False,
     query_rule="linear",
 )
 # QVPR/VPRTempo a3b07b2, without its two slips in the output layer (spikes thresholded twice, the second
 # traverse never shown); and a connection whose weight was drawn as 0 (one in 740) exists here, there it does not
-V1 = Rules(
-    one_sign_per_synapse=False,
-    normalise_by_last_neuron=False,
-    constant_input=0.1,
-    clip=0.9,
+V1 = replace(
+    PAPER,
     threshold_rule="amplitude",
-    stdp_divided_by_rate=False,
-    homeostasis_gain=50.0,
     output_thresholds_learn=True,
     error_to_each_sign=True,
     shuffle=False,
     annealing_restarts=True,
     annealing_interval=10,
     silent_winner=True,
-    calibrated_scores=False,
-    query_rule="spiking",
 )
 RULES: dict[RuleSet, Rules] = {"paper": PAPER, "reference": REFERENCE, "v1": V1}
 

@@ -36,15 +36,21 @@ class Schedule:
         """Return the schedule of some modules."""
         return Schedule(self.image[:, modules], self.neuron[:, modules], self.factor[:, modules])
 
-    @classmethod
-    def side_by_side(cls, schedules: Sequence[Schedule]) -> Schedule:
-        """Join schedules of the same number of steps along the axis of the modules."""
-        parts = zip(*((one.image, one.neuron, one.factor) for one in schedules), strict=True)
-        return cls(*(torch.cat(part, dim=1) for part in parts))
-
     def to(self, device: str) -> Schedule:
         """Return the schedule on another device."""
         return Schedule(self.image.to(device), self.neuron.to(device), self.factor.to(device))
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a network learns from, by which rules, and how fast at first."""
+
+    spikes: Tensor  # (n_references, n_pixels)
+    rates: Tensor  # (n_features,), target firing rates of the feature neurons
+    rules: Rules
+    stdp: float  # learning rates of the feature layer's weights,
+    itp: float  # of its thresholds,
+    output_stdp: float  # and of the output layer
 
 
 def module_sizes(n_places: int, max_module: int) -> list[int]:
@@ -62,65 +68,53 @@ def draw_schedule(
 ) -> Schedule:
     """Draw the order in which each module sees the reference images of its places, `places` (n_references,).
 
-    Images are shuffled anew in every epoch, all traverses mixed, or come in the order given.
+    A generator draws for one module; `sizes` are the places of the modules of one network, and several networks of
+    the same sizes follow one another. Images are shuffled anew in every epoch, all traverses mixed, or come in the
+    order given.
     """
     first = np.cumsum([0, *sizes])
     images, neurons, factors = [], [], []
-    for module, generator in enumerate(generators):
-        own = torch.from_numpy(np.flatnonzero((places >= first[module]) & (places < first[module + 1])))
+    for number, generator in enumerate(generators):
+        start, end = first[number % len(sizes) :][:2]
+        own = torch.from_numpy(np.flatnonzero((places >= start) & (places < end)))
         orders = [torch.randperm(len(own), generator=generator) for _ in range(epochs if rules.shuffle else 0)]
         image = torch.cat([own[order] for order in orders]) if rules.shuffle else own.repeat(epochs)
         images.append(image)
-        neurons.append(torch.tensor(places)[image] - int(first[module]))
+        neurons.append(torch.tensor(places)[image] - int(start))
         factors.append(torch.from_numpy(annealing(epochs, len(own), rules)).float())
     return Schedule(pad_sequence(images), pad_sequence(neurons), pad_sequence(factors))
 
 
-def train_features(
-    layer: Layer,
-    spikes: Tensor,
-    schedule: Schedule,
-    rates: Tensor,
-    stdp: float,
-    itp: float,
-    rules: Rules,
-    report: Callable[[float], None],
-) -> None:
-    """Train a feature layer in place on `spikes` (n_references, n_pixels), with initial learning rates."""
+def train_features(layer: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]) -> None:
+    """Train a feature layer in place; `report` is told the share done."""
     total = len(schedule.image)
     for step in range(total):
         factor = schedule.factor[step, :, None]
-        learn_features(layer, spikes[schedule.image[step]], rates, stdp * factor, itp * factor, rules)
+        x = training.spikes[schedule.image[step]]
+        learn_features(layer, x, training.rates, training.stdp * factor, training.itp * factor, training.rules)
         if step % _REPORT_EVERY == 0:
             report(step / total)
 
 
 def train_places(
-    layer: Layer,
-    features: Layer,
-    spikes: Tensor,
-    schedule: Schedule,
-    rates: Tensor,
-    stdp: float,
-    rules: Rules,
-    report: Callable[[float], None],
+    layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
 ) -> None:
-    """Train an output layer in place on the spikes of a trained feature layer; `rates` are the features' rates."""
-    weights = features.weights
+    """Train an output layer in place on the spikes of a trained feature layer; `report` is told the share done."""
+    weights, rules = features.weights, training.rules
     total = len(schedule.image)
     for start in range(0, total, _REPORT_EVERY):
         steps = slice(start, min(start + _REPORT_EVERY, total))
-        shown = spikes[schedule.image[steps].T]  # (modules, n_steps, n_pixels)
+        shown = training.spikes[schedule.image[steps].T]  # (modules, n_steps, n_pixels)
         net = torch.baddbmm(features.constant[:, None], shown, weights.transpose(1, 2))
         x = (net - features.thresholds[:, None]).clamp_(0, rules.clip).transpose(0, 1).contiguous()
         for step in range(steps.start, steps.stop):
-            factor = schedule.factor[step, :, None]
-            learn_places(layer, x[step - start], schedule.neuron[step], rates, stdp * factor, rules)
+            stdp = training.output_stdp * schedule.factor[step, :, None]
+            learn_places(layer, x[step - start], schedule.neuron[step], training.rates, stdp, rules)
         report(steps.stop / total)
 
 
 def check_weights(layer: Layer, name: str) -> None:
-    """Raise TrainingDivergedError where weights are no numbers, or more than 1 % of them stand at the limit."""
+    """Raise TrainingDivergedError if weights are no numbers, or if more than 1 % of them stand at the limit."""
     weights = torch.stack([layer.excitation.abs().amax((1, 2)), layer.inhibition.abs().amax((1, 2))])
     if not bool(torch.isfinite(weights).all()):
         raise TrainingDivergedError(
@@ -138,7 +132,7 @@ def check_weights(layer: Layer, name: str) -> None:
 
 
 def check_inputs(spikes: npt.NDArray[np.float32]) -> None:
-    """Raise BadInput where more than half of some references are one and the same input.
+    """Raise BadInput if more than half of some references are one and the same input.
 
     `spikes` (n_probes, n_pixels) are the inputs of reference images of as many different places.
     """
@@ -153,7 +147,7 @@ def check_inputs(spikes: npt.NDArray[np.float32]) -> None:
 
 
 def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
-    """Raise TrainingDivergedError where a network answers alike to different references.
+    """Raise TrainingDivergedError if a network answers alike to different references.
 
     `scores` (n_probes, n_places) are its answers to reference images of as many different places, spread evenly
     over the route; `module` (n_places,) is the module of each place. A healthy network answers most of them with

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
 from pathlib import Path
 
 import pytest
@@ -20,14 +21,11 @@ def clock() -> Clock:
 # Honest seconds
 
 
-def test_the_time_until_the_last_part_that_was_kept_counts(tmp_path: Path, clock: Clock) -> None:
+def test_the_time_of_several_interrupted_runs_counts_once_until_the_last_part_of_each(
+    tmp_path: Path, clock: Clock
+) -> None:
     assert spend(tmp_path, clock, ("first", 5), ("second", 7), then=3) == 0
-    assert spend(tmp_path, clock) == 12
-
-
-def test_the_time_of_several_interrupted_runs_counts_once(tmp_path: Path, clock: Clock) -> None:
-    spend(tmp_path, clock, ("first", 5), ("second", 7))
-    spend(tmp_path, clock, ("third", 4), then=100)
+    assert spend(tmp_path, clock, ("third", 4), then=100) == 12
     assert spend(tmp_path, clock) == 16
 
 
@@ -57,7 +55,7 @@ def test_a_part_of_this_run_is_no_time_of_another(tmp_path: Path, clock: Clock) 
 
 def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path: Path, clock: Clock) -> None:
     with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
-        spend(tmp_path, clock, ("first", 5), ("second", 7))
+        Context().run(spend, tmp_path, clock, ("first", 5), ("second", 7))
         assert kept.seconds == 0
         assert kept.get("first") is not None
         assert kept.seconds == 5
@@ -89,20 +87,17 @@ def test_a_ledger_tells_what_was_taken_over(tmp_path: Path, clock: Clock) -> Non
     assert resumed.seconds == 12
 
 
-def test_a_ledger_inside_another_is_the_same(tmp_path: Path) -> None:
+def test_a_ledger_inside_another_is_the_same_and_its_own_parts_are_no_time_of_others(
+    tmp_path: Path, clock: Clock
+) -> None:
     with checkpoints.ledger() as outer:
-        with checkpoints.ledger() as inner, checkpoints.training(WHAT, tmp_path) as kept:
+        with checkpoints.ledger() as inner, checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
+            clock.spend(5)
             kept.put("part", FOUR)
         assert inner is outer
+        assert outer.seconds == 0
         assert len([*tmp_path.glob("*/part.safetensors")]) == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_ledger_of_trainings_that_were_not_interrupted_tells_nothing(tmp_path: Path, clock: Clock) -> None:
-    with checkpoints.ledger() as resumed, checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
-        clock.spend(5)
-        kept.put("part", FOUR)
-    assert resumed.seconds == 0
 
 
 def test_a_training_that_ended_is_kept_until_its_ledger_ends(tmp_path: Path) -> None:

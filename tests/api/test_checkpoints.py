@@ -49,28 +49,15 @@ def test_an_interrupted_training_finds_its_arrays_as_they_were(tmp_path: Path, a
     assert found["a"].tobytes() == array.astype(array.dtype.newbyteorder("=")).tobytes()
 
 
-def test_a_part_that_was_not_kept_is_none(tmp_path: Path) -> None:
-    interrupt(tmp_path, first=FOUR)
+def test_a_part_is_the_last_that_was_put_each_time_a_copy_and_none_where_none_was_put(tmp_path: Path) -> None:
     with checkpoints.training(WHAT, tmp_path) as kept:
-        assert kept.get("second") is None
-
-
-def test_a_part_that_was_put_again_is_the_later_one(tmp_path: Path) -> None:
-    with checkpoints.training(WHAT, tmp_path) as kept:
-        kept.put("part", FOUR)
         kept.put("part", {"w": np.ones(2)})
-        found = kept.get("part")
-    assert found is not None
-    assert found["w"].tolist() == [1.0, 1.0]
-
-
-def test_what_was_given_back_can_be_changed_without_changing_what_is_kept(tmp_path: Path) -> None:
-    with checkpoints.training(WHAT, tmp_path) as kept:
         kept.put("part", FOUR)
         first = kept.get("part")
         assert first is not None
         first["w"] += 1
         again = kept.get("part")
+        assert kept.get("second") is None
     assert again is not None
     assert again["w"].tolist() == [0.0, 1.0, 2.0, 3.0]
 
@@ -218,21 +205,15 @@ def test_trainings_are_kept_for_thirty_days(tmp_path: Path, days: int, there: bo
         assert home.exists() is there
 
 
-def test_an_old_training_is_still_resumed(tmp_path: Path) -> None:
-    aged(interrupt(tmp_path, part=FOUR), 365)
+def test_an_old_training_is_still_resumed_and_one_that_goes_on_is_not_old(tmp_path: Path) -> None:
+    home = aged(interrupt(tmp_path, part=FOUR), 365)
     with checkpoints.training(WHAT, tmp_path) as kept:
         assert kept.get("part") is not None
-
-
-def test_a_training_that_goes_on_is_not_old(tmp_path: Path) -> None:
-    with checkpoints.training(WHAT, tmp_path) as kept:
-        kept.put("first", FOUR)
-        (home,) = tmp_path.iterdir()
         aged(home, 365)
         kept.put("second", FOUR)
         with checkpoints.training({"another": 1}, tmp_path):
             pass
-        assert kept.get("first") is not None
+        assert kept.get("part") is not None
 
 
 def test_files_of_others_are_never_removed(tmp_path: Path) -> None:
@@ -248,20 +229,17 @@ def test_files_of_others_are_never_removed(tmp_path: Path) -> None:
     assert sorted(left) == sorted([f"{home.name}/thesis.txt", "photos/net.safetensors"])
 
 
-def test_the_folder_is_the_one_that_was_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("VPRBENCH_PARTIAL", "~/trainings")
-    with checkpoints.training(WHAT) as kept:
-        kept.put("part", FOUR)
-        assert [path.name for path in tmp_path.glob("trainings/*/*")] == ["part.safetensors"]
-
-
-@pytest.mark.parametrize("chosen", ["", None])
-def test_the_folder_is_in_the_users_cache_where_none_was_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: str | None
+@pytest.mark.parametrize(
+    ("chosen", "folder"), [("~/trainings", "trainings"), ("", "vprbench/partial"), (None, "vprbench/partial")]
+)
+def test_the_folder_is_the_one_that_was_chosen_or_in_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: str | None, folder: str
 ) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("VPRBENCH_PARTIAL", raising=False)
     if chosen is not None:
         monkeypatch.setenv("VPRBENCH_PARTIAL", chosen)
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
-    assert checkpoints.partial_folder() == tmp_path / "vprbench" / "partial"
+    with checkpoints.training(WHAT) as kept:
+        kept.put("part", FOUR)
+        assert [path.name for path in tmp_path.joinpath(folder).glob("*/*")] == ["part.safetensors"]

@@ -23,6 +23,7 @@ from vprbench.api import neural
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.neural import NeuralDescriptor
+from vprbench.api.resize import resize_batch, resize_image
 from vprbench.api.weight_files import state_dict
 from vprbench.api.weights import Weights, load_strictly
 from vprbench.errors import BadInput
@@ -165,19 +166,18 @@ def by_hand(file: Path, image: Image) -> npt.NDArray[np.float64]:
     return (x / x.norm()).numpy()
 
 
-def test_the_constructor_reads_nothing() -> None:
-    Tiny(weights=NOWHERE)
-
-
-def test_the_network_is_loaded_when_first_needed_and_once(weights: Weights, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_network_is_loaded_when_first_needed_and_once_and_changes_neither_equality_nor_repr(
+    weights: Weights, monkeypatch: pytest.MonkeyPatch
+) -> None:
     loaded = []
     load = Tiny.load
     monkeypatch.setattr(Tiny, "load", lambda self, path: loaded.append(path) or load(self, path))
-    method = Tiny(weights=weights)
+    method, fresh = Tiny(weights=weights), Tiny(weights=weights)
     assert loaded == []
     for _ in range(2):
         method.encode(Images.from_arrays(noise(3)))
     assert loaded == [Path(weights.path or "")]
+    assert (method, repr(method)) == (fresh, repr(fresh))
 
 
 def test_its_file_is_the_one_that_its_weights_name(weights: Weights, file: Path) -> None:
@@ -190,23 +190,15 @@ def test_a_missing_file_is_named_when_files_are_asked_for_and_when_images_are() 
             ask(Tiny(weights=NOWHERE))
 
 
-def test_a_loaded_network_changes_neither_equality_nor_repr(weights: Weights) -> None:
-    loaded, fresh = Tiny(weights=weights), Tiny(weights=weights)
-    loaded.encode(Images.from_arrays(noise(1)))
-    assert loaded == fresh
-    assert repr(loaded) == repr(fresh)
-
-
-def test_a_descriptor_is_what_the_formulas_give(weights: Weights, file: Path) -> None:
+def test_a_descriptor_is_what_the_formulas_give_of_unit_length_and_the_same_each_time(
+    weights: Weights, file: Path
+) -> None:
     images = mixed()
-    codes = Tiny(weights=weights).encode(Images.from_arrays(images))
+    codes, again = (Tiny(weights=weights).encode(Images.from_arrays(images)) for _ in range(2))
     assert codes.dtype == np.float32
-    assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
-
-
-def test_descriptors_have_unit_length(weights: Weights) -> None:
-    codes = Tiny(weights=weights).encode(Images.from_arrays(mixed()))
+    assert np.array_equal(codes, again)
     assert np.abs(np.linalg.norm(codes.astype(np.float64), axis=1) - 1).max() < 1e-6
+    assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
 
 
 def test_an_output_of_zeros_is_a_zero_vector() -> None:
@@ -230,13 +222,9 @@ def test_an_output_that_is_not_finite_is_refused(precision: str, pinned: list) -
 
 @pytest.mark.parametrize("arguments", [{}, {"height": 30}, {"height": 8, "width": 9}])
 def test_no_images_give_no_rows_of_the_right_length(arguments: dict[str, int], weights: Weights) -> None:
-    codes = Tiny(weights=weights, **arguments).encode(Images.from_arrays([]))
-    assert codes.shape == (0, 6)
-    assert codes.dtype == np.float32
-
-
-def test_no_images_are_also_nothing_for_a_network_that_needs_large_ones(weights: Weights) -> None:
-    assert Large(weights=weights).encode(Images.from_arrays([])).shape == (0, 6)
+    for kind in (Tiny, Large):
+        codes = kind(weights=weights, **(arguments if kind is Tiny else {})).encode(Images.from_arrays([]))
+        assert (codes.shape, codes.dtype) == ((0, 6), np.float32)
 
 
 def test_a_batch_gives_what_its_images_give_one_by_one(weights: Weights) -> None:
@@ -247,44 +235,36 @@ def test_a_batch_gives_what_its_images_give_one_by_one(weights: Weights) -> None
     assert np.abs(together - alone).max() < 1e-6
 
 
-def test_the_same_images_give_the_same_numbers(weights: Weights) -> None:
-    first, second = (Tiny(weights=weights).encode(Images.from_arrays(mixed())) for _ in range(2))
-    assert np.array_equal(first, second)
+TWO_SIZES = [image[:3] if i in (2, 3) else image for i, image in enumerate(numbered(7))]
 
 
-def test_batches_hold_images_in_order_and_as_many_as_asked_for() -> None:
-    method, network = watching(batch_size=3)
-    method.encode(Images.from_arrays(numbered(8)))
-    assert numbers(network) == [[0, 1, 2], [3, 4, 5], [6, 7]]
-
-
-def test_images_of_one_size_alone_share_a_batch() -> None:
-    method, network = watching(batch_size=3)
-    images = numbered(7)
-    images[2], images[3] = images[2][:3], images[3][:3]
-    codes = method.encode(Images.from_arrays(images))
-    assert numbers(network) == [[0, 1], [2, 3], [4, 5, 6]]
-    assert np.allclose(codes, np.concatenate([method.encode(Images.from_arrays([image])) for image in images]))
-
-
-def test_images_resized_to_one_size_share_a_batch() -> None:
-    method, network = watching(batch_size=9, height=5, width=5)
-    method.encode(Images.from_arrays([image[: 3 + i % 2] for i, image in enumerate(numbered(4))]))
-    assert numbers(network) == [[0, 1, 2, 3]]
-
-
-def test_floats_of_a_batch_fit_into_the_bytes_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neural, "_BATCH_BYTES", 4 * 3 * 4 * 4 * 2.5)
-    method, network = watching(batch_size=16)
-    method.encode(Images.from_arrays(numbered(5)))
-    assert numbers(network) == [[0, 1], [2, 3], [4]]
-
-
-def test_an_image_larger_than_the_bytes_allowed_goes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neural, "_BATCH_BYTES", 10)
-    method, network = watching(batch_size=16)
-    method.encode(Images.from_arrays(numbered(2)))
-    assert numbers(network) == [[0], [1]]
+@pytest.mark.parametrize(
+    ("arguments", "images", "n_bytes", "batches"),
+    [
+        ({"batch_size": 3}, numbered(8), None, [[0, 1, 2], [3, 4, 5], [6, 7]]),
+        ({"batch_size": 3}, TWO_SIZES, None, [[0, 1], [2, 3], [4, 5, 6]]),
+        (
+            {"batch_size": 9, "height": 5, "width": 5},
+            [image[: 3 + i % 2] for i, image in enumerate(numbered(4))],
+            None,
+            [[0, 1, 2, 3]],
+        ),
+        ({}, numbered(5), 4 * 3 * 4 * 4 * 2.5, [[0, 1], [2, 3], [4]]),
+        ({}, numbered(2), 10, [[0], [1]]),
+    ],
+    ids=["as many as asked for", "two sizes", "resized to one size", "as many as bytes allow", "one at least"],
+)
+def test_images_of_one_size_share_a_batch_in_order_as_many_as_fit(
+    arguments: dict[str, int],
+    images: list[Image],
+    n_bytes: float | None,
+    batches: list[list[int]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(neural, "_BATCH_BYTES", n_bytes or neural._BATCH_BYTES)
+    method, network = watching(**arguments)
+    method.encode(Images.from_arrays(images))
+    assert numbers(network) == batches
 
 
 @pytest.mark.parametrize(("side", "allowed"), [(8, 2), (2, 9)])
@@ -305,47 +285,25 @@ def test_pixels_are_what_imagenet_networks_were_trained_on() -> None:
     assert np.abs(seen.numpy() - wanted).max() < 1e-5
 
 
-def test_the_network_sees_red_green_and_blue_where_they_are() -> None:
-    method, network = watching()
-    image = noise(1, (5, 7))[0]
-    method.encode(Images.from_arrays([image]))
-    levels = network.seen[0][0].permute(1, 2, 0).numpy() * [0.229, 0.224, 0.225] + [0.485, 0.456, 0.406]
-    assert np.abs(levels * 255 - image).max() < 1e-3
-
-
-@pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
-def test_images_are_resized_as_asked_for(how: Any) -> None:
-    """Stripes at a third of their width: grey with an antialiasing filter, stripes without."""
-    stripes = np.zeros((63, 63, 3), np.uint8)
-    stripes[:, ::2] = 255
-    method, network = watching(height=21, width=21, resize=how)
-    method.encode(Images.from_arrays([stripes]))
-    green = network.seen[0][0, 1] * 0.224 + 0.456
-    assert (float(green.max() - green.min()) > 0.9) == (how == "opencv")
-    whole_levels = bool(((green * 255 - (green * 255).round()).abs() < 1e-3).all())
-    assert whole_levels == (how != "tensor")
-
-
-@pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
-def test_interpolation_is_as_asked_for(how: Any) -> None:
-    """Beside an edge bicubic overshoots, if levels leave room, and bilinear doesn't."""
-    edge = np.full((12, 12, 3), 100, np.uint8)
-    edge[:, 6:] = 150
-    for kind in ("bilinear", "bicubic"):
-        method, network = watching(height=30, width=30, resize=how, interpolation=kind)
-        method.encode(Images.from_arrays([edge]))
-        highest = float((network.seen[0][0, 0] * 0.229 + 0.485).max()) * 255
-        assert (highest > 151) == (kind == "bicubic")
-
-
-@pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
+@pytest.mark.parametrize("how", ["pillow", "opencv", "area", "tensor"])
+@pytest.mark.parametrize("kind", ["bilinear", "bicubic"])
 @pytest.mark.parametrize(
-    ("asked", "seen"), [((None, None), (20, 26)), ((7, 9), (7, 9)), ((7, None), (7, 26)), ((None, 9), (20, 9))]
+    ("asked", "size"), [((None, None), (20, 26)), ((7, 9), (7, 9)), ((7, None), (7, 26)), ((None, 30), (20, 30))]
 )
-def test_the_network_sees_the_height_and_width_asked_for(how: Any, asked: Any, seen: tuple[int, int]) -> None:
-    method, network = watching(height=asked[0], width=asked[1], resize=how)
-    method.encode(Images.from_arrays(noise(1)))
-    assert network.seen[0].shape == (1, 3, *seen)
+def test_the_network_sees_images_in_the_size_and_resized_in_the_way_asked_for(
+    how: Any, kind: Any, asked: Any, size: tuple[int, int]
+) -> None:
+    image = noise(1)[0]
+    method, network = watching(height=asked[0], width=asked[1], resize=how, interpolation=kind)
+    method.encode(Images.from_arrays([image]))
+    mean, deviation = (torch.tensor(v)[:, None, None] for v in (neural.IMAGENET_MEAN, neural.IMAGENET_DEVIATION))
+    levels = 255 * (network.seen[0] * deviation + mean)
+    if how == "tensor":
+        wanted = resize_batch(torch.from_numpy(image).permute(2, 0, 1)[None].float(), *size, kind)
+    else:
+        wanted = torch.from_numpy(resize_image(image, *size, how, kind).copy()).permute(2, 0, 1)[None].float()
+    assert levels.shape == (1, 3, *size)
+    assert float((levels - wanted).abs().max()) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -358,7 +316,6 @@ def test_sides_are_rounded_to_the_nearest_multiple(size: tuple[int, int], wanted
 
 def test_sides_given_are_the_target_whatever_the_image_has() -> None:
     assert Fourteen(weights=NOWHERE, height=224).target(100, 150) == (224, 154)
-    assert Tiny(weights=NOWHERE, height=5, width=7).target(100, 150) == (5, 7)
 
 
 @pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
@@ -374,11 +331,7 @@ def test_an_image_too_small_is_refused_by_its_size(how: Any, weights: Weights) -
     method = Large(weights=weights, width=400, resize=how)
     with pytest.raises(BadInput, match=r"26x20.*400x20.*300.*pixels.*method\.height"):
         method.encode(Images.from_arrays(noise(1)))
-
-
-def test_an_image_that_is_resized_to_what_the_network_needs_is_taken(weights: Weights) -> None:
-    method = Large(weights=weights, height=300, width=300)
-    assert method.encode(Images.from_arrays(noise(1))).shape == (1, 6)
+    assert Large(weights=weights, height=300, width=300).encode(Images.from_arrays(noise(1))).shape == (1, 6)
 
 
 @pytest.mark.parametrize(
@@ -397,22 +350,20 @@ def test_arguments_that_do_not_fit_are_named(kind: Any, arguments: dict, message
             kind(weights=weights, **arguments).encode(Images.from_arrays(images))
 
 
+@pytest.mark.parametrize(
+    ("kind", "images", "wanted"),
+    [
+        (Tiny, slowly(noise(9), broken=5), "image 5 is torn"),
+        (Large, slowly([*noise(3, (300, 300)), *noise(4)]), "Large needs 300 pixels"),
+    ],
+    ids=["torn", "too small"],
+)
 @pytest.mark.parametrize("device", ["cpu", GPU])
-def test_an_image_that_cannot_be_read_is_the_callers_error(
-    device: str, weights: Weights, pinned: list, no_thread_stays: None
+def test_an_image_that_cannot_be_described_is_the_callers_error(
+    device: str, kind: Any, images: Images, wanted: str, weights: Weights, pinned: list, no_thread_stays: None
 ) -> None:
-    method = Tiny(weights=weights, batch_size=2, device=device)
-    with pytest.raises(BadInput, match="image 5 is torn"):
-        method.encode(slowly(noise(9), broken=5))
-
-
-@pytest.mark.parametrize("device", ["cpu", GPU])
-def test_an_image_too_small_among_others_is_the_callers_error(
-    device: str, weights: Weights, pinned: list, no_thread_stays: None
-) -> None:
-    method = Large(weights=weights, batch_size=2, device=device)
-    with pytest.raises(BadInput, match="Large needs 300 pixels"):
-        method.encode(slowly([*noise(3, (300, 300)), *noise(4)]))
+    with pytest.raises(BadInput, match=wanted):
+        kind(weights=weights, batch_size=2, device=device).encode(images)
 
 
 @pytest.mark.parametrize("device", ["cpu", GPU])
@@ -426,11 +377,7 @@ def test_no_thread_stays_where_the_network_fails_even_while_the_error_is_held(de
     assert held.tb is not None
 
 
-def test_no_thread_stays_after_all_images(weights: Weights, pinned: list, no_thread_stays: None) -> None:
-    Tiny(weights=weights, batch_size=2, device=GPU).encode(slowly(noise(30)))
-
-
-def test_the_way_over_a_gpu_gives_what_the_cpu_gives(weights: Weights, pinned: list) -> None:
+def test_the_way_over_a_gpu_gives_what_the_cpu_gives(weights: Weights, pinned: list, no_thread_stays: None) -> None:
     over_a_gpu = Tiny(weights=weights, batch_size=2, device=GPU).encode(slowly(mixed()))
     assert np.abs(over_a_gpu - Tiny(weights=weights).encode(Images.from_arrays(mixed()))).max() < 1e-6
 
@@ -469,17 +416,12 @@ def test_on_a_gpu_the_next_batch_and_no_more_is_made_in_one_thread_meanwhile(pin
     assert threading.current_thread().name not in threads
 
 
-def test_on_the_cpu_no_thread_takes_the_cores_from_the_network() -> None:
-    names = set()
-
-    class Slow(Tiny):
-        def _sized(self, image: Image) -> Image:
-            names.add(threading.current_thread().name)
-            return super()._sized(image)
-
-    method = Slow(weights=NOWHERE, batch_size=2)
-    method.use(Watched())
-    method.encode(Images.from_arrays(numbered(9)))
+def test_on_the_cpu_no_thread_takes_the_cores_from_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    names, sized = set(), Tiny._sized
+    monkeypatch.setattr(
+        Tiny, "_sized", lambda self, image: names.add(threading.current_thread().name) or sized(self, image)
+    )
+    watching(batch_size=2)[0].encode(Images.from_arrays(numbered(9)))
     assert names == {threading.current_thread().name}
 
 
@@ -506,24 +448,20 @@ def test_half_precision_gives_nearly_the_same_descriptor(
     assert 1e-6 < difference < tolerance
 
 
-def test_convolutions_are_exact_while_encoding_and_left_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_network_evaluates_with_exact_convolutions_left_as_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
     method, network = watching()
     method.encode(Images.from_arrays(numbered(1)))
     assert network.tf32 == [False]
+    assert not network.training
+    assert not any(parameter.requires_grad for parameter in [*network.parameters(), *network.seen])
     assert torch.backends.cudnn.allow_tf32 is True
     method.use(nn.Linear(7, 7))
     with pytest.raises(RuntimeError):
         method.encode(Images.from_arrays(numbered(1)))
     assert torch.backends.cudnn.allow_tf32 is True
-
-
-def test_the_network_evaluates_and_keeps_no_gradients(weights: Weights) -> None:
-    method, network = watching()
-    method.encode(Images.from_arrays(numbered(1)))
-    assert not network.training
-    assert not any(parameter.requires_grad for parameter in network.parameters())
-    assert not network.seen[0].requires_grad
 
 
 def test_what_does_not_change_a_descriptor_fits_any_map() -> None:

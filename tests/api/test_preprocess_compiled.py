@@ -47,12 +47,6 @@ def test_any_size_and_patch_gives_the_same_levels(height, width, patch):
     assert np.abs(fused - readable).max() <= 1
 
 
-def test_frames_of_different_sizes_stay_in_their_order():
-    frames = [smooth_frame(*SIZES[number % 4], number) for number in range(150)]
-    fused, readable = both(frames)
-    assert np.abs(fused - readable).max() <= 1
-
-
 def test_threads_change_nothing():
     frames = [smooth_frame(32, 64, seed) for seed in range(200)]
     before, levels = torch.get_num_threads(), []
@@ -63,12 +57,6 @@ def test_threads_change_nothing():
     finally:
         torch.set_num_threads(before)
     assert np.array_equal(*levels)
-
-
-@pytest.mark.parametrize("level", [0, 1, 2, 128, 255])
-def test_a_constant_frame_among_others_is_127_everywhere(level):
-    frames = [smooth_frame(32, 64, 1), np.full((32, 64, 3), level, np.uint8)]
-    assert (both(frames)[0][1] == 127).all()
 
 
 def test_a_frame_that_cannot_be_written_or_lies_crosswise_in_memory_is_read_as_any_other():

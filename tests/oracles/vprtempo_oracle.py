@@ -111,7 +111,6 @@ def train_separate_feature(
     stdp_rates: Floats,  # (n_steps,) in force during each step
     itp_rates: Floats,  # (n_steps,) in force during each step
     heaviside: bool,  # Eq. 5 with spikes (VPRTempo paper) or with amplitudes (v1.0.0 a3b07b2)
-    divide_by_rate: bool = False,  # the 1 / f_j printed in Eq. 2, absent from every code version
 ) -> tuple[Floats, Floats, Floats]:
     """Return excitation and inhibition (n_post, n_pre), thresholds; VPRTempo paper or v1.0.0 a3b07b2."""
     plus, minus = np.array(excitation, dtype=np.float64), np.array(inhibition, dtype=np.float64)
@@ -121,8 +120,7 @@ def train_separate_feature(
         a = plus @ x - minus @ x + constant
         y = np.clip(a - theta, 0.0, TRAINING_CLIP)
         both_spike = np.outer(y > 0, x > 0)
-        gain = eta / rates if divide_by_rate else eta
-        change = (gain * (0.5 - y))[:, None]
+        change = (eta * (0.5 - y))[:, None]
         plus = np.where(excitation_mask & both_spike, plus + change, plus)
         minus = np.where(inhibition_mask & both_spike, minus + change, minus)
         plus, minus = _limit_magnitude(plus), _limit_magnitude(minus)
@@ -163,27 +161,6 @@ def train_separate_output(
         plus, minus = _limit_magnitude(plus), _limit_magnitude(minus)
         minus = _homeostasis_of_magnitude(minus, eta, a)
     return plus, minus, theta
-
-
-def query_reference(W_f: Floats, W_o: Floats, x: Floats) -> Floats:
-    """Return linear scores (n_places,) of one input (n_pre,), public code QVPR/VPRTempo 64154e5."""
-    return np.asarray(W_o, dtype=np.float64) @ (np.asarray(W_f, dtype=np.float64) @ x)
-
-
-def query_spiking(
-    exc_f: Floats,  # (n_features, n_pre), magnitudes, as inh_f
-    inh_f: Floats,
-    c: Floats,  # (n_features,), as thr_f
-    thr_f: Floats,
-    exc_o: Floats,  # (n_places, n_features), magnitudes, as inh_o
-    inh_o: Floats,
-    thr_o: Floats,  # (n_places,)
-    x: Floats,  # (n_pre,)
-    clip: float,
-) -> Floats:
-    """Return clipped output activity (n_places,) of one input by Eq. 1 of the VPRTempo paper."""
-    feature = np.clip(exc_f @ x - inh_f @ x + c - thr_f, 0.0, clip)
-    return np.clip(exc_o @ feature - inh_o @ feature - thr_o, 0.0, clip)
 
 
 def _limit_signed(w: Floats, positive_mask: Bools, negative_mask: Bools) -> Floats:

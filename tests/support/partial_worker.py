@@ -55,7 +55,9 @@ def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: checkpoints.Arra
 def spend(root: Path, clock: Clock, *steps: tuple[str, float], then: float = 0.0) -> float:
     """Spend seconds on parts, be interrupted after some more; returns what had been spent when this began."""
     with interrupted(), checkpoints.training(WHAT, root, clock.seconds) as kept:
-        before = kept.found_seconds
+        for path in root.glob("*/*.safetensors"):
+            kept.get(path.stem)
+        before = kept.seconds
         for name, seconds in steps:
             kept.get(name)
             clock.spend(seconds)

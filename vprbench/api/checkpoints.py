@@ -1,4 +1,4 @@
-"""Partial trainings: what a long fit has finished is kept on disk, so that an interrupted one goes on from there."""
+"""Partial trainings: finished parts of a long fit are kept on disk, so that an interrupted fit goes on from them."""
 
 from __future__ import annotations
 
@@ -37,29 +37,20 @@ class Partial:
     """
 
     def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
-        """Look what an interrupted run has left in `folder`."""
+        """Take over what an interrupted run has left in `folder`."""
         self._folder = folder
         self._clock = clock
         self._last = clock()  # when the last part was kept
         self._one_at_a_time = threading.Lock()
         self._refused = False
-        self._found: dict[str, float] = {}  # seconds that other runs spent, by part that they left
-        self._taken: dict[str, float] = {}  # the same of the parts that this run has asked for
-        self._own: dict[str, float] = {}  # seconds that this one spent on the parts that it kept
+        self._taken: dict[str, float] = {}  # seconds that other runs spent, by part that this run has asked for
+        self._own: dict[str, float] = {}  # seconds that this run spent on the parts that it kept
         remove_leftovers(folder)
-        with suppress(OSError):
-            for path in sorted(folder.iterdir()):
-                self._look_at(path)
 
     @property
     def seconds(self) -> float:
         """The wall time that interrupted runs had spent on the parts that this run has asked for."""
         return sum(self._taken.values())
-
-    @property
-    def found_seconds(self) -> float:
-        """The wall time that interrupted runs had spent on all parts that they left."""
-        return sum(self._found.values())
 
     def get(self, name: str) -> dict[str, Array] | None:
         """Return the arrays of a part; None if it is not there, or was damaged, and then is removed."""
@@ -110,18 +101,8 @@ class Partial:
         """Remove all parts."""
         _remove(self._folder)
 
-    def _look_at(self, path: Path) -> None:
-        if path.name.endswith(_PART):
-            try:
-                self._found[path.name.removesuffix(_PART)] = _seconds(path)
-            except FileNotFoundError:  # another process has ended the same training
-                return
-            except (OSError, ValueError) as error:
-                self._discard(path, error)
-
     def _discard(self, path: Path, error: Exception) -> None:
-        for seconds in (self._found, self._taken):
-            seconds.pop(path.name.removesuffix(_PART), None)
+        self._taken.pop(path.name.removesuffix(_PART), None)
         logger.warning("%s cannot be used (%s): that part is trained anew", path, error)
         if isinstance(error, ValueError):  # damaged; what only could not be read now may be whole
             with suppress(OSError):
@@ -134,7 +115,7 @@ class Partial:
 
 
 class Resumed:
-    """The trainings of one run: what they took over, and what there is to remove once all is done."""
+    """The trainings of one run: the parts that they took over, and the folders to remove once all is done."""
 
     def __init__(self) -> None:
         self._opened: dict[Path, Partial] = {}
@@ -142,11 +123,11 @@ class Resumed:
 
     @property
     def seconds(self) -> float:
-        """The wall time that interrupted runs had spent on what the trainings took over."""
+        """The wall time that interrupted runs had spent on the parts that the trainings took over."""
         return sum(kept.seconds for kept in self._opened.values())
 
     def open(self, folder: Path, clock: Callable[[], float]) -> Partial:
-        """Return what is kept in a folder; a second training of the same run goes on with its own parts."""
+        """Return the parts in a folder; a second training of the same run goes on with its own parts."""
         if folder not in self._opened:
             self._opened[folder] = Partial(folder, clock)
         return self._opened[folder]
@@ -156,7 +137,7 @@ class Resumed:
         self._done.add(folder)
 
     def remove(self) -> None:
-        """Remove what was kept of the trainings that have ended."""
+        """Remove the parts of the trainings that have ended."""
         for folder in self._done:
             self._opened[folder].remove()
 
@@ -166,7 +147,7 @@ _running: ContextVar[Resumed | None] = ContextVar("trainings_of_a_run", default=
 
 @contextmanager
 def ledger() -> Iterator[Resumed]:
-    """Collect what the trainings inside the block take over, and keep their parts until the block ends.
+    """Collect the trainings inside the block, and keep their parts until the block ends.
 
     So a run that is killed in a later training, or before its result is stored, loses none of the earlier ones. A
     ledger inside another one is the same.
@@ -188,7 +169,7 @@ def ledger() -> Iterator[Resumed]:
 def training(
     what: Mapping[str, Any], folder: Path | None = None, clock: Callable[[], float] = time.perf_counter
 ) -> Iterator[Partial]:
-    """Open what was kept of a training, and remove it once the block has ended without an error.
+    """Open the kept parts of a training, and remove them once the block has ended without an error.
 
     `what` (plain JSON) is all that decides about the outcome: only a training with an equal `what` is resumed. `folder`
     holds the trainings, one folder for each: by default VPRBENCH_PARTIAL, or one in the user's cache. A training that
@@ -197,14 +178,11 @@ def training(
     root = partial_folder() if folder is None else folder
     text = json.dumps({"format": FORMAT, "what": what}, sort_keys=True)
     home = root / hashlib.sha256(text.encode()).hexdigest()
-    run = _running.get()
-    _remove_forgotten(root, home)
-    kept = Partial(home, clock) if run is None else run.open(home, clock)
-    kept.start()
-    yield kept
-    if run is None:
-        kept.remove()
-    else:
+    with ledger() as run:
+        _remove_forgotten(root, home)
+        kept = run.open(home, clock)
+        kept.start()
+        yield kept
         run.done(home)
 
 
@@ -232,11 +210,6 @@ def _read(path: Path) -> tuple[dict[str, Array], float]:
     if stated is None or not whole:
         raise ValueError("it is not what was written")
     return arrays, float(stated)
-
-
-def _seconds(path: Path) -> float:
-    """Return the seconds spent on the arrays of a file, unread; raises ValueError if it is damaged."""
-    return float(_SEAL.read_text(path) or "no seconds")
 
 
 def _remove_forgotten(root: Path, wanted: Path) -> None:

@@ -58,7 +58,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """A folder that a dataset takes frames from, with what is known of it beforehand."""
+    """A folder that a dataset takes frames from, with the numbers of images that are known of it beforehand."""
 
     path: Path
     used: tuple[str, ...]  # file names that the dataset wants of it
@@ -77,12 +77,12 @@ class Dataset:
     references: Images
     places: Places  # (n_references,)
     queries: Images
-    positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places; empty where there is none
+    positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places; empty if there is none
     protocol: Mapping[str, Any]  # what was selected and how; part of every record
     n_places: int = field(init=False)
     held_out: HeldOut | None = None  # None: there are no such places
-    place_numbers: Places | None = None  # (n_places,), along the whole journey, where the map lacks some of its places
-    folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty where they are no files
+    place_numbers: Places | None = None  # (n_places,), along the whole journey, if the map lacks some of its places
+    folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty if they are no files
     notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
 
     def __post_init__(self) -> None:

@@ -21,8 +21,8 @@ _UNREADABLE = (  # how Pillow and the reader of PNG say what a file is not
 def read_image(path: Path) -> Image:
     """Decode one image file to RGB uint8 (height, width, 3); grey is repeated, alpha dropped, 16 bit reduced to 8.
 
-    Raises BadInput with the path where the file is missing, truncated or no image, and, undecoded, where it has more
-    pixels than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets another number).
+    Raises BadInput with the path if the file is missing, truncated or no image, and, undecoded, if it has more pixels
+    than `PIL.Image.MAX_IMAGE_PIXELS` (89,478,485 unless a program sets another number).
     """
     try:
         if (pixels := _decoded_png(path)) is not None:
@@ -49,14 +49,14 @@ def _insist_on_size(image: PillowImage.Image) -> None:
 
 
 def _decoded_png(path: Path) -> Image | None:
-    """Return what is read fastest; None for anything but a plain, whole PNG."""
+    """Return the pixels of a plain, whole PNG, which is read fastest; None for any other file."""
     with path.open("rb") as file:
         start = file.read(len(png.SIGNATURE))
         return png.decoded(start + file.read()) if start == png.SIGNATURE else None
 
 
 def decoded_bytes(path: Path) -> int:
-    """Return the bytes of an image once it is decoded, from the head of its file; 1 where that cannot be read."""
+    """Return the bytes of an image once it is decoded, from the head of its file; 1 if the head cannot be read."""
     try:
         with open_image(path) as image:
             return max(1, 3 * image.width * image.height)

@@ -13,7 +13,7 @@ from vprbench.api.arrays import Places, Scores
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import NotFittedError
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
@@ -61,23 +61,15 @@ class DescriptorMethod(Method):
         The array is not copied and may be memory-mapped. Raises BadInput if `index` cannot be made of it.
         """
         self.searched = None
-        try:
-            self.searched = Search(descriptors, places.copy(), self.index, self.neighbours)
-        except ValueError as error:
-            raise BadInput(f"method.index={self.index}, method.neighbours={self.neighbours}: {error}") from error
+        self.searched = Search(descriptors, places.copy(), self.index, self.neighbours)
         return self
 
     def insist_on_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
-        if not n_references:
-            raise BadInput(f"{type(self).__name__} was given no reference images: give at least one")
-        try:
-            check_index(self.index, self.neighbours, n_references)
-        except ValueError as error:
-            raise BadInput(f"method.index={self.index}, method.neighbours={self.neighbours}: {error}") from error
+        check_index(self.index, self.neighbours, n_references)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
-        """Return the inner product with the best reference image of each place; -inf where none was retrieved."""
+        """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
         return self._indexed().scores(codes)
 
     def keeps_descriptors(self) -> bool:

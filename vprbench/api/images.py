@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import overload
 
@@ -32,6 +33,13 @@ class ReadingTime:
     def __init__(self) -> None:
         """Start at zero."""
         self.seconds = 0.0
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Count the seconds of the block."""
+        started = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - started
 
     def limit(self, before: float, most: float) -> None:
         """Take back what exceeds `most` seconds since there were `before`: other threads worked on while one waited."""
@@ -75,11 +83,7 @@ class Images(Sequence[Image]):
     def from_files(cls, paths: Sequence[Path]) -> Images:
         """Decode image files; an unreadable or truncated one raises BadInput with its path when it is read."""
         paths = list(paths)
-        return cls(
-            lambda i: read_image(paths[i]),
-            [path.name for path in paths],
-            files=paths,
-        )
+        return cls(lambda i: read_image(paths[i]), [path.name for path in paths], files=paths)
 
     @classmethod
     def from_arrays(cls, arrays: Sequence[Image], names: Sequence[str] | None = None) -> Images:
@@ -102,10 +106,8 @@ class Images(Sequence[Image]):
         if isinstance(index, int | np.integer):
             if not -len(self) <= index < len(self):
                 raise IndexError(f"image {index} of {len(self)}")
-            started = time.perf_counter()
-            image = self._read(int(index) % len(self))
-            self.reading.seconds += time.perf_counter() - started
-            return image
+            with self.reading.waiting():
+                return self._read(int(index) % len(self))
         chosen = np.arange(len(self))[index].tolist()
         files, stamp, content = self._files, self._stamp, self._content
         view = Images(
@@ -139,7 +141,8 @@ class Images(Sequence[Image]):
                         ahead.append((chunk, readers.submit(self._read_chunk, chunk.start, len(chunk))))
                         continue
                     chunk, reading = ahead.popleft()
-                    images = self._wait(reading)
+                    with self.reading.waiting():
+                        images = reading.result()
                     window.give(chunk, max(image.nbytes for image in images))
                     yield from images
                     del images, reading  # or they would be held while the next ones are read
@@ -225,16 +228,8 @@ class Images(Sequence[Image]):
     def _file_bytes(self, number: int) -> int:
         """Return the bytes of a file's image once it is decoded; looking takes part of the reading."""
         assert self._files is not None
-        started = time.perf_counter()
-        n_bytes = decoded_bytes(self._files[number])
-        self.reading.seconds += time.perf_counter() - started
-        return n_bytes
+        with self.reading.waiting():
+            return decoded_bytes(self._files[number])
 
     def _read_chunk(self, start: int, size: int) -> list[Image]:
         return [self._read(i) for i in range(start, start + size)]
-
-    def _wait(self, chunk: Future[list[Image]]) -> list[Image]:
-        started = time.perf_counter()
-        images = chunk.result()
-        self.reading.seconds += time.perf_counter() - started
-        return images

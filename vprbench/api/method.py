@@ -25,7 +25,7 @@ class LayerSpikes:
     """What the neurons of one layer did for some queries.
 
     `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
-    spike where `kind` is "amplitude".
+    spike if `kind` is "amplitude".
     """
 
     name: str  # input, feature, output, ...
@@ -44,7 +44,7 @@ class Method(ABC):
 
     #: Rules of the conformance suite that a method cannot meet, each with the reason.
     conformance_exceptions: ClassVar[Mapping[str, str]] = {}
-    #: Arguments under which the conformance suite builds the method, where its defaults do not fit 20 places.
+    #: Arguments under which the conformance suite builds the method, if its defaults do not fit 20 places.
     conformance_arguments: ClassVar[Mapping[str, Any]] = {}
     #: The kind of network that `state` gives, for classes that share a kind; empty: the name of the class.
     stored_as: ClassVar[str] = ""
@@ -105,7 +105,7 @@ class Method(ABC):
         return ()
 
     def notes(self) -> Sequence[str]:
-        """Return what a reader of the results has to know about the training or the loaded files, one line a note."""
+        """Return facts on the training or the loaded files that a reader of the results has to know, a line each."""
         return ()
 
     def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:

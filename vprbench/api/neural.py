@@ -109,7 +109,7 @@ class NeuralDescriptor(DescriptorMethod):
         self._network = network.eval().requires_grad_(False)
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
-        """Return unit vectors, (n_images, n_dimensions); a zero vector where the network gives nothing."""
+        """Return unit vectors, (n_images, n_dimensions); a zero vector if the network gives zeros alone."""
         self._check_arguments()
         if not len(images):
             side = max(_ANY_SIDE, self.smallest_side)
@@ -195,7 +195,7 @@ class NeuralDescriptor(DescriptorMethod):
         return min(self.batch_size, max(1, _BATCH_BYTES // (12 * n_pixels)))
 
     def _sized(self, image: Image) -> npt.NDArray[Any]:
-        """Resize an image where that comes before its levels become floats; raises BadInput for one too small."""
+        """Resize an image if that comes before its levels become floats; raises BadInput for one too small."""
         height, width = self.target(*image.shape[:2])
         if min(height, width) < self.smallest_side:
             raise BadInput(

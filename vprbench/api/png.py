@@ -1,23 +1,27 @@
-"""Plain, whole PNG files decoded free of the interpreter's lock; what is any other file is left to Pillow."""
+"""PNG files: plain, whole ones decoded free of the interpreter's lock, and files with too few pixels refused."""
 
 from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
-from vprbench.api.png_pixels import insist_on_pixels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 _HEADER = struct.Struct(">IIBBBBB")  # width, height, bits, kind of colour, compression, filter, interlacing
 _KINDS = {0, 2, 6}  # grey, colour, colour with alpha
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
 # Chunks that change no pixel, and of which libpng has nothing to say on the terminal.
 _PLAIN = {b"IDAT", b"IEND", b"pHYs", b"gAMA", b"cHRM", b"sRGB", b"cICP", b"tEXt", b"tIME"}
+_AT_ONCE = 1 << 16  # bytes
+# Adam7: first column, first row, columns apart, rows apart (PNG specification, 8.2).
+_PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 
 
 def decoded(content: bytes) -> Image | None:
@@ -32,36 +36,76 @@ def decoded(content: bytes) -> Image | None:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         if image is not None:
             return np.asarray(image, np.uint8)
-    insist_on_pixels(content)
+    _insist_on_pixels(content)
     return None
+
+
+def _chunks(content: bytes) -> Iterator[tuple[bytes, memoryview, bool]]:
+    """Yield kind and content of each chunk that is there whole, and whether its checksum fits."""
+    view, place = memoryview(content), len(SIGNATURE)
+    while place + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, place)
+        end = place + 8 + length
+        if end + 4 > len(content):
+            return
+        yield kind, view[place + 8 : end], zlib.crc32(view[place + 4 : end]) == int.from_bytes(view[end : end + 4])
+        place = end + 4
 
 
 def _is_plain_and_whole(content: bytes) -> bool:
     """Tell whether every chunk up to the last is there, has its checksum and is known to be harmless."""
-    view = memoryview(content)
-    kind, place = b"", len(SIGNATURE)
-    if content[:place] != SIGNATURE:
+    chunks = _chunks(content)
+    kind, header, right = next(chunks, (b"", memoryview(b""), False))
+    if not (content.startswith(SIGNATURE) and right and _is_plain_header(kind, header)):
         return False
-    while kind != b"IEND":
-        if place + 12 > len(content):
+    for kind, _, right in chunks:
+        if not right or kind not in _PLAIN:
             return False
-        length, kind = struct.unpack_from(">I4s", content, place)
-        end = place + 8 + length
-        if end + 4 > len(content):
-            return False
-        if zlib.crc32(view[place + 4 : end]) != int.from_bytes(view[end : end + 4]):
-            return False
-        first = place == len(SIGNATURE)
-        if not (_is_plain_header(kind, content[place + 8 : end]) if first else kind in _PLAIN):
-            return False
-        place = end + 4
-    return True
+        if kind == b"IEND":
+            return True
+    return False
 
 
-def _is_plain_header(kind: bytes, content: bytes) -> bool:
+def _is_plain_header(kind: bytes, content: memoryview) -> bool:
     if kind != b"IHDR" or len(content) != _HEADER.size:
         return False
     width, height, bits, colour, *ways = _HEADER.unpack(content)
     largest = PillowImage.MAX_IMAGE_PIXELS
     small = largest is None or width * height <= largest  # Pillow has a say in what is larger
     return small and bits == 8 and colour in _KINDS and not any(ways)
+
+
+def _insist_on_pixels(content: bytes) -> None:
+    """Raise ValueError for a PNG whose compressed pixels come to a proper end, but before the last row.
+
+    What is wrong in any other way is left to the decoder, which finds it. Nothing that is unpacked is kept.
+    """
+    chunks = _chunks(content)
+    kind, header, _ = next(chunks, (b"", memoryview(b""), False))
+    if kind != b"IHDR" or len(header) != _HEADER.size:
+        return
+    width, height, bits, colour, _, _, interlaced = _HEADER.unpack(header)
+    if colour not in _CHANNELS:
+        return
+    wanted = _row_bytes(width, height, bits * _CHANNELS[colour], bool(interlaced))
+    came, stream = 0, zlib.decompressobj()
+    try:
+        for kind, packed, _ in chunks:
+            for start in range(0, len(packed) if kind == b"IDAT" else 0, _AT_ONCE):
+                rest: bytes | memoryview = packed[start : start + _AT_ONCE]
+                while rest and not stream.eof and came < wanted:
+                    came += len(stream.decompress(rest, _AT_ONCE))
+                    rest = stream.unconsumed_tail
+    except zlib.error:
+        return
+    if stream.eof and came < wanted:
+        raise ValueError(f"its pixels end after {came} of {wanted} bytes")
+
+
+def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
+    """Return the bytes of all rows, each with the byte that names its filter, of pixels of so many bits."""
+    total = 0
+    for column, row, across, down in _PASSES if interlaced else ((0, 0, 1, 1),):
+        columns, rows = len(range(column, width, across)), len(range(row, height, down))
+        total += rows * (1 + (columns * bits + 7) // 8) if columns else 0
+    return total

@@ -139,7 +139,7 @@ class PatchNormalisation:
 
     @property
     def _ddof(self) -> int:
-        """Return what is taken from the count of a window's pixels in its variance."""
+        """Return the number that is subtracted from the count of a window's pixels in its variance."""
         return 1 if self.variant == "C" else 0
 
 
@@ -155,17 +155,12 @@ def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list
             block, held = [], 0
 
 
-def gamma_correct(grey: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Map the mean of a grey image (height, width), levels 0..255, to 127.5 and clip to 0..255.
-
-    The exponent is ln(0.5 * 255) / ln(mean) (VPRTempo 64154e5). An image whose mean is at most 1, where that
-    has no finite positive value, is returned unchanged: a black frame stays black.
-    """
-    return _power(grey.copy(), grey.mean(dtype=np.float64))
-
-
 def _power(grey: npt.NDArray[np.float32], mean: npt.NDArray[np.float64] | np.float64) -> npt.NDArray[np.float32]:
-    """Apply the exponent that belongs to an image's mean level to `grey`, in place; `mean` is one or one an image."""
+    """Map the mean of grey images, levels 0..255, to 127.5 and clip to 0..255, in place; `mean` is one or one an image.
+
+    The exponent is ln(0.5 * 255) / ln(mean) (VPRTempo 64154e5). An image whose mean is at most 1, where the exponent
+    has no finite positive value, is left unchanged: a black frame stays black.
+    """
     exponent = np.where(mean > 1, np.log(127.5) / np.log(np.maximum(mean, 1 + 1e-9)), 1)
     with np.errstate(over="ignore"):  # a nearly black image has a huge exponent; what overflows is clipped
         np.power(grey, exponent.astype(np.float32), out=grey)

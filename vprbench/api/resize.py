@@ -41,7 +41,7 @@ def resize_image(
     """Resize a decoded image, uint8 (h, w, 3), to (height, width, 3).
 
     pillow: antialiased, as torchvision resizes a Pillow image, whole levels; opencv: not antialiased, whole levels;
-    area: means over areas, or bilinear where a side grows, as float32 levels that are not rounded
+    area: means over areas, or bilinear if a side grows, as float32 levels that are not rounded
     (cvg/Hierarchical-Localization c13273b); it has no other `kind`.
     """
     if image.shape[:2] == (height, width):
@@ -55,11 +55,11 @@ def resize_image(
     return np.asarray(PillowImage.fromarray(image).resize((width, height), _PILLOW[kind]))
 
 
-def resize_batch(batch: Tensor, height: int, width: int, kind: Interpolation, antialias: bool = True) -> Tensor:
-    """Resize float images (n, channels, h, w) to (n, channels, height, width), as torchvision resizes a tensor."""
+def resize_batch(batch: Tensor, height: int, width: int, kind: Interpolation) -> Tensor:
+    """Resize float images (n, channels, h, w) to (n, channels, height, width), antialiased, as torchvision does."""
     if batch.shape[-2:] == (height, width):
         return batch
-    return functional.interpolate(batch, (height, width), mode=kind, align_corners=False, antialias=antialias)
+    return functional.interpolate(batch, (height, width), mode=kind, align_corners=False, antialias=True)
 
 
 def centre_crop(batch: Tensor, multiple: int) -> Tensor:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.search_indexes import BITS, CELLS, INDEXES, Flat, Kind, Retrieving, Vectors, parts
+from vprbench.errors import BadInput
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 _ROUNDING = 1e-6  # of inner products of unit vectors
@@ -17,7 +18,7 @@ _ROUNDING = 1e-6  # of inner products of unit vectors
 
 @dataclass(frozen=True)
 class Audit:
-    """How much of what exact search finds an index finds too; shares, 0 to 1, mean over the queries."""
+    """The share of the places found by exact search that an index finds too, 0 to 1, mean over the queries."""
 
     recall_at_1: float  # of the exactly best place
     recall_at_10: float  # of the 10 best places
@@ -36,12 +37,12 @@ class Search:
     ) -> None:
         """Index `references`, which stay where they are (they may be memory-mapped), with the place of each.
 
-        An approximate index answers without them; they are kept to be compared with. Raises ValueError for an unknown
-        kind, for fewer than one neighbour and for too few references.
+        An approximate index answers without them; they are kept to be compared with. Raises BadInput as `check_index`
+        does, and for places that are not one for each reference.
         """
         check_index(kind, neighbours, len(references))
-        if references.ndim != 2 or not len(references) or places.shape != (len(references),):
-            raise ValueError(
+        if references.ndim != 2 or places.shape != (len(references),):
+            raise BadInput(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
                 "image or more, and a place for each"
             )
@@ -101,13 +102,16 @@ class Search:
 
 
 def check_index(kind: str, neighbours: int, n_images: int) -> None:
-    """Raise ValueError for what no index can be made of: an unknown kind, no neighbour, too few images."""
+    """Raise BadInput for an unknown kind, for fewer than one neighbour, and for too few images."""
     if kind not in get_args(Kind):
-        raise ValueError(f"{kind} is unknown: give {', '.join(get_args(Kind))}")
+        raise BadInput(f"method.index={kind} is unknown: give {', '.join(get_args(Kind))}")
     if neighbours < 1:
-        raise ValueError(f"{neighbours} neighbours: give at least 1")
-    if kind == "ivfpq" and n_images < 1 << BITS:
-        raise ValueError(f"ivfpq needs at least {1 << BITS} reference images, {n_images} came: take exact, hnsw or sq8")
+        raise BadInput(f"method.neighbours={neighbours}: give at least 1")
+    if n_images < (least := 1 << BITS if kind == "ivfpq" else 1):
+        raise BadInput(
+            f"method.index={kind} needs at least {least} reference images, {n_images} came"
+            + (": take exact, hnsw or sq8" if kind == "ivfpq" else "")
+        )
 
 
 def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:

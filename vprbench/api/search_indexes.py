@@ -29,7 +29,7 @@ _PQ_ITERATIONS = 10
 
 
 def faiss_module() -> Any:
-    """Import faiss, quietly, and return it; it is slow to import, so only what needs it asks for it.
+    """Import faiss, quietly, and return it; it is slow to import, so only an index that needs faiss imports it.
 
     Imported after threads were pinned it uses as many: it takes their number from OMP_NUM_THREADS.
     """
@@ -105,7 +105,7 @@ class Retrieving(ABC):
     _index: Any
 
     def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, ImageNumbers]:
-        """Return similarities and images, (n_queries, n) each, best first; the image is -1 where there is none."""
+        """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
         similarity, images = self._index.search(self._prepared(codes), n)
         return similarity, images
 
@@ -131,7 +131,7 @@ class _Graph(Retrieving):
 class _ProductCodes(Retrieving):
     """Inverted lists of product codes (Jégou et al. 2011): a list for each of about sqrt(n) centroids.
 
-    A vector is cut into parts of 4 numbers, or more where that were more than 512 parts; zeros fill up the last.
+    A vector is cut into parts of 4 numbers, or more if that would make more than 512 parts; zeros fill up the last.
     A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
     """
 

@@ -20,7 +20,7 @@ _ZIP = b"PK\x03\x04"
 
 
 def read_weights(path: Path) -> dict[str, Any]:
-    """Return what a file of safetensors or of torch holds, nested as it is there, on the CPU.
+    """Return the content of a file of safetensors or of torch, nested as it is there, on the CPU.
 
     Raises BadInput for a file that is damaged, no dictionary, or not to be read without running code out of it.
     """
@@ -31,9 +31,9 @@ def read_weights(path: Path) -> dict[str, Any]:
 
 
 def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
-    """Return the tensors of a file by name: those under the first of `keys` that is there, or all at its top.
+    """Return the tensors of a file by name: the tensors under the first of `keys` that is there, or all at its top.
 
-    Raises BadInput as `read` does, and where anything but plain tensors is found there.
+    Raises BadInput as `read_weights` does, and if anything but plain tensors is found there.
     """
     content = read_weights(path)
     key = next((key for key in keys if key in content), None)
@@ -54,7 +54,7 @@ def read_tensor(path: Path) -> Tensor:
 
 
 def _content(path: Path) -> Any:
-    """Return what a file holds, whatever that is; raises BadInput if it cannot be read safely."""
+    """Return the content of a file, whatever it is; raises BadInput if it cannot be read safely."""
     try:
         with path.open("rb") as file:
             start = file.read(512)

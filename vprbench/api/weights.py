@@ -47,7 +47,7 @@ class Weights:
     licence: str
     trained_on: str
     url: str | None = None  # None: no program may fetch it, or can
-    by_hand: str | None = None  # what a person has to do where there is no url
+    by_hand: str | None = None  # what a person has to do if there is no url
     stated: Mapping[str, Stated] = field(default_factory=dict)  # by file name
     path: str | None = None  # an own copy: nothing is looked for, checked or downloaded then
 
@@ -61,7 +61,7 @@ def find_weights(weights: Weights, subject: str, option: str = "weights") -> Pat
     """Return the file with the weights that `subject`, a method, needs; downloads it if that is possible.
 
     `option` is the method's argument that holds `weights`, for the message.
-    Raises NotThere if there is none, with what a person has to do, and BadInput where it is not what is stated.
+    Raises NotThere if there is none, with what a person has to do, and BadInput if the file differs from the statement.
     """
     if weights.path is not None:
         own = Path(weights.path).expanduser()
@@ -145,7 +145,7 @@ def without_prefix(tensors: Mapping[str, Tensor], *prefixes: str) -> dict[str, T
 
 
 def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: str) -> None:
-    """Download a file that the folder lacks; raises NotThere that says what to do where that cannot be."""
+    """Download a file that the folder lacks; raises NotThere, with what to do instead, if that cannot be."""
     missing = f"{subject} needs {weights.file}, which is not in {path.parent}"
     instead = f"put it there under that name, or give method.{option}.path=FILE"
     if weights.url is None:
@@ -161,7 +161,7 @@ def _obtain(weights: Weights, subject: str, path: Path, stated: Stated, option: 
 
 
 def _check(path: Path, stated: Stated, afterwards: str) -> None:
-    """Compare a file with what is stated of it; raises BadInput, or warns where that is not certain."""
+    """Compare a file with the statement about it; raises BadInput, or warns if the statement is not certain."""
     size_bytes = path.stat().st_size
     if stated.size_bytes not in (None, size_bytes):
         difference = f"has {size_bytes} bytes, stated are {stated.size_bytes}"
@@ -179,7 +179,7 @@ def _is_counter(name: str) -> bool:
 
 
 def _kind(values: torch.Tensor) -> str:
-    """Return what has to agree between a file and a module: the shape, and whether the numbers are whole."""
+    """Return the shape and whether the numbers are whole, which have to agree between a file and a module."""
     return f"{'real' if values.is_floating_point() else 'whole'} {tuple(values.shape)}"
 
 

@@ -8,7 +8,7 @@ VERSION = 1
 #: The modules whose changes are decided about.
 MODULES = (
     *("vprbench.api.images", "vprbench.api.decoding", "vprbench.api.read_ahead", "vprbench.api.image_formats"),
-    *("vprbench.api.png", "vprbench.api.png_pixels"),
+    "vprbench.api.png",
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.run.stopwatch", "vprbench.run.fitting"),
     *("vprbench.run.runner", "vprbench.run.answers", "vprbench.run.descriptors", "vprbench.run.machine"),
 )

@@ -52,15 +52,9 @@ def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(rules: 
     assert scores(rules=rules, calibrated_scores=True) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
-def test_over_the_references_every_place_has_mean_0_and_spread_1() -> None:
-    found = small(rules="reference", calibrated_scores=True).query(frames(1)).astype(np.float64)
-    assert found.mean(0) == pytest.approx(np.zeros(N_PLACES), abs=1e-3)
-    assert found.std(0) == pytest.approx(np.ones(N_PLACES), abs=1e-3)
-
-
 def test_several_blocks_of_references_count_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = scores(calibrated_scores=True)
-    monkeypatch.setattr("vprbench.methods.vprtempo.method._CALIBRATED_TOGETHER", 7)
+    monkeypatch.setattr("vprbench.methods.vprtempo.query._BLOCK", 7)
     assert scores(calibrated_scores=True) == pytest.approx(whole, rel=1e-4, abs=1e-4)
 
 

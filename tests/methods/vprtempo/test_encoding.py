@@ -42,18 +42,6 @@ def test_the_grid_of_the_8_bit_step_ends_at_the_maximum(most: int) -> None:
     assert spikes_of(levels(every[None]), True)[0] == pytest.approx(expected, abs=ROUNDING)
 
 
-@pytest.mark.parametrize("most", range(2, 256, 12))
-def test_the_8_bit_step_moves_a_spike_by_half_a_step_at_most(most: int) -> None:
-    every = np.arange(most + 1)
-    moved = np.abs(spikes_of(levels(every[None]), True)[0] - every / 255)
-    assert moved.max() <= most / 255 / 510 + ROUNDING
-
-
-def test_a_maximum_of_200_moves_spikes() -> None:
-    every = np.arange(201)
-    assert np.abs(spikes_of(levels(every[None]), True)[0] - every / 255).max() > 0.001
-
-
 def test_every_image_has_a_grid_of_its_own() -> None:
     rows = np.array([[3, 1, 2], [255, 1, 2], [0, 0, 0], [201, 100, 50]])
     alone = [spikes_of(levels(row[None]), True) for row in rows]
@@ -61,33 +49,19 @@ def test_every_image_has_a_grid_of_its_own() -> None:
 
 
 @EITHER
-def test_an_image_of_zeros_gives_no_spikes(fake_quantised: bool) -> None:
-    assert spikes_of(levels([[0] * 5]), fake_quantised).tolist() == [[0.0] * 5]
-
-
-@EITHER
-def test_no_images_give_no_rows(fake_quantised: bool) -> None:
-    found = spikes_of(np.empty((0, 5), np.uint8), fake_quantised)
-    assert (found.shape, found.dtype) == ((0, 5), np.float32)
-
-
-@EITHER
-@pytest.mark.parametrize("count", [1, 3])
-def test_spikes_are_float32_a_row_for_each_image(fake_quantised: bool, count: int) -> None:
-    found = spikes_of(np.full((count, 7), 9, np.uint8), fake_quantised)
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_spikes_are_float32_a_row_for_each_image_and_0_where_it_is_black(fake_quantised: bool, count: int) -> None:
+    found = spikes_of(np.zeros((count, 7), np.uint8), fake_quantised)
     assert (found.shape, found.dtype) == ((count, 7), np.float32)
+    assert not found.any()
 
 
 @EITHER
-def test_levels_stay_as_they_were_and_may_be_unwritable(fake_quantised: bool) -> None:
+def test_levels_stay_as_they_were_and_may_be_unwritable_or_lie_apart_in_memory(fake_quantised: bool) -> None:
     rows = levels([[3, 1, 200], [0, 9, 255]])
     rows.flags.writeable = False
-    assert spikes_of(rows, fake_quantised).max() == 1.0
+    found = spikes_of(rows, fake_quantised)
+    assert found.max() == 1.0
     assert rows.tolist() == [[3, 1, 200], [0, 9, 255]]
-
-
-@EITHER
-def test_levels_may_lie_apart_in_memory(fake_quantised: bool) -> None:
-    rows = levels([[3, 1, 200], [0, 9, 255]])
     apart = np.repeat(np.repeat(rows, 2, axis=0), 3, axis=1)[::2, ::3]
-    assert np.array_equal(spikes_of(apart, fake_quantised), spikes_of(rows, fake_quantised))
+    assert np.array_equal(spikes_of(apart, fake_quantised), found)

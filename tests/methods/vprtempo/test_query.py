@@ -8,45 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
+from tempo_networks import SIZES, WAYS, Ask, Floats, Spikes, double, network, one_matrix, shown
 
 from vprbench.methods.vprtempo.network import Network
-from vprbench.methods.vprtempo.query import LinearQuery, MeanQuery, Query, SpikingQuery, asking
+from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
+from vprbench.methods.vprtempo.query import LinearQuery, Query, SpikingQuery, asking
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
-
-Floats = npt.NDArray[np.float64]
-Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)
-
-N_PIXELS = 20
-SIZES = [[5, 5, 3], [7], [1], [2, 1]]  # places of each module
-
-
-def tensor(array: npt.NDArray[np.floating]) -> torch.Tensor:
-    return torch.from_numpy(array.astype(np.float32))
-
-
-def network(sizes: Sequence[int], n_features: int = 37, n_pixels: int = N_PIXELS, seed: int = 0) -> Network:
-    """Draw a network in which about half of all neurons spike and some reach the clip."""
-    draw, modules = np.random.default_rng(seed), len(sizes)
-    return Network(
-        features=tensor(draw.normal(0, 1.2 / n_pixels**0.5, (modules, n_features, n_pixels))),
-        constant=tensor(draw.uniform(0, 0.1, (modules, n_features))),
-        feature_thresholds=tensor(draw.uniform(0, 0.2, (modules, n_features))),
-        outputs=tuple(tensor(draw.normal(0, 3 / n_features**0.5, (n_features, size))) for size in sizes),
-        output_thresholds=tuple(tensor(draw.uniform(0, 0.2, size)) for size in sizes),
-    )
-
-
-def shown(count: int, n_pixels: int = N_PIXELS, seed: int = 1) -> Spikes:
-    return np.random.default_rng(seed).uniform(0, 1, (count, n_pixels)).astype(np.float32)
 
 
 def feature_spikes(asked: Network, x: Floats, clip: float) -> Floats:
     """Return the feature spikes (modules, n_features) of one input by Eq. 1."""
-    parts = (asked.features, asked.constant, asked.feature_thresholds)
-    weights, constant, thresholds = (part.numpy().astype(np.float64) for part in parts)
+    weights, constant, thresholds = map(double, (asked.features, asked.constant, asked.feature_thresholds))
     return np.clip(weights @ x + constant - thresholds, 0, clip)
 
 
@@ -55,7 +29,7 @@ def eq_1(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
     rows = []
     for x in spikes.astype(np.float64):
         above = [
-            weights.numpy().astype(np.float64).T @ active - thresholds.numpy().astype(np.float64)
+            double(weights).T @ active - double(thresholds)
             for weights, thresholds, active in zip(
                 asked.outputs, asked.output_thresholds, feature_spikes(asked, x, rules.clip), strict=True
             )
@@ -69,28 +43,9 @@ def eq_1(asked: Network, spikes: Spikes, rules: Rules) -> Floats:
 
 def products(members: Sequence[Network], spikes: Spikes) -> Floats:
     """Return the mean over the members of W_o W_f x, (n_queries, n_places)."""
-    scores = [
-        np.concatenate(
-            [
-                w_o.numpy().astype(np.float64).T @ (w_f.numpy().astype(np.float64) @ spikes.T.astype(np.float64))
-                for w_f, w_o in zip(member.features, member.outputs, strict=True)
-            ]
-        ).T
-        for member in members
-    ]
-    return np.mean(scores, axis=0)
+    return spikes.astype(np.float64) @ one_matrix(members).T
 
 
-def one_by_one(query: Query, spikes: Spikes) -> Spikes:
-    return np.concatenate([query.scores(x[None]) for x in spikes])
-
-
-def in_a_batch(query: Query, spikes: Spikes) -> Spikes:
-    return query.scores(spikes)
-
-
-WAYS = pytest.mark.parametrize("ask", [one_by_one, in_a_batch])
-Ask = Callable[[Query, Spikes], Spikes]
 RULES = pytest.mark.parametrize("rules", [PAPER, V1, replace(PAPER, clip=0.3)], ids=["paper", "v1", "clip 0.3"])
 KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "v1", "reference"])
 
@@ -98,7 +53,8 @@ KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "
 # --- Eq. 1 ------------------------------------------------------------------------------------------------------
 
 
-def test_a_query_worked_by_hand_passes_constant_thresholds_and_clip_of_both_layers() -> None:
+@WAYS
+def test_a_query_worked_by_hand_passes_constant_thresholds_and_clip_of_both_layers(ask: Ask) -> None:
     # Features: 1 * 0.5 + 0.1 - 0.2 = 0.4;  2 * 1 + 0 - 0.5 = 1.5, clipped to 0.9;  -1 * 0.5 + 0.1 = -0.4, silent.
     # Places: 0.4 + 0.5 * 0.9 - 0.25 = 0.6;  0.4 - 0.9 = -0.5, silent;  2 * 0.9 - 0.1 = 1.7, clipped to 0.9.
     asked = Network(
@@ -109,13 +65,12 @@ def test_a_query_worked_by_hand_passes_constant_thresholds_and_clip_of_both_laye
         output_thresholds=(torch.tensor([0.25, 0.0, 0.1]),),
     )
     spikes = np.array([[0.5, 1.0]] * 2, np.float32)
-    for ask in (one_by_one, in_a_batch):
-        assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(np.array([[0.6, 0.0, 0.9]] * 2), abs=1e-6)
+    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(np.array([[0.6, 0.0, 0.9]] * 2), abs=1e-6)
 
 
 @WAYS
 @RULES
-@pytest.mark.parametrize("sizes", SIZES, ids=str)
+@SIZES
 def test_a_spiking_query_is_eq_1(sizes: list[int], rules: Rules, ask: Ask) -> None:
     asked, spikes = network(sizes), shown(9)
     expected = eq_1(asked, spikes, rules)
@@ -148,17 +103,6 @@ def test_any_number_of_active_features_is_added_up(count: int, rules: Rules, ask
     spiking = feature_spikes(asked, spikes[0].astype(np.float64), 0.9)
     assert [np.flatnonzero(row).tolist() for row in spiking] == [sorted(active)] * 3
     assert ask(SpikingQuery(asked, rules), spikes) == pytest.approx(eq_1(asked, spikes, rules), abs=1e-6)
-
-
-@WAYS
-def test_modules_may_have_different_numbers_of_active_features(ask: Ask) -> None:
-    asked = network([4, 4, 2], n_features=24, n_pixels=24)
-    thresholds = torch.full((3, 24), 5.0)
-    thresholds[1, :9] = 0  # module 0 has none active, module 1 has 9, module 2 has all
-    thresholds[2] = 0
-    asked = replace(asked, features=torch.eye(24).repeat(3, 1, 1), feature_thresholds=thresholds)
-    spikes = shown(3, 24) + np.float32(0.01)
-    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(eq_1(asked, spikes, PAPER), abs=1e-6)
 
 
 @pytest.mark.parametrize("n_pixels", [1, 7, 8, 9, 65])
@@ -214,28 +158,37 @@ def test_v1_lets_module_0_answer_where_all_are_silent_and_only_there(ask: Ask) -
     assert ask(SpikingQuery(asked, V1), spikes) == pytest.approx(expected, abs=1e-6)
 
 
-@WAYS
-def test_paper_gives_zeros_where_all_are_silent(ask: Ask) -> None:
-    asked, spikes = silent_everywhere_but(4, 9)
-    found = ask(SpikingQuery(asked, PAPER), spikes)
-    assert np.flatnonzero(found.any(1)).tolist() == [4]
+def inhibited() -> Network:
+    """Two modules of two places and of one, which only the second of two pixels excites."""
+    # Under 0.5 on the first pixel module 0 has net inputs -0.15, -0.05 and, less its thresholds, -0.15 and -0.35;
+    # place 2, in module 1, has -0.005.
+    return Network(
+        features=torch.eye(2).repeat(2, 1, 1),
+        constant=torch.zeros(2, 2),
+        feature_thresholds=torch.zeros(2, 2),
+        outputs=(torch.tensor([[-0.3, -0.1], [0.0, 0.0]]), torch.tensor([[-0.01], [1.0]])),
+        output_thresholds=(torch.tensor([0.0, 0.3]), torch.tensor([0.0])),
+    )
 
 
 @WAYS
-def test_v1_falls_back_on_the_lowest_threshold_where_not_even_a_feature_spikes(ask: Ask) -> None:
-    asked = replace(network([3, 2]), constant=torch.zeros(2, 37))
-    asked = replace(
-        asked, output_thresholds=(torch.tensor([0.3, 0.1, 0.2]), torch.tensor([0.0, 0.05]))
-    )  # the other module's are lower still
-    black = np.zeros((2, N_PIXELS), np.float32)
-    assert ask(SpikingQuery(asked, V1), black).tolist() == [[0, 0.5, 0, 0, 0]] * 2
+@pytest.mark.parametrize("kind", [SpikingQuery, Int8SpikingQuery])
+def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and_paper_none(
+    kind: Callable[[Network, Rules], Query], ask: Ask
+) -> None:
+    spikes = np.array([[0.5, 0.0], [0.0, 0.2], *[[0.5, 0.0]] * 7], np.float32)
+    silent = [0, *range(2, 9)]
+    found = ask(kind(inhibited(), V1), spikes)
+    assert found[silent].tolist() == [[0.5, 0, 0]] * 8
+    assert found[1] == pytest.approx([0, 0, 0.2], abs=0.01)
+    assert not ask(kind(inhibited(), PAPER), spikes)[silent].any()
 
 
 # --- the public code's query ------------------------------------------------------------------------------------
 
 
 @WAYS
-@pytest.mark.parametrize("sizes", SIZES, ids=str)
+@SIZES
 def test_a_linear_query_is_the_product_of_both_weight_matrices(sizes: list[int], ask: Ask) -> None:
     asked, spikes = network(sizes), shown(9)
     assert ask(LinearQuery([asked]), spikes) == pytest.approx(products([asked], spikes), abs=2e-6)
@@ -260,73 +213,45 @@ def test_several_spiking_networks_answer_with_their_mean_score(count: int, rules
     assert ask(asking(members, rules), spikes) == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_mean_of_scores_worked_by_hand() -> None:
-    class Says:
-        def __init__(self, row: list[float]) -> None:
-            self.row = row
-
-        def scores(self, spikes: Spikes) -> Spikes:
-            return np.array([self.row] * len(spikes), np.float32)
-
-    found = MeanQuery([Says([1, 2]), Says([0, 5]), Says([5, -1])]).scores(shown(2))
-    assert (found.dtype, found.tolist()) == (np.float32, [[2.0, 2.0], [2.0, 2.0]])
-
-
 # --- what a query leaves alone ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=["paper", "v1", "reference", "paper of two", "reference of two"])
-def query(request: pytest.FixtureRequest) -> Query:
+def rules_and_members(request: pytest.FixtureRequest) -> tuple[Rules, list[Network]]:
     name, _, several = request.param.partition(" of ")
     members = [network([5, 5, 3], seed=seed) for seed in range(2 if several else 1)]
-    return asking(members, {"paper": PAPER, "v1": V1, "reference": REFERENCE}[name])
+    return {"paper": PAPER, "v1": V1, "reference": REFERENCE}[name], members
 
 
-@pytest.mark.parametrize("count", [1, 2, 300])
-def test_a_query_leaves_its_input_as_it_was(query: Query, count: int) -> None:
+@pytest.fixture(params=["float", "int8"])
+def query(request: pytest.FixtureRequest, rules_and_members: tuple[Rules, list[Network]]) -> Query:
+    rules, members = rules_and_members
+    if request.param == "float":
+        return asking(members, rules)
+    return asking(members, rules, Int8LinearQuery, Int8SpikingQuery)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 300])
+def test_input_spikes_stay_as_they_were_and_may_be_unwritable_or_lie_apart_in_memory(query: Query, count: int) -> None:
     spikes = shown(count)
     before = spikes.copy()
-    query.scores(spikes)
+    expected = query.scores(spikes)
     assert np.array_equal(spikes, before)
+    apart = np.repeat(np.repeat(spikes, 2, axis=0), 3, axis=1)[::2, ::3]
+    spikes.flags.writeable = apart.flags.writeable = False
+    assert query.scores(spikes) == pytest.approx(expected, abs=1e-6)
+    assert query.scores(apart) == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("later", [1, 2, 9])
-@pytest.mark.parametrize("first", [1, 2, 9])
-def test_an_answer_stays_as_it_was_whatever_is_asked_later(query: Query, first: int, later: int) -> None:
-    answer = query.scores(shown(first))
-    kept = answer.copy()
-    query.scores(shown(later, seed=2))
-    assert np.array_equal(answer, kept)
-
-
-@pytest.mark.parametrize("count", [1, 9])
-def test_an_answer_may_be_written_to_without_harm_to_later_ones(query: Query, count: int) -> None:
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_an_answer_belongs_to_whoever_asked(query: Query, count: int) -> None:
     answer = query.scores(shown(count))
     kept = answer.copy()
+    for later in (1, 2, 9):
+        query.scores(shown(later, seed=2))
+    assert np.array_equal(answer, kept)
     answer[:] = 7
     assert np.array_equal(query.scores(shown(count)), kept)
-
-
-def test_a_single_answer_does_not_depend_on_the_queries_before(query: Query) -> None:
-    first = query.scores(shown(1))
-    query.scores(shown(1, seed=2))
-    query.scores(shown(9, seed=3))
-    assert np.array_equal(query.scores(shown(1)), first)
-
-
-@pytest.mark.parametrize("count", [1, 9])
-def test_spikes_that_cannot_be_written_to_are_taken(query: Query, count: int) -> None:
-    spikes = shown(count)
-    expected = query.scores(spikes)
-    spikes.flags.writeable = False
-    assert query.scores(spikes) == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.parametrize("count", [1, 9])
-def test_spikes_may_lie_apart_in_memory(query: Query, count: int) -> None:
-    apart = np.repeat(np.repeat(shown(count), 2, axis=0), 3, axis=1)[::2, ::3]
-    assert not apart.flags.c_contiguous
-    assert query.scores(apart) == pytest.approx(query.scores(shown(count)), abs=1e-6)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 300])

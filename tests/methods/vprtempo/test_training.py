@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 
@@ -17,6 +17,7 @@ from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
 from vprbench.methods.vprtempo.rules import PAPER, REFERENCE, V1, Rules
 from vprbench.methods.vprtempo.training import (
     Schedule,
+    Training,
     check_weights,
     check_winners,
     draw_schedule,
@@ -33,10 +34,6 @@ ALL_RULES = pytest.mark.parametrize("rules", [REFERENCE, PAPER, V1], ids=["refer
 
 def generators(seeds: Sequence[int] = (0, 1, 2)) -> list[torch.Generator]:
     return [torch.Generator().manual_seed(seed) for seed in seeds]
-
-
-def quiet(done: float) -> None:
-    pass
 
 
 # --- the schedule -----------------------------------------------------------------------------------------------
@@ -76,17 +73,10 @@ def test_without_shuffling_images_come_traverse_after_traverse() -> None:
     assert images_shown(V1, 2, 1) == [24, 25, 26, 27, 28, 53, 54, 55, 56, 57]
 
 
-def test_shuffling_mixes_the_traverses() -> None:
-    first_half = images_shown(PAPER, 0, 0)[:12]
-    assert any(image < 29 for image in first_half)
-    assert any(image >= 29 for image in first_half)
-
-
-def test_shuffling_draws_another_order_in_every_epoch() -> None:
+def test_shuffling_mixes_the_traverses_anew_for_every_epoch_and_module() -> None:
+    first_half = np.array(images_shown(PAPER, 0, 0)[:12])
+    assert 0 < (first_half < 29).sum() < 12
     assert len({tuple(images_shown(PAPER, 0, epoch)) for epoch in range(EPOCHS)}) == EPOCHS
-
-
-def test_shuffling_draws_another_order_for_every_module() -> None:
     assert images_shown(PAPER, 1, 0) != [12 + image for image in images_shown(PAPER, 0, 0)]
 
 
@@ -100,21 +90,14 @@ def test_the_neuron_is_the_place_within_the_module(rules: Rules) -> None:
 
 
 def test_places_need_not_come_in_order() -> None:
-    places = np.array([2, 0, 1, 0])
-    drawn = draw_schedule(generators([0]), [3], places, 1, V1)
+    drawn = draw_schedule(generators([0]), [3], np.array([2, 0, 1, 0]), 1, V1)
     assert drawn.neuron[:, 0].tolist() == [2, 0, 1, 0]
 
 
-def test_a_smaller_module_anneals_over_its_own_steps() -> None:
+def test_a_smaller_module_anneals_over_its_own_steps_and_ends_with_a_factor_of_0() -> None:
     expected = oracle.learning_rates_v1(EPOCHS, 10, 1.0)  # 5 places, 2 traverses
     assert schedule(V1).factor[: 10 * EPOCHS, 2].numpy() == pytest.approx(expected)
-
-
-def test_a_smaller_module_ends_with_a_factor_of_0() -> None:
     assert not schedule(PAPER).factor[10 * EPOCHS :, 2].any()
-
-
-def test_the_largest_module_learns_to_the_end() -> None:
     assert schedule(PAPER).factor.shape == (24 * EPOCHS, 3)
     assert (schedule(PAPER).factor[:, 0] > 0).all()
 
@@ -151,11 +134,11 @@ class Layers:
             draw_layer(drawing, sizes, 80, (1.0, 1.0), 0.0, 0.0, rules),
         )
 
-    def train(self, shown: Schedule, rules: Rules) -> Layers:
+    def train(self, shown: Schedule, rules: Rules, report: Callable[[float], None] = lambda _: None) -> Layers:
         """Train both layers on the same schedule."""
-        spikes, rates = random_spikes(0), feature_rates(80, 0.2, 0.9)
-        train_features(self.features, spikes, shown, rates, 0.005, 0.15, rules, quiet)
-        train_places(self.outputs, self.features, spikes, shown, rates, 0.005, rules, quiet)
+        lesson = Training(random_spikes(0), feature_rates(80, 0.2, 0.9), rules, 0.005, 0.15, 0.005)
+        train_features(self.features, shown, lesson, report)
+        train_places(self.outputs, self.features, shown, lesson, report)
         return self
 
 
@@ -182,18 +165,6 @@ def test_modules_trained_together_learn_what_each_learns_alone(rules: Rules, mod
     assert difference(getattr(alone, layer), getattr(together, layer)[own], size) < 2e-6
 
 
-@ALL_RULES
-def test_training_a_slice_is_training_the_layer(rules: Rules) -> None:
-    whole = Layers.draw((0, 1, 2), SIZES, rules).train(schedule(rules), rules)
-    sliced = Layers.draw((0, 1, 2), SIZES, rules)
-    for module in range(3):
-        own = slice(module, module + 1)
-        Layers(sliced.features[own], sliced.outputs[own]).train(schedule(rules)[own], rules)
-    for module, size in enumerate(SIZES):
-        own = slice(module, module + 1)
-        assert difference(sliced.outputs[own], whole.outputs[own], size) < 2e-6
-
-
 def steps_of(n: int, factor: float) -> Schedule:
     """Show the first n images to the first n neurons, at one learning rate."""
     image = torch.arange(n)[:, None]
@@ -211,12 +182,9 @@ def test_a_step_with_factor_0_changes_nothing(rules: Rules, layer: str) -> None:
 
 
 def test_training_reports_a_share_that_rises_to_at_most_1() -> None:
-    layers, reported = Layers.draw((0,), [12], PAPER), []
-    spikes, rates = random_spikes(0), feature_rates(80, 0.2, 0.9)
+    reported: list[float] = []
     image = torch.arange(250)[:, None] % 12
-    shown = Schedule(image, image, torch.ones(250, 1))
-    train_features(layers.features, spikes, shown, rates, 0.005, 0.15, PAPER, reported.append)
-    train_places(layers.outputs, layers.features, spikes, shown, rates, 0.005, PAPER, reported.append)
+    Layers.draw((0,), [12], PAPER).train(Schedule(image, image, torch.ones(250, 1)), PAPER, reported.append)
     # every 100 steps: features before them, places after them
     assert reported == pytest.approx([0, 0.4, 0.8, 0.4, 0.8, 1.0])
 
@@ -226,14 +194,8 @@ def test_training_reports_a_share_that_rises_to_at_most_1() -> None:
 
 def weights_with(value: float, count: int, sign: str) -> Layer:
     """A layer of 1000 excitatory and 1000 inhibitory weights of 0.1, `count` of one sign replaced."""
-    layer = Layer(
-        torch.full((1, 10, 100), 0.1),
-        torch.full((1, 10, 100), 0.1),
-        None,
-        None,
-        torch.zeros(1, 10),
-        torch.zeros(1, 10),
-    )
+    weights, nothing = torch.full((1, 10, 100), 0.1), torch.zeros(1, 10)
+    layer = Layer(weights, weights.clone(), None, None, nothing, nothing)
     getattr(layer, sign).view(-1)[500 : 500 + count] = value
     return layer
 
@@ -242,16 +204,15 @@ SIGNS = pytest.mark.parametrize("sign", ["excitation", "inhibition"])
 
 
 @SIGNS
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_one_weight_that_is_no_number_is_divergence(value: float, sign: str) -> None:
-    with pytest.raises(TrainingDivergedError, match="feature layer holds weights that are not finite"):
-        check_weights(weights_with(value, 1, sign), "feature")
-
-
-@SIGNS
-def test_more_than_one_percent_of_the_weights_at_the_limit_is_divergence(sign: str) -> None:
-    with pytest.raises(TrainingDivergedError, match=r"2 % of the output layer's weights stand at their limit of 10"):
-        check_weights(weights_with(10, 40, sign), "output")
+@pytest.mark.parametrize(
+    ("value", "count", "wanted"),
+    [(float("nan"), 1, "output layer .*not finite"), (float("inf"), 1, "not finite"), (10, 40, r"\b2 % .*limit of 10")],
+)
+def test_weights_that_are_no_numbers_or_too_often_at_their_limit_are_divergence(
+    value: float, count: int, wanted: str, sign: str
+) -> None:
+    with pytest.raises(TrainingDivergedError, match=wanted):
+        check_weights(weights_with(value, count, sign), "output")
 
 
 @SIGNS
@@ -268,8 +229,7 @@ def test_only_weights_that_exist_count_for_the_share_at_the_limit() -> None:
 
 
 PLACES = 40
-ONE_MODULE = np.zeros(PLACES, dtype=np.int64)
-TWO_MODULES = np.repeat([0, 1], [20, 20])
+TWO_MODULES = (20, 20)
 
 
 def answers(winners: Sequence[int]) -> npt.NDArray[np.float32]:
@@ -279,49 +239,42 @@ def answers(winners: Sequence[int]) -> npt.NDArray[np.float32]:
     return scores
 
 
-@pytest.mark.parametrize("module", [ONE_MODULE, TWO_MODULES], ids=["one module", "two modules"])
-def test_a_network_that_answers_each_probe_with_its_place_is_healthy(module: npt.NDArray[np.int64]) -> None:
-    check_winners(answers(range(PLACES)), module)
+SOME_ALIKE = answers(range(PLACES))
+SOME_ALIKE[::4] = 0
 
 
-def test_a_network_that_answers_at_random_is_not_called_diverged() -> None:
-    check_winners(answers(np.random.default_rng(1).integers(PLACES, size=PLACES).tolist()), TWO_MODULES)
+@pytest.mark.parametrize(
+    ("scores", "modules"),
+    [
+        (answers(range(PLACES)), (40,)),
+        (answers(range(PLACES)), TWO_MODULES),
+        (answers(np.random.default_rng(1).integers(PLACES, size=PLACES).tolist()), TWO_MODULES),
+        (answers([3] * 20 + list(range(10, 30))), (40,)),
+        (answers([i % 35 for i in range(PLACES)]), (35, 5)),
+        (SOME_ALIKE, (40,)),
+        (answers([3] * 9), (40,)),
+    ],
+    ids=["right", "right, two modules", "random", "half by one", "most by the larger", "some alike", "nine probes"],
+)
+def test_a_network_that_answers_different_probes_differently_is_healthy(
+    scores: npt.NDArray[np.float32], modules: tuple[int, ...]
+) -> None:
+    check_winners(scores, np.repeat(np.arange(len(modules)), modules))
 
 
-def test_one_neuron_that_wins_most_probes_is_divergence() -> None:
-    with pytest.raises(TrainingDivergedError, match="one output neuron wins for 75 % of 40"):
-        check_winners(answers([3] * 30 + list(range(10, 20))), ONE_MODULE)
-
-
-def test_one_neuron_that_wins_half_of_the_probes_is_tolerated() -> None:
-    check_winners(answers([3] * 20 + list(range(10, 30))), ONE_MODULE)
-
-
-def test_one_module_that_wins_nearly_all_probes_is_divergence() -> None:
-    with pytest.raises(TrainingDivergedError, match=r"module 1 wins for 98 %.* holds 50 % of the places"):
-        check_winners(answers([0, *(20 + i % 20 for i in range(39))]), TWO_MODULES)
-
-
-def test_a_module_that_holds_most_places_may_win_most_probes() -> None:
-    check_winners(answers([i % 35 for i in range(PLACES)]), np.repeat([0, 1], [35, 5]))
-
-
-@pytest.mark.parametrize("level", [0.0, 0.9], ids=["silent", "saturated"])
-def test_outputs_that_are_all_alike_are_divergence(level: float) -> None:
-    with pytest.raises(TrainingDivergedError, match="all output neurons alike"):
-        check_winners(np.full((PLACES, PLACES), level, np.float32), ONE_MODULE)
-
-
-def test_outputs_alike_for_some_probes_are_tolerated() -> None:
-    scores = answers(range(PLACES))
-    scores[::4] = 0
-    check_winners(scores, ONE_MODULE)
-
-
-def test_fewer_than_ten_probes_are_not_judged() -> None:
-    check_winners(answers([3] * 9), ONE_MODULE)
-
-
-def test_ten_probes_are_judged() -> None:
-    with pytest.raises(TrainingDivergedError):
-        check_winners(answers([3] * 10), ONE_MODULE)
+@pytest.mark.parametrize(
+    ("scores", "modules", "wanted"),
+    [
+        (answers([3] * 30 + list(range(10, 20))), (40,), "one output neuron .* 75 % of 40"),
+        (answers([3] * 10), (40,), "one output neuron .* 100 % of 10"),
+        (answers([0, *(20 + i % 20 for i in range(39))]), TWO_MODULES, "module 1 .* 98 %.* 50 %"),
+        (np.full((PLACES, PLACES), 0.0, np.float32), (40,), "neurons alike"),
+        (np.full((PLACES, PLACES), 0.9, np.float32), (40,), "neurons alike"),
+    ],
+    ids=["one neuron", "ten probes", "one module", "silent", "saturated"],
+)
+def test_one_neuron_or_module_that_wins_nearly_all_probes_is_divergence(
+    scores: npt.NDArray[np.float32], modules: tuple[int, ...], wanted: str
+) -> None:
+    with pytest.raises(TrainingDivergedError, match=wanted):
+        check_winners(scores, np.repeat(np.arange(len(modules)), modules))

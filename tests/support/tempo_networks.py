@@ -1,0 +1,72 @@
+"""VPRTempo networks drawn at random, inputs to show them, and the two ways of asking."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from vprbench.methods.vprtempo.network import Network
+from vprbench.methods.vprtempo.query import Query
+
+Floats = npt.NDArray[np.float64]
+Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)
+Ask = Callable[[Query, Spikes], Spikes]
+
+N_PIXELS = 20
+SIZES = pytest.mark.parametrize("sizes", [[5, 5, 3], [7], [1], [2, 1]], ids=str)  # places of each module
+
+
+def tensor(array: npt.NDArray[np.floating]) -> torch.Tensor:
+    return torch.from_numpy(array.astype(np.float32))
+
+
+def double(part: torch.Tensor) -> Floats:
+    return part.numpy().astype(np.float64)
+
+
+def network(sizes: Sequence[int], n_features: int = 37, n_pixels: int = N_PIXELS, seed: int = 0) -> Network:
+    """Draw a network in which about half of all neurons spike and some reach the clip."""
+    draw, modules = np.random.default_rng(seed), len(sizes)
+    return Network(
+        features=tensor(draw.normal(0, 1.2 / n_pixels**0.5, (modules, n_features, n_pixels))),
+        constant=tensor(draw.uniform(0, 0.1, (modules, n_features))),
+        feature_thresholds=tensor(draw.uniform(0, 0.2, (modules, n_features))),
+        outputs=tuple(tensor(draw.normal(0, 3 / n_features**0.5, (n_features, size))) for size in sizes),
+        output_thresholds=tuple(tensor(draw.uniform(0, 0.2, size)) for size in sizes),
+    )
+
+
+def one_layer(outputs: npt.NDArray[np.floating], *thresholds: float) -> Network:
+    """One module whose features repeat the pixels; `outputs` is (n_pixels, n_places)."""
+    n_pixels, n_places = outputs.shape
+    none = torch.zeros(1, n_pixels)
+    own = torch.tensor(thresholds) if thresholds else torch.zeros(n_places)
+    return Network(torch.eye(n_pixels)[None], none, none, (tensor(outputs),), (own,))
+
+
+def shown(count: int, n_pixels: int = N_PIXELS, seed: int = 1) -> Spikes:
+    return np.random.default_rng(seed).uniform(0, 1, (count, n_pixels)).astype(np.float32)
+
+
+def one_matrix(members: Sequence[Network]) -> Floats:
+    """Return the mean over the members of W_o W_f, (n_places, n_pixels)."""
+    products = [
+        np.concatenate([double(w_o).T @ double(w_f) for w_f, w_o in zip(member.features, member.outputs, strict=True)])
+        for member in members
+    ]
+    return np.mean(products, axis=0)
+
+
+def one_by_one(query: Query, spikes: Spikes) -> Spikes:
+    return np.concatenate([query.scores(x[None]) for x in spikes])
+
+
+def in_a_batch(query: Query, spikes: Spikes) -> Spikes:
+    return query.scores(spikes)
+
+
+WAYS = pytest.mark.parametrize("ask", [one_by_one, in_a_batch])
