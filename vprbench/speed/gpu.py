@@ -18,13 +18,11 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Scores
-from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import machine
-from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
-from vprbench.speed.measure import Make, Rates, measured_rates
-from vprbench.speed.report import Report, measured, publish, rates_text
+from vprbench.run.stopwatch import Protocol
+from vprbench.speed.measure import Make, Rates, measured_rates, timed_fit
+from vprbench.speed.report import Planned, Report, measured, publish, rates_text
 from vprbench.speed.route import Route
 from vprbench.speed.settings import FRAME, RULES, TRAVERSES, NetworkOptions, option, quick
 
@@ -137,12 +135,10 @@ def measure(settings: Settings, make: Make) -> Check:
     route = Route.drawn(max(settings.check_places, settings.places), *FRAME, settings.seed)
     # Triton begins with an empty cache, and is timed before anything else makes it compile.
     with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, TRITON_CACHE_DIR=empty):
-        sections = {
-            name: list(
-                measured(name, [({"rules": rules}, partial(check, settings, make, route, rules)) for rules in RULES])
-            )
-            for name, check in (("timing", _timed), ("comparison", compared))
-        }
+        sections = {}
+        for name, check in (("timing", _timed), ("comparison", compared)):
+            planned: list[Planned] = [({"rules": each}, partial(check, settings, make, route, each)) for each in RULES]
+            sections[name] = list(measured(name, planned))
     return Check(settings, surroundings, sections)
 
 
@@ -176,23 +172,17 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
         arguments = settings.vprtempo(rules, settings.check_places)
         arguments["max_module"] = max(1, 2 * settings.check_places // 5)  # two whole modules and a smaller one
         networks[title] = make("vprtempo", device, engine=engine, **arguments).fit(references, places)
-    found = [
-        _networks_apart(rules, first, networks[first], second, networks[second], queries)
-        for first, second in (("GPU, fused", "CPU, fused"), ("GPU, fused", "GPU, readable"))
-    ]
     gpu = networks["GPU, fused"]
-    together = gpu.query(queries)
+    together, found = gpu.query(queries), []
+    for other in ("CPU, fused", "GPU, readable"):
+        here, there = gpu.state(), networks[other].state()
+        difference = max(_apart(here[name], there[name]) for name in there)
+        _, other_places = _scores_apart(together, networks[other].query(queries))
+        title = f"GPU, fused against {other}"
+        found.append(Comparison(rules, title, "weight", difference, other_places, len(queries)))
     one_by_one = np.concatenate([gpu.query(queries[i : i + 1]) for i in range(len(queries))])
     title = "GPU, fused: a batch against single queries"
-    difference, other_places = _scores_apart(together, one_by_one)
-    return [*found, Comparison(rules, title, "score", difference, other_places, len(queries))]
-
-
-def _networks_apart(rules: str, first: str, one: Method, second: str, other: Method, queries: Images) -> Comparison:
-    here, there = one.state(), other.state()
-    weights = max(_apart(here[name], there[name]) for name in there)
-    _, other_places = _scores_apart(one.query(queries), other.query(queries))
-    return Comparison(rules, f"{first} against {second}", "weight", weights, other_places, len(queries))
+    return [*found, Comparison(rules, title, "score", *_scores_apart(together, one_by_one), len(queries))]
 
 
 def _apart(here: npt.NDArray[Any], there: npt.NDArray[Any]) -> float:
@@ -212,14 +202,11 @@ def _scores_apart(here: Scores, there: Scores) -> tuple[float, int]:
 
 def _timed(settings: Settings, make: Make, route: Route, rules: str) -> Timed:
     references, places = route.references(settings.places, TRAVERSES)
-    watch = Stopwatch(Protocol(), synchronise=synchroniser(settings.device))
-    fits = []
+    seconds = {}
     for number in ("first", "second"):
-        progress.report(f"{rules}: {number} fit", 0.0)
         network = make("vprtempo", settings.device, engine="fused", **settings.vprtempo(rules, settings.places))
-        with watch.lap() as lap:
-            network.fit(references, places)
-        fits += lap
+        fit = timed_fit(f"{rules}, {number} fit", network, references, places, settings.device)
+        seconds[f"{number}_fit_seconds"] = fit.seconds
     queries, _ = route.queries(settings.places, max(settings.batch_sizes))
     protocol = Protocol(
         minimum_seconds=settings.minimum_seconds,
@@ -228,4 +215,4 @@ def _timed(settings: Settings, make: Make, route: Route, rules: str) -> Timed:
         batch_sizes=settings.batch_sizes,
     )
     rates = measured_rates(f"{rules}: queries", network, queries, protocol, settings.device)
-    return Timed(rules, fits[0], fits[1], rates)
+    return Timed(rules, rates=rates, **seconds)

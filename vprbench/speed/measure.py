@@ -147,7 +147,7 @@ def floor_laps(touch: Literal["read", "pass"], n_bytes: int, device: str, minimu
 
 def laps_of(call: Callable[[], object], fewest: int, minimum_seconds: float, **options: Any) -> list[float]:
     """Return the seconds of one call again and again, with the options of `in_turn`."""
-    return in_turn({"": lambda _: call()}, fewest, minimum_seconds, **options)[""]
+    return in_turn({"call": lambda _: call()}, fewest, minimum_seconds, **options)["call"]
 
 
 def in_turn(
