@@ -13,6 +13,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.paper.plan import PlannedColumn
 from vprbench.run.record import Run
+from vprbench.tuning.space import SCATTERING
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
 
@@ -104,7 +105,7 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
 
 def _scatters(dataset: Mapping[str, Any]) -> bool:
     """Tell whether a dataset's protocol draws the places that it does not query from all over its journey."""
-    return dataset.get("protocol") == "vprsnn"
+    return dataset.get("protocol") in SCATTERING
 
 
 def _journey(dataset: Mapping[str, Any]) -> tuple[Any, Any]:

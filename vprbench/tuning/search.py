@@ -84,8 +84,8 @@ class Found:
 def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, Any]) -> Found:
     """Search the best settings of a method, or go on where an earlier search of the same was ended.
 
-    `method` is a configuration of VPRTempo, `dataset` that of the dataset named in the settings. Raises BadInput
-    where its places are not free to be searched.
+    `method` is a configuration of the method that conf/search.yaml names, `dataset` that of the dataset named in the
+    settings. Raises BadInput where its places are not free to be searched.
     """
     started = time.perf_counter()
     jobs = _jobs(settings.jobs)

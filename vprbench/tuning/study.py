@@ -23,8 +23,6 @@ Stage = Literal["random", "grid"]
 
 JOURNAL = "journal.log"
 
-_NAME = "vprtempo"  # of the study within the journal
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -126,7 +124,9 @@ def opened(folder: Path) -> Iterator[Study]:
         _mend(journal)
         lock = JournalFileOpenLock(str(journal))
         storage = JournalStorage(JournalFileBackend(str(journal), lock))
-        stored = optuna.create_study(storage=storage, study_name=_NAME, direction="maximize", load_if_exists=True)
+        stored = optuna.create_study(
+            storage=storage, study_name=space.METHOD, direction="maximize", load_if_exists=True
+        )
         study = Study(stored)
         study.abandon_unfinished()
         yield study

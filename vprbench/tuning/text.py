@@ -14,7 +14,7 @@ from vprbench.storage.atomic import replace_text
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings
-from vprbench.tuning.space import PARAMETERS
+from vprbench.tuning.space import METHOD, PARAMETERS, PLACES_ARGUMENT, TITLE
 
 _FEW = 50  # random trials below which importance is hardly more than chance
 _NAMED = 3  # stored runs, at most
@@ -61,19 +61,17 @@ def text_of(found: Found) -> str:
         here=found.environment,
         software=machine_lines({**found.environment})[1],
         percent=_percent,
-        **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT},
+        **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT, "TITLE": TITLE},
     )
 
 
 def command(found: Found) -> str:
     """Return the command that runs the best settings on the whole dataset."""
-    options = ["method=vprtempo", f"dataset={found.settings.dataset}"]
+    options = [f"method={METHOD}", f"dataset={found.settings.dataset}"]
     if found.settings.root is not None:
         options.append(f"dataset.root={found.settings.root}")
-    rules = found.method.get("rules", "paper")
-    options += [f"method.rules={rules}"] * (rules != "paper")
-    if (places := found.dataset.get("places")) is not None and places < found.method["max_module"]:
-        options.append(f"method.max_module={places}")
+    if (places := found.dataset.get("places")) is not None and places < found.method[PLACES_ARGUMENT]:
+        options.append(f"method.{PLACES_ARGUMENT}={places}")
     options += [f"method.{name}={value:g}" for name, value in found.best.values.items()]
     return " ".join(["python -m vprbench", *map(shlex.quote, options)])
 
