@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
@@ -19,7 +18,7 @@ from vprbench.plugins import registry
 from vprbench.run import machine
 from vprbench.speed.measure import Make, laps_of, median
 from vprbench.speed.report import Report, hertz, measured, publish, size
-from vprbench.speed.route import Route
+from vprbench.speed.route import Route, unit_vectors
 from vprbench.speed.settings import Options, option, quick
 
 PRECISIONS = ("float32", "float16", "bfloat16")
@@ -34,7 +33,7 @@ def own_methods() -> list[str]:
 
 
 def devices_here() -> list[str]:
-    """Return the CPU, and the GPU where PyTorch sees one."""
+    """Return the CPU, and the GPU if PyTorch sees one."""
     import torch
 
     return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
@@ -42,7 +41,7 @@ def devices_here() -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(Options):
-    """What to describe, and how long; raises BadInput where nothing would be."""
+    """What to describe, and how long; raises BadInput if nothing would be."""
 
     methods: list[str] = field(default_factory=own_methods, metadata={"quick": ["hog", "pca"]})
     frames: list[list[int]] = option([[224, 224], [240, 320], [480, 640]], [[32, 48]])  # height, width
@@ -158,7 +157,8 @@ def _fitted(settings: Settings, make: Make, case: Case, route: Route) -> tuple[M
         seen = method.target(*case.frame)
         if method.keeps_descriptors():
             n_dimensions = method.encode(route.references(1, 1)[0]).shape[1]
-            method.fit_descriptors(_unit(settings.places, n_dimensions, settings.seed), np.arange(settings.places))
+            descriptors = unit_vectors(settings.places, n_dimensions, np.random.default_rng(settings.seed))
+            method.fit_descriptors(descriptors, np.arange(settings.places))
             return method, settings.places, seen
     # what it learns with its map is learnt from a few images
     return method.fit(*route.references(settings.fitted_places, 1)), settings.fitted_places, seen
@@ -179,13 +179,6 @@ def randomised(network: Any, seed: int) -> Any:
             else:
                 values.fill_(0.0 if name.endswith(("bias", "running_mean")) else 1.0)
     return network
-
-
-def _unit(n: int, n_dimensions: int, seed: int) -> npt.NDArray[np.float32]:
-    generator = np.random.default_rng(seed)
-    vectors = generator.standard_normal((n, n_dimensions), np.float32)
-    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors
 
 
 def write(report: Report, results: Path) -> None:

@@ -126,13 +126,13 @@ def _preprocessing_cell(settings: Settings, height: int, width: int, images_per_
 
 
 def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
-    """Return what is measured in a process that has done nothing else."""
+    """Return the answer of `measure` in a process that has done nothing else."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         return process.submit(measure, *arguments, **options).result()
 
 
 def frame_files(settings: Settings, folder: Path) -> list[Path]:
-    """Write the frames that are read; beyond so many different ones they are hard links to these."""
+    """Write the frames to read: as many different frames as were asked for, then hard links to these files."""
     height, width = settings.frame
     paths = [folder / f"{number:06}.png" for number in range(settings.reading_frames)]
     for number, path in enumerate(paths):

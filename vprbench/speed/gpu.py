@@ -33,7 +33,7 @@ TARGET_OFFLINE_HZ = 100_000.0
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(NetworkOptions):
-    """What to compare and to time; raises BadInput where nothing would be."""
+    """What to compare and to time; raises BadInput if nothing would be."""
 
     check_places: int = option(200, 12)
     batch_sizes: list[int] = option([1, 128, 1024, 8192], [1, 4])
@@ -117,7 +117,7 @@ class Check(Report):
 
 
 def require_gpu(device: str) -> None:
-    """Raise BadInput where PyTorch sees no GPU."""
+    """Raise BadInput if PyTorch sees no GPU."""
     import torch
 
     if torch.cuda.device_count() == 0:
@@ -186,7 +186,7 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
 
 
 def _apart(here: npt.NDArray[Any], there: npt.NDArray[Any]) -> float:
-    """Return the largest difference as a share of the largest number, infinite where that is no number."""
+    """Return the largest difference as a share of the largest number, infinite if the share is no number."""
     share = float(np.abs(here - there).max()) / (float(np.abs(there).max()) or 1.0)
     return share if math.isfinite(share) else math.inf
 

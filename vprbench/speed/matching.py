@@ -18,6 +18,7 @@ from vprbench.metrics.ranking import best_places
 from vprbench.run import machine
 from vprbench.speed.measure import Rates, floor_laps, in_turn, measured_rates, median, weight_bytes
 from vprbench.speed.report import Planned, figures, megabytes, milliseconds, rates_text, ratio
+from vprbench.speed.route import unit_vectors
 from vprbench.speed.settings import TRAVERSES, Bench, Settings
 
 _BYTES = 4  # of a float32
@@ -66,7 +67,7 @@ class SearchCell:
     library: str
     references: int
     dimensions: int
-    images_per_call: int  # of ours in blocks where there are many
+    images_per_call: int  # of ours in blocks if there are many
     seconds: list[float]  # per call
     library_seconds: list[float]
     memory_bytes: int  # that this project's calls took beyond what was resident, at most
@@ -150,15 +151,11 @@ def search(bench: Bench) -> Iterator[Planned]:
 
 
 def _exact_search_cell(settings: Settings, title: str, n_queries: int) -> SearchCell:
-    """Search random references for random codes; where the best are wanted too, in blocks as a run does."""
+    """Search random references for random codes; if the best are wanted too, in blocks as a run does."""
     faiss = faiss_module()
     generator = np.random.default_rng(settings.seed)
-    codes, references = (
-        generator.standard_normal((n, settings.search_dimensions), np.float32)
-        for n in (n_queries, settings.search_references)
-    )
-    for vectors in (codes, references):
-        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    codes = unit_vectors(n_queries, settings.search_dimensions, generator)
+    references = unit_vectors(settings.search_references, settings.search_dimensions, generator)
     library = faiss.IndexFlatIP(settings.search_dimensions)
     library.add(references)
     exact, best = Search(references, np.arange(len(references))), min(_BEST, len(references))

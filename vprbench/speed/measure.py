@@ -126,7 +126,7 @@ def measured_rates(title: str, method: Method, queries: Images, protocol: stopwa
 
 
 def _shown(title: str) -> Listener:
-    """Return what passes reports, under a title, to whoever listens now."""
+    """Return a listener that passes reports, under a title, to the listener of now."""
     outside = copy_context()
     return lambda stage, done: outside.run(report, f"{title}: {stage}", done)
 

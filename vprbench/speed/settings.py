@@ -101,7 +101,7 @@ class NetworkOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(NetworkOptions):
-    """What to measure, and how long; raises BadInput where nothing would be."""
+    """What to measure, and how long; raises BadInput if nothing would be."""
 
     sizes: list[int] = option([100, 300, 1000, 3300, 10_000, 27_000], [10, 20, 40])  # places, for the growth
     scaling_epochs: int = option(4, 1)

@@ -78,7 +78,7 @@ class AskingCell:
     """One image after the other by copies of a trained module, with and without delays in turn."""
 
     modules: int
-    wanted: int  # more than `modules` where memory is short
+    wanted: int  # more than `modules` if memory is short
     places: int
     threads: int
     seconds: dict[str, list[float]]  # per query, by method
@@ -137,7 +137,7 @@ def module_cell(bench: Bench, method: str) -> ModuleCell:
 
 
 def asking_cell(bench: Bench, wanted: int, threads: int) -> AskingCell:
-    """Ask `wanted` copies of a trained module, or as many as memory has room for; trains one where there is none."""
+    """Ask `wanted` copies of a trained module, or as many as memory has room for; trains one if there is none."""
     settings = bench.settings
     states = {method: _trained(bench, method).state() for method in VPRSNN}
     n_modules = affordable(wanted, sum(state["weights"].nbytes for state in states.values()) // len(states))
@@ -165,7 +165,7 @@ def affordable(wanted: int, module_bytes: int) -> int:
 
 
 def copies(state: Mapping[str, npt.NDArray[Any]], n_modules: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the state of a network of `n_modules` that are all the one of `state`, each of places of its own."""
+    """Return the state of a network of `n_modules` copies of the module in `state`, each with places of its own."""
     several = {
         name: array if array.ndim == 0 else np.broadcast_to(array[0], (n_modules, *array.shape[1:]))
         for name, array in state.items()

@@ -38,11 +38,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Tried:
-    """How the queries of a stretch were answered; none is where the training diverged."""
+    """How the queries of a stretch were answered; all are wrong if the training diverged."""
 
     hits: npt.NDArray[np.float64]  # (n_queries,), expected under ties
     sure_hits: npt.NDArray[np.float64]  # (n_queries,), 0 or 1, ties pessimistic: for a paired test
-    diverged: str | None = None  # how that was seen
+    diverged: str | None = None  # how the divergence was seen
 
     @property
     def recall_at_1(self) -> float:
@@ -98,7 +98,7 @@ _ARRAYS = ("references", "places", "queries", "right_places", "right_places_per_
 
 
 def keep(folder: Path, dataset: Dataset, method: Method) -> None:
-    """Encode a stretch once for all trials, in `folder`; nothing is done where that is there already."""
+    """Encode a stretch once for all trials, in `folder`; does nothing if the folder exists."""
     if folder.exists():
         return
     partial = folder.with_name(f".partial-{folder.name}")

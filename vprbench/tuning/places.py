@@ -34,7 +34,7 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
 
     A rendered dataset is another journey than the reported ones, `places` to search and as many to check. Of a
     recorded one there are the places that neither its own protocol nor a column of the table queries, those on request
-    aside: the longest stretch is searched, the longest left then is checked. Raises BadInput where there are too few,
+    aside: the longest stretch is searched, the longest left then is checked. Raises BadInput if there are too few,
     and for a protocol that sets places aside here and there.
     """
     if _scatters(config):
@@ -73,7 +73,7 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
 def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
     """Return which stored runs query places that are searched or checked, as `<dataset>/<method>-<key>`.
 
-    A run does where dataset and seed are the same and a right place of a query lies in either stretch. One whose
+    A run does if dataset and seed are the same and a right place of a query lies in either stretch. One whose
     protocol draws places here and there, and numbers the others anew, may query any.
     """
     mine = {*allowed.searched, *allowed.checked}

@@ -26,9 +26,9 @@ _TEMPLATE = Path(__file__).with_name("search.md.j2")
 
 
 def write(found: Found, folder: Path) -> str:
-    """Leave what was found and every trial in a folder and in that of the study; returns the text to print.
+    """Write the report and every trial into a folder and into the folder of the study; returns the text to print.
 
-    In the folder the names tell the dataset, where it is not the usual one, and a quick search: search.md and
+    In the folder the names tell an unusual dataset and a quick search: search.md and
     search.csv, search-street.md, search-quick.md.
     """
     text, trials = text_of(found), trials_csv(found)
