@@ -81,13 +81,13 @@ def search_parameters(options: list[str]) -> int:
 def measure_speed(options: list[str]) -> int:
     """Measure how fast training, preprocessing and queries are, and write the numbers."""
     from vprbench.plugins.options import chosen
-    from vprbench.speed import bench, text
+    from vprbench.speed import bench
     from vprbench.speed.settings import QUICK, Settings
 
     settings = chosen(Settings, options, QUICK)
     with _prepared("bench", settings.device, settings.threads, settings.results, settings.seed) as results:
         report = bench.measure(settings, _maker(settings.seed))
-    text.write(report, results)
+    bench.write(report, results)
     return 1 if report.failures else 0
 
 

@@ -17,8 +17,8 @@ from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.speed.cells import Failed
-from vprbench.speed.descriptors import Cell, Settings, Way, _ways, measure, randomised, text_of
+from vprbench.speed.descriptors import Case, DescriptorCell, Settings, cases, measure, randomised, text_of
+from vprbench.speed.report import Failed
 
 NO_FILE = Weights(file="none.pth", licence="", trained_on="")
 
@@ -91,12 +91,13 @@ def maker(**classes):
 
 def test_a_network_is_timed_without_its_weights_at_the_size_of_the_frame():
     make, made = maker(tiny=Tiny)
-    (cell,) = measure(settings(methods=["tiny"]), make).cells
-    assert isinstance(cell, Cell)
+    (cell,) = measure(settings(methods=["tiny"]), make).sections["descriptors"]
+    assert isinstance(cell, DescriptorCell)
     assert (cell.seen, cell.n_dimensions, cell.places) == ((32, 48), 5, 30)
     assert {shape[1:] for shape in made[-1].seen} == {(3, 32, 48)}
     assert {shape[0] for shape in made[-1].seen} == {1, 4}
-    for laps in (cell.encode_one, cell.encode_batch, cell.match_one, cell.match_batch):
+    assert [*cell.seconds] == ["encode one", "encode batch", "match one", "match batch"]
+    for laps in cell.seconds.values():
         assert len(laps) >= 3
         assert min(laps) > 0
 
@@ -115,14 +116,14 @@ class Fixed(Tiny):
 @pytest.mark.parametrize(("network", "seen"), [(Fourteen, (28, 42)), (Fixed, (20, 20))])
 def test_frames_are_seen_at_the_nearest_size_that_a_network_takes(network, seen):
     make, made = maker(tiny=network)
-    (cell,) = measure(settings(methods=["tiny"]), make).cells
+    (cell,) = measure(settings(methods=["tiny"]), make).sections["descriptors"]
     assert cell.seen == seen
     assert network is Fixed or {shape[2:] for shape in made[-1].seen} == {seen}
 
 
 def test_a_method_that_learns_from_references_has_few_of_them():
     make, made = maker(slow=Slow)
-    (cell,) = measure(settings(methods=["slow"]), make).cells
+    (cell,) = measure(settings(methods=["slow"]), make).sections["descriptors"]
     assert (cell.places, made[-1].n_references, cell.seen) == (6, 6, None)
 
 
@@ -130,36 +131,32 @@ def test_on_a_gpu_networks_are_timed_in_all_numbers_and_what_takes_no_device_not
     gpu = "cpu:0"  # to PyTorch the CPU, to the benchmark another device
     make, _ = maker(tiny=Tiny, slow=Slow)
     both = settings(methods=["tiny", "slow"], devices=["cpu", gpu], precisions=["float32", "bfloat16"])
-    ways = {name: _ways(both, make, name) for name in both.methods}
-    assert ways == {
-        "tiny": [Way("cpu", "float32"), Way(gpu, "float32"), Way(gpu, "bfloat16")],
-        "slow": [Way("cpu", "float32")],
-    }
+    assert [(case.method, case.device, case.precision) for case in cases(both, make)] == [
+        ("tiny", "cpu", "float32"),
+        ("tiny", gpu, "float32"),
+        ("tiny", gpu, "bfloat16"),
+        ("slow", "cpu", "float32"),
+    ]
 
 
 def test_a_failure_is_a_row_and_the_others_are_measured():
     make, _ = maker(broken=Broken, slow=Slow)
     report = measure(settings(methods=["broken", "slow"]), make)
-    assert report.cells[0] == Failed({"method": "broken", "frame": "48x32"}, "no map today")
-    assert isinstance(report.cells[1], Cell)
+    assert report.sections["descriptors"][0] == Failed({"method": "broken", "frame": "48x32"}, "no map today")
+    assert isinstance(report.sections["descriptors"][1], DescriptorCell)
     assert "no map today" in text_of(report)
 
 
 def test_rates_follow_from_the_laps():
-    report = measure(settings(methods=["slow"]), maker(slow=Slow)[0])
-    cell = Cell("m", (2, 3), None, Way("cpu", "float32"), 7, 11, [0.5, 0.25, 1.0], [0.4], [0.001], [0.002])
-    row = text_of(type(report)(report.settings, report.environment, [cell])).split("| m ")[1].splitlines()[0]
-    assert [part.strip() for part in row.split("|")[1:-1]] == [
-        "3x2",
-        "",
-        "7",
-        "500",
-        "2",
-        "10",
-        "11",
-        "1,000",
-        "2,000",
-    ]
+    seconds = dict(
+        zip(
+            ("encode one", "encode batch", "match one", "match batch"),
+            ([0.5, 0.25, 1.0], [0.4], [0.001], [0.002]),
+            strict=True,
+        )
+    )
+    cell = DescriptorCell(Case("m", (2, 3), "cpu", "float32", True), None, 7, 11, 4, seconds)
+    assert [*cell.row().values()] == ["m", "3x2", "", "7", "500", "2", "10", "11", "1,000", "2,000"]
 
 
 def test_random_networks_are_those_of_their_seed_and_keep_their_activations_finite_and_alive():
@@ -186,7 +183,7 @@ def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, mo
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"frames": [[3]]}, r"frames=\[\[3\]\]: give heights and widths"),
+        ({"frames": [[3]]}, r"frames=\[\[3\]\]: give height and width"),
         ({"batch": 0}, "batch=0: give at least 1"),
         ({"minimum_seconds": math.inf}, "minimum_seconds=inf: give seconds"),
         ({"precisions": ["half"]}, r"precisions=\['half'\]: give some of float32"),

@@ -17,9 +17,9 @@ from vprbench.api import images
 from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
-from vprbench.speed import frames, rows
-from vprbench.speed.cells import Failed, ReadingCell
-from vprbench.speed.frames import drawn, frame_files, in_own_process, reading_cell
+from vprbench.speed import frames, measure
+from vprbench.speed.frames import ReadingCell, drawn, frame_files, in_own_process, reading_cell
+from vprbench.speed.report import Failed, measured
 from vprbench.speed.settings import QUICK, Settings
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
@@ -38,7 +38,7 @@ def paths(tmp_path: Path) -> list[Path]:
 def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
     """Who reads which file, each in 10 ms."""
     clock = Clock()
-    clock.replaces_those_of([frames, images], monkeypatch)
+    clock.replaces_those_of([measure, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
     monkeypatch.setattr(frames.machine, "cores", lambda: [0, 1, 2])
     found: list[tuple[str, Path]] = []
@@ -110,7 +110,7 @@ READ = ReadingCell(
 
 def test_a_share_is_the_median_of_those_of_the_turns() -> None:
     # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
-    row = [*rows.reading_row(READ).values()]
+    row = [*READ.row().values()]
     assert row == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
 
 
@@ -124,7 +124,7 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
     failed = Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")
     monkeypatch.setattr(frames, "in_own_process", fails)
     monkeypatch.setattr(frames.tempfile, "tempdir", str(tmp_path))
-    assert list(frames.reading(bench)) == [failed]
+    assert list(measured("reading", frames.reading(bench))) == [failed]
     monkeypatch.setattr(frames, "frame_files", fails)
-    assert list(frames.reading(bench)) == [failed]
+    assert list(measured("reading", frames.reading(bench))) == [failed]
     assert not list(tmp_path.iterdir())

@@ -16,12 +16,12 @@ from vprbench.methods.vprsnn import benchmark, module, recipe, simulation, train
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol
-from vprbench.speed import measure, rows, text, vprsnn
-from vprbench.speed.cells import AskingCell, Failed, ModuleCell, Report
+from vprbench.speed import bench, measure, vprsnn
 from vprbench.speed.measure import Fit
+from vprbench.speed.report import Failed, Report
 from vprbench.speed.route import Route
 from vprbench.speed.settings import QUICK, SECTIONS, Bench, Settings
-from vprbench.speed.vprsnn import affordable, asking_cell, copies, module_cell
+from vprbench.speed.vprsnn import AskingCell, ModuleCell, affordable, asking_cell, copies, module_cell
 
 MODULE = {"height": 6, "width": 6, "patch": 3, "places_per_module": 2, "n_excitatory": 12, "epochs": 4, "seed": 3}
 WATCHED = {"spike_train": recipe, "normalise": training, "present": training}
@@ -128,10 +128,10 @@ class Trained(Method):
         self.clock.spend(self.query_seconds * self.modules)
 
 
-def test_parts_are_timed_on_every_seventh_presentation_each_alone(clock, monkeypatch):
-    network = Trained(clock, Loops(clock, monkeypatch))
+def test_parts_are_timed_on_every_seventh_presentation_each_alone_and_leave_no_trace(clock, monkeypatch):
+    loops = Loops(clock, monkeypatch)
     with watched() as watch:
-        network.fit(None, None)
+        Trained(clock, loops).fit(None, None)
     assert watch.laps == {
         "input": [1.0] * 3,
         "normalising": [2.0] * 3,
@@ -140,19 +140,9 @@ def test_parts_are_timed_on_every_seventh_presentation_each_alone(clock, monkeyp
         "with learning": [16.0, 16.0 + 7, 16.0 + 14],
     }
     assert (watch.presentations, watch.input_spikes, watch.excitatory_spikes) == (15, 15 * 3, 15 * 8 * 2)
-
-
-def test_what_is_shown_without_learning_finds_the_same_state_and_leaves_no_trace(clock, monkeypatch):
-    loops = Loops(clock, monkeypatch)
-    with watched():
-        Trained(clock, loops, presentations=9).fit(None, None)
-    assert loops.shown == [
-        (False, 0.0),
-        *((True, float(number)) for number in range(7)),
-        (False, 7.0),
-        (True, 7.0),
-        (True, 8.0),
-    ]
+    assert [potential for learning, potential in loops.shown if learning] == [*range(15)]
+    assert [potential for learning, potential in loops.shown if not learning] == [0, 7, 14]
+    assert [learning for learning, _ in loops.shown[7:10]] == [True, False, True]
 
 
 def test_a_training_has_its_own_functions_back_whatever_happened():
@@ -185,15 +175,15 @@ def test_a_module_is_trained_in_rounds_on_one_core_and_once_more_for_its_parts(c
         return Trained(clock, loops, presentations=2)
 
     settings = Settings(**{**QUICK, "threads": 5, "vprsnn_rounds": 3})
-    bench = Bench(settings, make, Route.drawn(2, 8, 8, 0))
-    cell = module_cell(bench, "vprsnn_fast")
+    run = Bench(settings, make, Route.drawn(2, 8, 8, 0))
+    cell = module_cell(run, "vprsnn_fast")
     assert made == [("vprsnn_fast", "cpu", 2, [1])] * 5  # one that compiles, three rounds, one for the parts
     assert cores == [1, 5]
     each = (1 + 2 + 16) + (1 + 2 + 17)
     assert [fit.seconds for fit in cell.fits] == [each] * 3
     assert (cell.presentations, cell.input_spikes, cell.excitatory_spikes) == (2, 6, 32)
     assert cell.parts["with learning"] == [16.0]
-    assert list(bench.modules) == ["vprsnn_fast"]
+    assert list(run.modules) == ["vprsnn_fast"]
 
 
 def test_both_methods_are_asked_in_turn_on_the_cores_that_are_named(clock, cores, monkeypatch):
@@ -262,19 +252,19 @@ ASKED = [
 
 def test_a_training_is_told_by_its_median_and_what_happens_in_a_second():
     # 13.125 million spikes to 400 neurons each: 5,250 million arrivals, in 15 s
-    row = [*rows.module_row(CELL).values()]
+    row = [*CELL.row().values()]
     assert row == ["vprsnn", "15 (3)", "1,500", "10", "13,125,000", "5,250 million", "350 million", "9,876"]
 
 
 def test_shares_are_of_whole_presentations_and_add_up():
     # input 1.5 + normalising 0.5 + presentations 18 = 20 s, of two
-    row = [*rows.parts_row(CELL).values()]
+    row = [*CELL.parts_row().values()]
     assert row == ["vprsnn", "2", "10,000", "7.5 %", "25.0 %", "15.0 %", "50.0 %", "2.5 %"]
 
 
 def test_queries_are_told_by_medians_and_the_modules_that_memory_left():
-    assert [*rows.asking_row(ASKED[0]).values()][:3] == ["18", "450", "1"]
-    row = [*rows.asking_row(ASKED[1]).values()]
+    assert [*ASKED[0].row().values()][:3] == ["18", "450", "1"]
+    row = [*ASKED[1].row().values()]
     assert row == ["60 of 111: memory is short", "1,500", "1", "500", "250", "2", "4", "2x"]
 
 
@@ -284,7 +274,8 @@ def test_the_papers_numbers_stand_beside_those_of_a_module_and_of_the_most_modul
     failed = Failed({"method": "vprsnn_fast"}, "no room")
     here = {**machine.capture("cpu", 1), "cpu_pressure_avg10": None}
     cells |= {"vprsnn_training": [CELL, failed], "vprsnn_queries": ASKED}
-    told = text.text_of(Report(settings, here, {"start": 1.0, "training": 1.25}, [0.5], 3.0, 60.0, **cells))
+    about = {"canary_seconds": {"start": 1.0, "training": 1.25}, "load_average_after": [0.5], "seconds": 60.0}
+    told = bench.text_of(Report(settings, here, cells, {**about, "cpu_pressure_avg10_after": 3.0}))
     assert "25 places, on one core: vprsnn 15 s. The paper prints 360 min for 3,300 places" in told
     assert "164 s for each of its 132 modules of 25." in told  # 21,600 s / 132
     assert "60 modules, 1,500 places: 2 Hz on 1 core, 4 Hz on 2 cores. The paper prints 2 Hz" in told

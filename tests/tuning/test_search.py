@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from checkout import ROOT
+from dying_attempt import Attempt
 from little import a_run
 from search_stub import HALTS, Here, Stub, recall
 
@@ -75,19 +76,15 @@ def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_a
 
 
 def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tasks(tmp_path: Path) -> None:
-    fails = {**PAPER, "rate_max": 1.0}
-    tasks = [Task("searched", values) for values in (PAPER, PAPER, fails, PAPER)]
     begun: list[int] = []
-    with Workers(Stub(dies_once=tmp_path / "died", fails_above=0.95), 8) as workers:
+    with Workers(Attempt(tmp_path / "died"), 8) as workers:
         assert workers.started == 0
-        answers = {answer.task: answer for answer in workers.answers(tasks[:1], begun.append)}
+        assert [answer.error for answer in workers.answers([0.5], begun.append)] == ["the process that tried it ended"]
         assert workers.started == 1
-        assert answers[0].error == "the process that tried it ended"
-        answers = {answer.task: answer for answer in workers.answers(tasks[1:3], begun.append)}
+        answers = {answer.task: answer for answer in workers.answers([0.5, 2.0], begun.append)}
         assert workers.started == 2
     assert begun == [0, 0, 1]
-    assert answers[0].given is not None
-    assert answers[0].given.recall_at_1 == pytest.approx(recall(PAPER))
+    assert answers[0].given == 1.0
     assert (answers[1].given, answers[1].error) == (None, "MemoryError: no room")
 
 

@@ -62,7 +62,7 @@ WORSE = comparison(-0.25, -0.375, -0.125)
 def a_search(**changes: Any) -> Found:
     found = Found(
         settings=Settings(places=40, trials=3, seed=5),
-        method={"rules": "paper", "max_module": 1100},
+        method={"max_module": 1100},
         dataset={"places": 3300, "seed": 0},
         protocols={"searched": {"seed": 1, "stretch": [0, 39]}, "checked": {"seed": 1, "stretch": [40, 79]}},
         folder=Path("results/search/0123456789abcdef"),
@@ -113,7 +113,6 @@ DIVERGED = replace(BETTER, paper=Repeated((0.0,) * 5, (None, "more than half are
         ({"protocols": {name: {"stretch": [0, 9]} for name in ("searched", "checked")}}, "As references they stay"),
         ({"jobs": 1}, "Abacus 9, 1 process of one thread"),
         ({"minutes": 0.5}, "in 30 seconds"),
-        ({"method": {"rules": "reference", "max_module": 1100}}, "method.rules=reference"),
     ],
 )
 def test_what_is_peculiar_to_a_search_is_told(changes: dict[str, Any], told: str) -> None:
@@ -137,28 +136,10 @@ def test_the_verdict_is_that_of_the_places_held_out_and_stands_above_the_command
     )
 
 
-def test_the_command_gives_the_best_settings_to_a_run() -> None:
-    words = shlex.split(text.command(a_search()))
-    assert words[:5] == ["python", "-m", "vprbench", "method=vprtempo", "dataset=synthetic"]
-    given = dict(word.split("=") for word in words[5:])
-    assert {name: float(value) for name, value in given.items()} == {f"method.{n}": v for n, v in BEST.items()}
-    assert text.command(a_search()) in text.text_of(a_search())
-
-
 def composed(found: Found) -> dict[str, Any]:
     python, _, _, *options = shlex.split(text.command(found))
     assert python == "python"
     return compose.composed(compose.readable(options))
-
-
-def test_the_command_composes_a_run_whose_method_holds_the_places_of_its_dataset() -> None:
-    street = compose.composed(["method=vprtempo", "dataset=street"])
-    found = a_search(settings=Settings(dataset="street"), method=street["method"], dataset=street["dataset"])
-    run = composed(found)
-    method, dataset = registry.make_method(run["method"]), registry.make_dataset(run["dataset"])
-    assert dataset.n_places == 450
-    assert vars(method)["max_module"] == 450
-    assert {name: run["method"][name] for name in BEST} == BEST
 
 
 @pytest.mark.parametrize("name", ["synthetic", "street", "nordland", "oxford_robotcar"])
@@ -168,6 +149,7 @@ def test_the_command_fits_the_network_to_the_dataset_as_the_table_does(name: str
     config = compose.composed(["method=vprtempo", f"dataset={name}"])
     run = composed(a_search(settings=Settings(dataset=name), dataset=config["dataset"]))
     assert run["method"]["max_module"] == fits.get("vprtempo", {}).get("max_module", 1100)
+    assert {name: run["method"][name] for name in BEST} == BEST
 
 
 def test_the_command_gives_the_folder_of_a_recorded_dataset_whatever_letters_it_has() -> None:

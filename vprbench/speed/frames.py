@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
-from itertools import count
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -23,10 +25,8 @@ from vprbench.api.decoding import read_image
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.run import machine
-from vprbench.run.stopwatch import Protocol, Stopwatch
-from vprbench.speed.cells import Failed, PreprocessingCell, ReadingCell, attempt
-from vprbench.speed.format import size
-from vprbench.speed.measure import rounded
+from vprbench.speed.measure import in_turn, median, rounded
+from vprbench.speed.report import Planned, figures, megabytes, ratio, size
 from vprbench.speed.route import Route
 from vprbench.speed.settings import ENGINES, FRAME, PATCH, Bench, Settings
 
@@ -38,57 +38,101 @@ _LEVELS = ((64, 90.0), (16, 40.0), (4, 15.0))  # pixels of a cell, grey levels t
 _NOISE = 3.0  # grey levels
 
 
-def reading(bench: Bench) -> Iterator[ReadingCell | Failed]:
+@dataclass(frozen=True)
+class ReadingCell:
+    """PNG files read by bare loops and by this project, a turn of each after the other; all rates in frames a second.
+
+    A bare loop decodes one file after the other; there is one, and then one in a thread of its own for each core.
+    """
+
+    height: int
+    width: int
+    frames: int
+    files: int  # different ones
+    cores: int
+    one_loop: list[float]
+    loops_at_once: list[float]
+    ahead: list[float]  # of this project: read ahead, in order
+    memory_before_bytes: int  # resident in the process
+    peak_memory_bytes: int  # what was resident before included
+
+    def row(self) -> dict[str, str]:
+        """Return the median rates, memory and shares, which are medians over the turns."""
+        turns = list(zip(self.one_loop, self.loops_at_once, self.ahead, strict=True))
+        return {
+            "frame": size(self.height, self.width),
+            "frames": f"{self.frames:,}",
+            "cores": str(self.cores),
+            "one bare loop: Hz": figures(median(self.one_loop)),
+            "loops at once: Hz": figures(median(self.loops_at_once)),
+            "ours: Hz": figures(median(self.ahead)),
+            "ours / (cores x one loop)": ratio(median(ours / one for one, _, ours in turns), self.cores),
+            "ours / loops at once": ratio(median(ours / several for _, several, ours in turns), 1),
+            "resident before MB": megabytes(self.memory_before_bytes),
+            "peak MB": megabytes(self.peak_memory_bytes),
+        }
+
+
+@dataclass(frozen=True)
+class PreprocessingCell:
+    """Both engines on the same images, one call of each after the other."""
+
+    height: int
+    width: int
+    images_per_call: int
+    seconds: dict[str, list[float]]  # per call, by engine
+
+    def row(self) -> dict[str, str]:
+        """Return the median times of an image by each engine."""
+        each = {engine: median(seconds) / self.images_per_call for engine, seconds in self.seconds.items()}
+        return {
+            "frame": size(self.height, self.width),
+            "images a call": str(self.images_per_call),
+            **{f"{engine}: us an image": figures(1e6 * seconds) for engine, seconds in each.items()},
+            "readable / fused": ratio(each["readable"], each["fused"]),
+        }
+
+
+def reading(bench: Bench) -> Iterator[Planned]:
     """Read files."""
-    settings = bench.settings
-    frame = {"frame": size(*settings.frame)}
+    yield {"frame": size(*bench.settings.frame)}, partial(_reading_cell, bench.settings)
+
+
+def _reading_cell(settings: Settings) -> ReadingCell:
     with tempfile.TemporaryDirectory(prefix="vprbench-") as folder:
-        paths = attempt(frame, partial(frame_files, settings, Path(folder)))
-        if isinstance(paths, Failed):
-            yield paths
-            return
-        progress.report(f"reading {len(paths)} files", 0.0)
-        yield attempt(frame, partial(in_own_process, reading_cell, settings, paths))
+        return in_own_process(reading_cell, settings, frame_files(settings, Path(folder)))
 
 
-def preprocessing(bench: Bench) -> Iterator[PreprocessingCell | Failed]:
+def preprocessing(bench: Bench) -> Iterator[Planned]:
     """Preprocess images in memory by both engines."""
-    settings = bench.settings
-    for height, width in (FRAME, tuple(settings.frame)):
-        for images_per_call in (1, settings.batch):
+    for height, width in (FRAME, tuple(bench.settings.frame)):
+        for images_per_call in (1, bench.settings.batch):
             what = {"frame": size(height, width), "images a call": str(images_per_call)}
-            yield attempt(what, partial(_preprocessing_cell, settings, height, width, images_per_call))
+            yield what, partial(_preprocessing_cell, bench.settings, height, width, images_per_call)
 
 
 def _preprocessing_cell(settings: Settings, height: int, width: int, images_per_call: int) -> PreprocessingCell:
-    progress.report(f"preprocessing, {size(height, width)}, {images_per_call} a call", 0.0)
     images, _ = Route.drawn(settings.batch, height, width, settings.seed).references(settings.batch, 1)
     parts = list(images.blocks(images_per_call))
     engines = {engine: PatchNormalisation("C", settings.pixels, settings.pixels, PATCH, engine) for engine in ENGINES}
     for normalise in engines.values():
         normalise(parts[0])
-    watch = Stopwatch(Protocol())
-    laps: dict[Engine, list[float]] = {engine: [] for engine in ENGINES}
-    for turn in count(1):
-        for engine, normalise in engines.items():
-            with watch.lap() as lap:
-                normalise(parts[turn % len(parts)])
-            laps[engine] += lap
-        if turn >= settings.rounds and sum(laps["readable"]) >= settings.minimum_seconds:
-            break
-    return PreprocessingCell(
-        height, width, images_per_call, {engine: rounded(seconds) for engine, seconds in laps.items()}
-    )
+
+    def by(engine: Engine) -> Callable[[int], object]:
+        return lambda turn: engines[engine](parts[turn % len(parts)])
+
+    laps = in_turn({engine: by(engine) for engine in ENGINES}, settings.rounds, settings.minimum_seconds)
+    return PreprocessingCell(height, width, images_per_call, laps)
 
 
 def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
-    """Return what is measured in a process that has done nothing else."""
+    """Return the answer of `measure` in a process that has done nothing else."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         return process.submit(measure, *arguments, **options).result()
 
 
 def frame_files(settings: Settings, folder: Path) -> list[Path]:
-    """Write the frames that are read; beyond so many different ones they are hard links to these."""
+    """Write the frames to read: as many different frames as were asked for, then hard links to these files."""
     height, width = settings.frame
     paths = [folder / f"{number:06}.png" for number in range(settings.reading_frames)]
     for number, path in enumerate(paths):
@@ -114,26 +158,24 @@ def reading_cell(settings: Settings, paths: Sequence[Path]) -> ReadingCell:
     """Read all files, in parts between which bare loops read some of them."""
     cores = len(machine.cores())
     some = list(paths[: settings.reading_files])
-    hz: dict[str, list[float]] = {"one loop": [], "loops at once": [], "ahead": []}
+    ends = [len(paths) * turn // _TURNS for turn in range(_TURNS + 1)]
+    parts = [Images.from_files(paths[first:last]) for first, last in pairwise(ends)]
     bare(some[:1])
-    before = _memory_before()
-    for turn in range(_TURNS):
-        part = paths[len(paths) * turn // _TURNS : len(paths) * (turn + 1) // _TURNS]
-        hz["one loop"].append(len(some) / _seconds(partial(bare, some)))
-        hz["loops at once"].append(cores * len(some) / _seconds(partial(bare_at_once, some, cores)))
-        hz["ahead"].append(len(part) / _seconds(partial(_look_at, Images.from_files(part))))
+    machine.reset_peak_memory()
+    before = int(psutil.Process().memory_info().rss)
+    ways: dict[str, Callable[[int], object]] = {
+        "one_loop": lambda _: bare(some),
+        "loops_at_once": lambda _: bare_at_once(some, cores),
+        "ahead": lambda turn: deque(parts[turn - 1], maxlen=0),
+    }
+    laps = in_turn(ways, _TURNS, 0.0)
+    n_read = {"one_loop": [len(some)] * _TURNS, "loops_at_once": [cores * len(some)] * _TURNS}
+    n_read["ahead"] = [len(part) for part in parts]
+    hz = {way: rounded(n / seconds for n, seconds in zip(n_read[way], each, strict=True)) for way, each in laps.items()}
     height, width = settings.frame
+    peak = machine.peak_memory_bytes()
     return ReadingCell(
-        height,
-        width,
-        len(paths),
-        len(some),
-        cores,
-        rounded(hz["one loop"]),
-        rounded(hz["loops at once"]),
-        rounded(hz["ahead"]),
-        before,
-        machine.peak_memory_bytes(),
+        height, width, len(paths), len(some), cores, **hz, memory_before_bytes=before, peak_memory_bytes=peak
     )
 
 
@@ -146,21 +188,4 @@ def bare(paths: Sequence[Path]) -> None:
 def bare_at_once(paths: Sequence[Path], loops: int) -> None:
     """Let so many threads decode all files each."""
     with ThreadPoolExecutor(loops) as threads:
-        for _ in threads.map(bare, [paths] * loops):
-            pass
-
-
-def _look_at(images: Images) -> None:
-    for _ in images:
-        pass
-
-
-def _seconds(call: Callable[[], object]) -> float:
-    with Stopwatch(Protocol()).lap() as lap:
-        call()
-    return lap[0]
-
-
-def _memory_before() -> int:
-    machine.reset_peak_memory()
-    return int(psutil.Process().memory_info().rss)
+        deque(threads.map(bare, [paths] * loops), maxlen=0)

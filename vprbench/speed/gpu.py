@@ -2,81 +2,46 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Scores
-from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import machine
-from vprbench.run.document import document
-from vprbench.run.stopwatch import Protocol, Stopwatch, synchroniser
-from vprbench.speed.cells import Failed, attempt
-from vprbench.speed.format import publish, rates_text, table
-from vprbench.speed.measure import Make, Rates, measured_rates
+from vprbench.run.stopwatch import Protocol
+from vprbench.speed.measure import Make, Rates, measured_rates, timed_fit
+from vprbench.speed.report import Planned, Report, measured, publish, rates_text
 from vprbench.speed.route import Route
-from vprbench.speed.settings import FRAME, PATCH, RULES, TRAVERSES
+from vprbench.speed.settings import FRAME, RULES, TRAVERSES, NetworkOptions, option, quick
 
 TOLERANCE = 1e-4  # of the largest weight or score
 TARGET_FIT_SECONDS = 2.0  # on an H200
 TARGET_OFFLINE_HZ = 100_000.0
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What to compare and to time; raises BadInput where nothing would be."""
+@dataclass(frozen=True, kw_only=True)
+class Settings(NetworkOptions):
+    """What to compare and to time; raises BadInput if nothing would be."""
 
-    check_places: int = 200
-    places: int = 3300  # of what is timed
-    max_module: int = 1100  # places
-    epochs: int = 4
-    pixels: int = 28  # height and width of what a network reads
-    batch_sizes: list[int] = field(default_factory=lambda: [1, 128, 1024, 8192])
-    minimum_seconds: float = 2.0  # of each rate
-    quick: bool = False  # tiny sizes: everything runs, no time means anything
-    seed: int = 0
+    check_places: int = option(200, 12)
+    batch_sizes: list[int] = option([1, 128, 1024, 8192], [1, 4])
+    minimum_seconds: float = option(2.0, 0.0, least=None)  # of each rate
     device: str = "cuda"
-    threads: int | None = None  # None: all cores this process may use
-    results: str = "results"
-
-    def __post_init__(self) -> None:
-        """Check that something will be compared and timed."""
-        for name in ("check_places", "places", "max_module", "epochs", "pixels"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"{name}={getattr(self, name)}: give at least 1")
-        if not self.batch_sizes or min(self.batch_sizes) < 1:
-            raise BadInput(f"batch_sizes={self.batch_sizes}: give numbers of images, as in batch_sizes=[1,128]")
-        if not 0 <= self.minimum_seconds < math.inf:
-            raise BadInput(f"minimum_seconds={self.minimum_seconds}: give seconds")
-
-    def vprtempo(self, rules: str, n_places: int) -> dict[str, Any]:
-        """Return the arguments of a VPRTempo network of so many places."""
-        seen = {"height": self.pixels, "width": self.pixels, "patch": PATCH}
-        return {"rules": rules, "max_module": min(n_places, self.max_module), "epochs": self.epochs, **seen}
 
 
-QUICK: Mapping[str, Any] = {
-    "check_places": 12,
-    "places": 20,
-    "max_module": 10,
-    "epochs": 2,
-    "pixels": 12,
-    "batch_sizes": [1, 4],
-    "minimum_seconds": 0.0,
-}
+QUICK = quick(Settings)
 
 
 @dataclass(frozen=True)
@@ -95,6 +60,16 @@ class Comparison:
         """Whether both are the same but for rounding."""
         return self.difference <= TOLERANCE and self.other_places == 0
 
+    def row(self) -> dict[str, str]:
+        """Return the difference, and whether it holds."""
+        return {
+            "rules": self.rules,
+            "compared": self.what,
+            "difference": f"{self.difference:.1e} of the largest {self.of}",
+            "other best places": f"{self.other_places} of {self.queries}",
+            "result": "same" if self.holds else "FAILED",
+        }
+
 
 @dataclass(frozen=True)
 class Timed:
@@ -105,27 +80,44 @@ class Timed:
     second_fit_seconds: float
     rates: Rates
 
+    def row(self) -> dict[str, str]:
+        """Return the seconds of both fits, the second beside the target."""
+        return {
+            "rules": self.rules,
+            "first fit s": f"{self.first_fit_seconds:.2f}",
+            "second fit s": f"{self.second_fit_seconds:.2f}",
+            "target s": f"{TARGET_FIT_SECONDS:g}, {_met(self.second_fit_seconds <= TARGET_FIT_SECONDS)} by the second",
+        }
 
-@dataclass(frozen=True)
-class Report:
+    def query_rows(self) -> Iterator[dict[str, str]]:
+        """Yield the rates of single queries, then those of each batch size beside the target."""
+        rates, note = "Hz enc/match/total", "" if self.rates.valid else " INVALID"
+        yield {"rules": self.rules, "scenario": "streaming", rates: rates_text(self.rates.streaming) + note}
+        for laps in self.rates.offline_laps:
+            offline = laps.rates()
+            yield {
+                "rules": self.rules,
+                "scenario": f"offline, batch {laps.images_per_call:,}",
+                rates: rates_text(offline) + note,
+                "target Hz": f"{TARGET_OFFLINE_HZ:,.0f}, {_met(offline.total >= TARGET_OFFLINE_HZ)}",
+            }
+
+
+def _met(reached: bool) -> str:
+    return "met" if reached else "missed"
+
+
+class Check(Report):
     """Everything that one check found."""
-
-    settings: Settings
-    environment: dict[str, Any]
-    triton: str
-    timed: list[Timed | Failed]
-    comparisons: list[Comparison | Failed]
 
     @property
     def correct(self) -> bool:
         """Whether all comparisons were made and hold, and nothing ended with an error."""
-        return all(isinstance(each, Comparison) and each.holds for each in self.comparisons) and not any(
-            isinstance(each, Failed) for each in self.timed
-        )
+        return not self.failures and all(each.holds for each in self.sections["comparison"])
 
 
 def require_gpu(device: str) -> None:
-    """Raise BadInput where PyTorch sees no GPU."""
+    """Raise BadInput if PyTorch sees no GPU."""
     import torch
 
     if torch.cuda.device_count() == 0:
@@ -137,77 +129,33 @@ def require_gpu(device: str) -> None:
         raise BadInput(f"device={device}: gpu-check compares a GPU with the CPU, give cuda or cuda:1")
 
 
-def measure(settings: Settings, make: Make) -> Report:
+def measure(settings: Settings, make: Make) -> Check:
     """Time the GPU, then compare it with the CPU."""
     surroundings = machine.capture(settings.device, settings.threads or len(machine.cores()))
     route = Route.drawn(max(settings.check_places, settings.places), *FRAME, settings.seed)
-    comparisons: list[Comparison | Failed] = []
-    with _nothing_compiled():  # timed before anything else makes Triton compile
-        timed = [attempt({"rules": rules}, partial(_timed, settings, make, route, rules)) for rules in RULES]
-        for rules in RULES:
-            found = attempt({"rules": rules}, partial(compared, settings, make, route, rules))
-            comparisons += [found] if isinstance(found, Failed) else found
-    return Report(settings, surroundings, _triton(), timed, comparisons)
+    # Triton begins with an empty cache, and is timed before anything else makes it compile.
+    with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, TRITON_CACHE_DIR=empty):
+        sections = {}
+        for name, check in (("timing", _timed), ("comparison", compared)):
+            planned: list[Planned] = [({"rules": each}, partial(check, settings, make, route, each)) for each in RULES]
+            sections[name] = list(measured(name, planned))
+    return Check(settings, surroundings, sections)
 
 
-def write(report: Report, results: Path) -> None:
+def write(report: Check, results: Path) -> None:
     """Print the report as Markdown, and leave it in gpu.md of the folder `results`."""
-    publish(results, gpu_md=text_of(report))
+    publish(results, {"gpu.md": text_of(report)})
 
 
-def text_of(report: Report) -> str:
+def text_of(report: Check) -> str:
     """Return a report as Markdown."""
-    return document(
-        Path(__file__).with_name("gpu.md.j2"),
-        report=report,
-        settings=report.settings,
-        comparisons=table(report.comparisons, _comparison_row),
-        training=table(report.timed, _training_row),
-        queries=[row for each in report.timed for row in _query_rows(each)],
-        places=f"{report.settings.places:,}",
-        machine=machine.machine_lines(report.environment),
-        **{"TOLERANCE": TOLERANCE, "TRAVERSES": TRAVERSES},
-    )
-
-
-def _comparison_row(each: Comparison) -> dict[str, str]:
-    return {
-        "rules": each.rules,
-        "compared": each.what,
-        "difference": f"{each.difference:.1e} of the largest {each.of}",
-        "other best places": f"{each.other_places} of {each.queries}",
-        "result": "same" if each.holds else "FAILED",
-    }
-
-
-def _training_row(each: Timed) -> dict[str, str]:
-    return {
-        "rules": each.rules,
-        "first fit s": f"{each.first_fit_seconds:.2f}",
-        "second fit s": f"{each.second_fit_seconds:.2f}",
-        "target s": f"{TARGET_FIT_SECONDS:g}, {_met(each.second_fit_seconds <= TARGET_FIT_SECONDS)} by the second",
-    }
-
-
-def _query_rows(each: Timed | Failed) -> Iterator[dict[str, str]]:
-    if isinstance(each, Failed):
-        yield {**each.what, "failed": each.reason}
-        return
-    rates = each.rates
-    note = "" if rates.valid else " INVALID"
-    yield {"rules": each.rules, "scenario": "streaming", "Hz enc/match/total": rates_text(rates.streaming) + note}
-    for laps in rates.offline_laps:
-        offline = laps.offline_rates()
-        yield {
-            "rules": each.rules,
-            "scenario": f"offline, batch {laps.images_per_call:,}",
-            "Hz enc/match/total": rates_text(offline) + note,
-            "target Hz": f"{TARGET_OFFLINE_HZ:,.0f}, {_met(offline.total >= TARGET_OFFLINE_HZ)}",
-        }
-
-
-def _met(reached: bool) -> str:
-    return "met" if reached else "missed"
+    timed = report.sections["timing"]
+    rows = [row for each in timed for row in (each.query_rows() if isinstance(each, Timed) else [each.row()])]
+    try:
+        triton = version("triton")
+    except PackageNotFoundError:
+        triton = "missing"
+    return report.told("gpu.md.j2", queries=rows, triton=triton, **{"TOLERANCE": TOLERANCE, "TRAVERSES": TRAVERSES})
 
 
 def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[Comparison]:
@@ -224,27 +172,21 @@ def compared(settings: Settings, make: Make, route: Route, rules: str) -> list[C
         arguments = settings.vprtempo(rules, settings.check_places)
         arguments["max_module"] = max(1, 2 * settings.check_places // 5)  # two whole modules and a smaller one
         networks[title] = make("vprtempo", device, engine=engine, **arguments).fit(references, places)
-    found = [
-        _networks_apart(rules, first, networks[first], second, networks[second], queries)
-        for first, second in (("GPU, fused", "CPU, fused"), ("GPU, fused", "GPU, readable"))
-    ]
     gpu = networks["GPU, fused"]
-    together = gpu.query(queries)
+    together, found = gpu.query(queries), []
+    for other in ("CPU, fused", "GPU, readable"):
+        here, there = gpu.state(), networks[other].state()
+        difference = max(_apart(here[name], there[name]) for name in there)
+        _, other_places = _scores_apart(together, networks[other].query(queries))
+        title = f"GPU, fused against {other}"
+        found.append(Comparison(rules, title, "weight", difference, other_places, len(queries)))
     one_by_one = np.concatenate([gpu.query(queries[i : i + 1]) for i in range(len(queries))])
     title = "GPU, fused: a batch against single queries"
-    difference, other_places = _scores_apart(together, one_by_one)
-    return [*found, Comparison(rules, title, "score", difference, other_places, len(queries))]
-
-
-def _networks_apart(rules: str, first: str, one: Method, second: str, other: Method, queries: Images) -> Comparison:
-    here, there = one.state(), other.state()
-    weights = max(_apart(here[name], there[name]) for name in there)
-    _, other_places = _scores_apart(one.query(queries), other.query(queries))
-    return Comparison(rules, f"{first} against {second}", "weight", weights, other_places, len(queries))
+    return [*found, Comparison(rules, title, "score", *_scores_apart(together, one_by_one), len(queries))]
 
 
 def _apart(here: npt.NDArray[Any], there: npt.NDArray[Any]) -> float:
-    """Return the largest difference as a share of the largest number, infinite where that is no number."""
+    """Return the largest difference as a share of the largest number, infinite if the share is no number."""
     share = float(np.abs(here - there).max()) / (float(np.abs(there).max()) or 1.0)
     return share if math.isfinite(share) else math.inf
 
@@ -260,14 +202,11 @@ def _scores_apart(here: Scores, there: Scores) -> tuple[float, int]:
 
 def _timed(settings: Settings, make: Make, route: Route, rules: str) -> Timed:
     references, places = route.references(settings.places, TRAVERSES)
-    watch = Stopwatch(Protocol(), synchronise=synchroniser(settings.device))
-    fits = []
+    seconds = {}
     for number in ("first", "second"):
-        progress.report(f"{rules}: {number} fit", 0.0)
         network = make("vprtempo", settings.device, engine="fused", **settings.vprtempo(rules, settings.places))
-        with watch.lap() as lap:
-            network.fit(references, places)
-        fits += lap
+        fit = timed_fit(f"{rules}, {number} fit", network, references, places, settings.device)
+        seconds[f"{number}_fit_seconds"] = fit.seconds
     queries, _ = route.queries(settings.places, max(settings.batch_sizes))
     protocol = Protocol(
         minimum_seconds=settings.minimum_seconds,
@@ -276,25 +215,4 @@ def _timed(settings: Settings, make: Make, route: Route, rules: str) -> Timed:
         batch_sizes=settings.batch_sizes,
     )
     rates = measured_rates(f"{rules}: queries", network, queries, protocol, settings.device)
-    return Timed(rules, fits[0], fits[1], rates)
-
-
-@contextmanager
-def _nothing_compiled() -> Iterator[None]:
-    """Give Triton an empty cache, so that the first fit compiles."""
-    kept = os.environ.get("TRITON_CACHE_DIR")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["TRITON_CACHE_DIR"] = folder
-        try:
-            yield
-        finally:
-            del os.environ["TRITON_CACHE_DIR"]
-            if kept is not None:
-                os.environ["TRITON_CACHE_DIR"] = kept
-
-
-def _triton() -> str:
-    try:
-        return importlib.metadata.version("triton")
-    except importlib.metadata.PackageNotFoundError:
-        return "missing"
+    return Timed(rules, rates=rates, **seconds)

@@ -2,40 +2,100 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import psutil
 
-from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.api.search import Search
 from vprbench.api.search_indexes import faiss_module
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import best_places
 from vprbench.run import machine
-from vprbench.run.stopwatch import Protocol, Stopwatch
-from vprbench.speed.cells import Counted, Failed, QueryCell, SearchCell, attempt
-from vprbench.speed.measure import floor_laps, measured_rates, rounded, weight_bytes
-from vprbench.speed.settings import PATCH, TRAVERSES, Bench, Settings
+from vprbench.speed.measure import Rates, floor_laps, in_turn, measured_rates, median, weight_bytes
+from vprbench.speed.report import Planned, figures, megabytes, milliseconds, rates_text, ratio
+from vprbench.speed.route import unit_vectors
+from vprbench.speed.settings import TRAVERSES, Bench, Settings
 
 _BYTES = 4  # of a float32
-_TURN = 0.1  # seconds of calls one after the other
-_PAUSE = 0.01  # seconds after which the waiting threads of another library have gone to sleep
+_BURST = 0.1  # seconds of calls one after the other
 _BEST = 100  # references that a library's search returns
 
+Counted = Literal["network", "matrix", "references"]
 
-def queries(bench: Bench) -> Iterator[QueryCell | Failed]:
+_COUNTED: dict[Counted, str] = {
+    "network": "all weights of both layers",
+    "matrix": "the product of both layers, places x pixels",
+    "references": "the reference images, images x pixels",
+}
+
+
+@dataclass(frozen=True)
+class QueryCell:
+    """The rates of one method, and plain reads of as many bytes as its weights have."""
+
+    method: str
+    places: int
+    rates: Rates
+    counted: Counted
+    floor_bytes: int
+    floor_seconds: list[float]
+
+    def row(self) -> dict[str, str]:
+        """Return the rates of single queries and of the best batch, and matching beside the floor."""
+        floor, rates = median(self.floor_seconds), self.rates
+        invalid = "" if rates.valid else " INVALID"
+        return {
+            "method": self.method,
+            "streaming Hz enc/match/total": rates_text(rates.streaming) + invalid,
+            "offline Hz enc/match/total": f"{rates_text(rates.offline)} (batch {rates.offline_batch}){invalid}",
+            "floor us": figures(1e6 * floor),
+            "streaming match / floor": ratio(1 / rates.streaming.match, floor),
+            "floor reads": f"{figures(self.floor_bytes / 1e6)} MB: {_COUNTED[self.counted]}",
+        }
+
+
+@dataclass(frozen=True)
+class SearchCell:
+    """Matching by this project and by a library, a call of each after the other."""
+
+    method: str
+    library: str
+    references: int
+    dimensions: int
+    images_per_call: int  # of ours in blocks if there are many
+    seconds: list[float]  # per call
+    library_seconds: list[float]
+    memory_bytes: int  # that this project's calls took beyond what was resident, at most
+    peak_memory_bytes: int  # of the process meanwhile
+
+    def row(self) -> dict[str, str]:
+        """Return the median times of both and this project's memory."""
+        ours, library = median(self.seconds), median(self.library_seconds)
+        return {
+            "method": self.method,
+            "references": f"{self.references:,} x {self.dimensions:,}",
+            "images a call": str(self.images_per_call),
+            "ours: ms": milliseconds(ours),
+            "ours: Hz": figures(self.images_per_call / ours),
+            "library: ms": milliseconds(library),
+            "ours / library": ratio(ours, library),
+            "library": self.library,
+            "memory MB": megabytes(self.memory_bytes),
+            "peak MB": megabytes(self.peak_memory_bytes),
+        }
+
+
+def queries(bench: Bench) -> Iterator[Planned]:
     """Ask each method, VPRTempo with the networks that were trained before."""
-    settings = bench.settings
+    settings, route = bench.settings, bench.route
 
     def sad() -> Method:
-        seen = {"height": settings.pixels, "width": settings.pixels, "patch": PATCH}
-        return bench.make("sad", settings.device, **seen).fit(*bench.route.references(settings.places, TRAVERSES))
+        return bench.make("sad", settings.device, **settings.seen()).fit(*route.references(settings.places, TRAVERSES))
 
     def trained(rules: str) -> Method:
         if rules not in bench.networks:
@@ -43,13 +103,12 @@ def queries(bench: Bench) -> Iterator[QueryCell | Failed]:
         return bench.networks[rules]
 
     def in_8_bits(rules: str) -> Method:
-        arguments = {**settings.vprtempo(rules, settings.places), "epochs": settings.epochs}
-        return bench.make("vprtempo_int8", settings.device, **arguments).restore(trained(rules).state())
+        return bench.vprtempo(rules, settings.places, "vprtempo_int8").restore(trained(rules).state())
 
     def ensemble() -> Method:
-        arguments = {**settings.vprtempo("reference", settings.places), "members": settings.members, "epochs": 1}
-        network = bench.make("vprtempo_ensemble", settings.device, **arguments)
-        return network.fit(*bench.route.references(settings.places, 1))
+        arguments = {"members": settings.members, "epochs": 1}
+        network = bench.vprtempo("reference", settings.places, "vprtempo_ensemble", **arguments)
+        return network.fit(*route.references(settings.places, 1))
 
     contestants: list[tuple[str, Callable[[], Method], Counted, int]] = [
         ("sad", sad, "references", 1 if settings.device == "cpu" else _BYTES),  # on the CPU its frames stay 8 bits
@@ -60,12 +119,11 @@ def queries(bench: Bench) -> Iterator[QueryCell | Failed]:
         (f"vprtempo_ensemble reference members={settings.members}", ensemble, "matrix", _BYTES),
     ]
     for contestant in contestants:
-        yield attempt({"method": contestant[0]}, partial(_query_cell, bench, *contestant))
+        yield {"method": contestant[0]}, partial(_query_cell, bench, *contestant)
 
 
 def _query_cell(bench: Bench, label: str, fitted: Callable[[], Method], counted: Counted, bytes_each: int) -> QueryCell:
     settings = bench.settings
-    progress.report(f"query, {label}", 0.0)
     method = fitted()
     if counted == "network":
         n_bytes = weight_bytes(method, bytes_each)
@@ -79,75 +137,48 @@ def _query_cell(bench: Bench, label: str, fitted: Callable[[], Method], counted:
     return QueryCell(label, settings.places, rates, counted, n_bytes, floor)
 
 
-def search(bench: Bench) -> Iterator[SearchCell | Failed]:
+def search(bench: Bench) -> Iterator[Planned]:
     """Search descriptors beside faiss, a traverse of them as a run does, and match SAD's images beside PyTorch."""
     settings = bench.settings
-    for images_per_call in (1, settings.batch):
-        what = {"method": "exact search", "images a call": str(images_per_call)}
-        yield attempt(what, partial(_exact_search_cell, settings, images_per_call))
-    what = {"method": "exact search", "images a call": str(settings.search_queries)}
-    yield attempt(what, partial(_traverse_search_cell, settings))
-    yield attempt({"method": "sad"}, partial(_sad_cell, bench))
+    for title, n_queries in (
+        ("exact search", 1),
+        ("exact search", settings.batch),
+        ("exact search, best 100", settings.search_queries),
+    ):
+        what = {"method": "exact search", "images a call": str(n_queries)}
+        yield what, partial(_exact_search_cell, settings, title, n_queries)
+    yield {"method": "sad"}, partial(_sad_cell, bench)
 
 
-def _exact_search_cell(settings: Settings, images_per_call: int) -> SearchCell:
-    progress.report(f"exact search, {images_per_call} a call", 0.0)
-    codes, exact, library, best = _searched(settings, images_per_call)
-    return _beside(
-        settings,
-        ("exact search", "faiss.IndexFlatIP", *exact.references.shape, images_per_call),
-        lambda: exact.scores(codes),
-        lambda: library.search(codes, best),
-    )
-
-
-def _traverse_search_cell(settings: Settings) -> SearchCell:
-    """Search a whole traverse in blocks as a run does, and name the best places of each query."""
-    progress.report("exact search, a traverse", 0.0)
-    codes, exact, library, best = _searched(settings, settings.search_queries)
+def _exact_search_cell(settings: Settings, title: str, n_queries: int) -> SearchCell:
+    """Search random references for random codes; if the best are wanted too, in blocks as a run does."""
+    faiss = faiss_module()
+    generator = np.random.default_rng(settings.seed)
+    codes = unit_vectors(n_queries, settings.search_dimensions, generator)
+    references = unit_vectors(settings.search_references, settings.search_dimensions, generator)
+    library = faiss.IndexFlatIP(settings.search_dimensions)
+    library.add(references)
+    exact, best = Search(references, np.arange(len(references))), min(_BEST, len(references))
 
     def named() -> None:
         for first in range(0, len(codes), settings.batch):
             best_places(exact.scores(codes[first : first + settings.batch]), best)
 
-    return _beside(
-        settings,
-        ("exact search, best 100", "faiss.IndexFlatIP", *exact.references.shape, len(codes)),
-        named,
-        lambda: library.search(codes, best),
-    )
-
-
-def _searched(settings: Settings, n_queries: int) -> tuple[npt.NDArray[np.float32], Search, Any, int]:
-    """Return random codes, both searches of random references, and how many of the best are wanted."""
-    faiss = faiss_module()
-    generator = np.random.default_rng(settings.seed)
-    codes, references = (
-        generator.standard_normal((n, settings.search_dimensions), np.float32)
-        for n in (n_queries, settings.search_references)
-    )
-    for vectors in (codes, references):
-        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    library = faiss.IndexFlatIP(settings.search_dimensions)
-    library.add(references)
-    return codes, Search(references, np.arange(len(references))), library, min(_BEST, len(references))
+    ours: Callable[[], object] = named if "best" in title else lambda: exact.scores(codes)
+    what = (title, "faiss.IndexFlatIP", *references.shape, n_queries)
+    return _beside(settings, what, ours, lambda: library.search(codes, best))
 
 
 def _sad_cell(bench: Bench) -> SearchCell:
     import torch
 
     settings, route = bench.settings, bench.route
-    progress.report("sad beside torch.cdist", 0.0)
     references, places = route.references(settings.places, 1)
-    sad = bench.make("sad", "cpu", height=settings.pixels, width=settings.pixels, patch=PATCH).fit(references, places)
+    sad = bench.make("sad", "cpu", **settings.seen()).fit(references, places)
     code = sad.encode(route.queries(settings.places, 1)[0])
     floats, query = (torch.from_numpy(levels).float() for levels in (sad.encode(references), code))
-    return _beside(
-        settings,
-        ("sad", "torch.cdist", *floats.shape, 1),
-        lambda: sad.match(code),
-        lambda: torch.cdist(query, floats, p=1),
-    )
+    what = ("sad", "torch.cdist", *floats.shape, 1)
+    return _beside(settings, what, lambda: sad.match(code), lambda: torch.cdist(query, floats, p=1))
 
 
 def _beside(
@@ -156,20 +187,11 @@ def _beside(
     ours: Callable[[], object],
     library: Callable[[], object],
 ) -> SearchCell:
-    watch = Stopwatch(Protocol())
     machine.reset_peak_memory()
     before = psutil.Process().memory_info().rss
     ours()
     peak = machine.peak_memory_bytes()
     library()
-    laps: list[list[float]] = [[], []]
-    while len(laps[0]) < settings.rounds or sum(map(sum, laps)) < settings.minimum_seconds:
-        for call, seconds in zip((ours, library), laps, strict=True):
-            time.sleep(_PAUSE)
-            turn: list[float] = []
-            while sum(turn) < _TURN:
-                with watch.lap() as lap:
-                    call()
-                turn += lap
-            seconds += turn
-    return SearchCell(*what, rounded(laps[0]), rounded(laps[1]), max(0, peak - before), peak)
+    calls = {"ours": lambda _: ours(), "library": lambda _: library()}
+    laps = in_turn(calls, settings.rounds, settings.minimum_seconds, burst=_BURST)
+    return SearchCell(*what, laps["ours"], laps["library"], max(0, peak - before), peak)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -22,6 +23,7 @@ from vprbench.run.summary import StageRates
 
 BEFORE, AFTER = "before training", "after training"
 
+_PAUSE = 0.01  # seconds after which the waiting threads of another library have gone to sleep
 _FEWEST_PASSES, _MOST_PASSES = 20, 1000  # over a buffer, for a floor
 
 
@@ -50,7 +52,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Laps:
-    """Raw seconds of both stages, one element per call."""
+    """Raw seconds of both stages, one element per call, to the nanosecond."""
 
     images_per_call: int
     encode: list[float]
@@ -58,20 +60,13 @@ class Laps:
 
     @classmethod
     def of(cls, laps: stopwatch.Laps) -> Laps:
-        """Take what the stopwatch measured, to the nanosecond."""
+        """Take what the stopwatch measured."""
         return cls(laps.images_per_call, rounded(laps.encode_seconds), rounded(laps.match_seconds))
 
-    def streaming_rates(self) -> StageRates:
-        """Return 1 / median of single queries."""
-        return self._rates(lambda seconds: streaming_rate(seconds).hz)
-
-    def offline_rates(self) -> StageRates:
-        """Return images per second over all calls."""
-        return self._rates(lambda seconds: offline_rate(seconds, self.images_per_call))
-
-    def _rates(self, rate: Callable[[stopwatch.Seconds], float]) -> StageRates:
+    def rates(self, rate: Callable[[stopwatch.Seconds, int], float] = offline_rate) -> StageRates:
+        """Return the rates of seconds at so many images a call, those over all calls if no other is given."""
         encode, match = np.array(self.encode), np.array(self.match)
-        return StageRates(rate(encode), rate(match), rate(encode + match))
+        return StageRates(*(rate(seconds, self.images_per_call) for seconds in (encode, match, encode + match)))
 
 
 @dataclass(frozen=True)
@@ -121,8 +116,8 @@ def measured_rates(title: str, method: Method, queries: Images, protocol: stopwa
     streaming = Laps.of(timing.streaming)
     best = Laps.of(best_batch(timing.offline))
     return Rates(
-        streaming.streaming_rates(),
-        best.offline_rates(),
+        streaming.rates(lambda seconds, _: streaming_rate(seconds).hz),
+        best.rates(),
         best.images_per_call,
         all(laps.valid for laps in (timing.streaming, *timing.offline)),
         streaming,
@@ -131,7 +126,7 @@ def measured_rates(title: str, method: Method, queries: Images, protocol: stopwa
 
 
 def _shown(title: str) -> Listener:
-    """Return what passes reports, under a title, to whoever listens now."""
+    """Return a listener that passes reports, under a title, to the listener of now."""
     outside = copy_context()
     return lambda stage, done: outside.run(report, f"{title}: {stage}", done)
 
@@ -145,15 +140,45 @@ def floor_laps(touch: Literal["read", "pass"], n_bytes: int, device: str, minimu
 
     buffer = torch.ones(max(1, n_bytes // 4), device=device)
     one_pass: Callable[[], object] = buffer.sum if touch == "read" else lambda: buffer.mul_(1.0)
-    watch = Stopwatch(stopwatch.Protocol(), synchronise=synchroniser(device))
     for _ in range(3):
         one_pass()
-    laps: list[float] = []
-    while len(laps) < _FEWEST_PASSES or (len(laps) < _MOST_PASSES and sum(laps) < minimum_seconds):
-        with watch.lap() as lap:
-            one_pass()
-        laps += lap
-    return rounded(laps)
+    return laps_of(one_pass, _FEWEST_PASSES, minimum_seconds, device=device, most=_MOST_PASSES)
+
+
+def laps_of(call: Callable[[], object], fewest: int, minimum_seconds: float, **options: Any) -> list[float]:
+    """Return the seconds of one call again and again, with the options of `in_turn`."""
+    return in_turn({"call": lambda _: call()}, fewest, minimum_seconds, **options)["call"]
+
+
+def in_turn(
+    calls: Mapping[str, Callable[[int], object]],
+    fewest: int,
+    minimum_seconds: float,
+    *,
+    device: str = "cpu",
+    most: int | None = None,
+    burst: float = 0.0,
+) -> dict[str, list[float]]:
+    """Return the seconds of calls by their names, a call of each in every turn, whose number, from 1, it is given.
+
+    It ends when there are `fewest` laps of each and all take `minimum_seconds`, or with `most` turns. With `burst`
+    each is called for so many seconds in a turn, after a pause.
+    """
+    watch = Stopwatch(stopwatch.Protocol(), synchronise=synchroniser(device))
+    laps: dict[str, list[float]] = {name: [] for name in calls}
+    for turn in count(1):
+        for name, call in calls.items():
+            before = len(laps[name])
+            if burst:
+                time.sleep(_PAUSE)
+            while len(laps[name]) == before or sum(laps[name][before:]) < burst:
+                with watch.lap() as lap:
+                    call(turn)
+                laps[name] += lap
+        enough = min(map(len, laps.values())) >= fewest and sum(map(sum, laps.values())) >= minimum_seconds
+        if enough or turn == most:
+            break
+    return {name: rounded(seconds) for name, seconds in laps.items()}
 
 
 def weight_bytes(method: Method, bytes_per_weight: int) -> int:

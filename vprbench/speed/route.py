@@ -17,6 +17,13 @@ _NOISE = 10  # grey levels to either side that a copy of a frame differs by
 _QUERIES = 1_000_000  # a traverse number that no reference has
 
 
+def unit_vectors(n: int, n_dimensions: int, generator: np.random.Generator) -> npt.NDArray[np.float32]:
+    """Draw n descriptors of length 1, (n, n_dimensions)."""
+    vectors = generator.standard_normal((n, n_dimensions), np.float32)
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors
+
+
 @dataclass(frozen=True)
 class Route:
     """Frames in memory, one a place; a further traverse shows each of them with noise of its own.

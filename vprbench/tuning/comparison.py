@@ -26,7 +26,7 @@ class Repeated:
     """What came of some settings, seed by seed."""
 
     recalls_at_1: tuple[float, ...]
-    diverged: tuple[str | None, ...]  # how that was seen; None: it did not
+    diverged: tuple[str | None, ...]  # how the divergence was seen; None: no divergence
 
     @property
     def recall_at_1(self) -> float:
@@ -73,7 +73,7 @@ def compared(
 ) -> dict[StretchName, Comparison]:
     """Train under the best settings and the paper's with the seeds that follow `seed`, on each stretch.
 
-    Raises RuntimeError where a training gives no answer.
+    Raises RuntimeError if a training gives no answer.
     """
     seeds = tuple(range(seed + 1, seed + 1 + SEEDS))
     tasks = [Task(stretch, values, each) for stretch in n_places for values in (best, PAPER) for each in seeds]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +20,7 @@ from vprbench.errors import TrainingDivergedError
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
+from vprbench.tuning.space import PLACES_ARGUMENT
 
 StretchName = Literal["searched", "checked"]
 
@@ -37,11 +38,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Tried:
-    """How the queries of a stretch were answered; none is where the training diverged."""
+    """How the queries of a stretch were answered; all are wrong if the training diverged."""
 
     hits: npt.NDArray[np.float64]  # (n_queries,), expected under ties
     sure_hits: npt.NDArray[np.float64]  # (n_queries,), 0 or 1, ties pessimistic: for a paired test
-    diverged: str | None = None  # how that was seen
+    diverged: str | None = None  # how the divergence was seen
 
     @property
     def recall_at_1(self) -> float:
@@ -60,7 +61,7 @@ class Training:
         """Train the method under the settings of a task, and ask it all queries of the stretch."""
         stretch = _Stretch.read(self.folder / task.stretch)
         n_places = int(stretch.places.max()) + 1
-        fitting = {"max_module": min(self.method["max_module"], n_places)}
+        fitting = {PLACES_ARGUMENT: min(self.method[PLACES_ARGUMENT], n_places)}
         seed = {} if task.seed is None else {"seed": task.seed}
         method = registry.make_method({**self.method, **fitting, **task.values, **seed})
         # How an image becomes spikes is not searched: they were made once, for all trials, and stand in for images.
@@ -97,19 +98,15 @@ _ARRAYS = ("references", "places", "queries", "right_places", "right_places_per_
 
 
 def keep(folder: Path, dataset: Dataset, method: Method) -> None:
-    """Encode a stretch once for all trials, in `folder`; nothing is done where that is there already."""
+    """Encode a stretch once for all trials, in `folder`; does nothing if the folder exists."""
     if folder.exists():
         return
     partial = folder.with_name(f".partial-{folder.name}")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    stage = f"drawing the {folder.name} places"
-    total = len(dataset.references) + len(dataset.queries)
     encoded = {
-        "references": _encoded(dataset.references, method, lambda done: progress.report(stage, done / total)),
-        "queries": _encoded(
-            dataset.queries, method, lambda done: progress.report(stage, (len(dataset.references) + done) / total)
-        ),
+        "references": _encoded(dataset.references, method, f"drawing the references of the {folder.name} places"),
+        "queries": _encoded(dataset.queries, method, f"drawing the queries of the {folder.name} places"),
         "places": dataset.places,
         "right_places": np.concatenate(dataset.positives),
         "right_places_per_query": np.array([len(right) for right in dataset.positives]),
@@ -119,10 +116,10 @@ def keep(folder: Path, dataset: Dataset, method: Method) -> None:
     partial.rename(folder)
 
 
-def _encoded(images: Images, method: Method, report: Callable[[int], None]) -> npt.NDArray[Any]:
-    codes = []
-    report(0)
+def _encoded(images: Images, method: Method, stage: str) -> npt.NDArray[Any]:
+    codes: list[npt.NDArray[Any]] = []
     for block in images.blocks(_TOGETHER):
+        progress.report(stage, len(codes) * _TOGETHER / len(images))
         codes.append(np.array(method.encode(block)))  # a method may use its array again
-        report(sum(map(len, codes)))
+    progress.report(stage, 1.0)
     return np.concatenate(codes)

@@ -13,6 +13,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.paper.plan import PlannedColumn
 from vprbench.run.record import Run
+from vprbench.tuning.space import SCATTERING
 
 FEWEST = 10  # places of a stretch: below, a network whose training diverged is not seen
 
@@ -33,7 +34,7 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
 
     A rendered dataset is another journey than the reported ones, `places` to search and as many to check. Of a
     recorded one there are the places that neither its own protocol nor a column of the table queries, those on request
-    aside: the longest stretch is searched, the longest left then is checked. Raises BadInput where there are too few,
+    aside: the longest stretch is searched, the longest left then is checked. Raises BadInput if there are too few,
     and for a protocol that sets places aside here and there.
     """
     if _scatters(config):
@@ -72,7 +73,7 @@ def searchable(name: str, config: Mapping[str, Any], places: int, columns: Itera
 def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
     """Return which stored runs query places that are searched or checked, as `<dataset>/<method>-<key>`.
 
-    A run does where dataset and seed are the same and a right place of a query lies in either stretch. One whose
+    A run does if dataset and seed are the same and a right place of a query lies in either stretch. One whose
     protocol draws places here and there, and numbers the others anew, may query any.
     """
     mine = {*allowed.searched, *allowed.checked}
@@ -104,7 +105,7 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
 
 def _scatters(dataset: Mapping[str, Any]) -> bool:
     """Tell whether a dataset's protocol draws the places that it does not query from all over its journey."""
-    return dataset.get("protocol") == "vprsnn"
+    return dataset.get("protocol") in SCATTERING
 
 
 def _journey(dataset: Mapping[str, Any]) -> tuple[Any, Any]:

@@ -39,7 +39,7 @@ _ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong
 
 @dataclass(frozen=True)
 class Settings:
-    """Where to search, and how long; raises BadInput where nothing would be tried."""
+    """Where to search, and how long; raises BadInput if nothing would be tried."""
 
     places: int = 500  # of the stretch that is searched
     trials: int = 200  # two thirds of them random, the rest on the grid
@@ -82,10 +82,10 @@ class Found:
 
 
 def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, Any]) -> Found:
-    """Search the best settings of a method, or go on where an earlier search of the same was ended.
+    """Search the best settings of a method, or go on with an earlier search of the same.
 
-    `method` is a configuration of VPRTempo, `dataset` that of the dataset named in the settings. Raises BadInput
-    where its places are not free to be searched.
+    `method` is a configuration of the method that conf/search.yaml names, `dataset` that of the dataset named in the
+    settings. Raises BadInput if its places are not free to be searched.
     """
     started = time.perf_counter()
     jobs = _jobs(settings.jobs)
@@ -146,7 +146,7 @@ def _origin(
 def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int) -> int:
     """Try random settings, then a grid around the best of them, until `trials` are stored; returns how many it tried.
 
-    What a killed process was trying is tried again, and so are settings whose trial fails, a few times.
+    Settings that a killed process was trying, and settings whose trial fails, are tried again, a few times.
     """
     n_random = trials - trials // 3
     tried = _stage(study, workers, "random", space.drawn(n_random, seed), trials)
@@ -160,7 +160,7 @@ def explore(study: Study, workers: Workers[Task, Tried], trials: int, seed: int)
 def _stage(study: Study, workers: Workers[Task, Tried], stage: Stage, points: Sequence[Values], trials: int) -> int:
     """Try settings that were not tried yet, in their order, as long as there is room for trials.
 
-    Raises RuntimeError where the first few all fail.
+    Raises RuntimeError if the first few all fail.
     """
     tried = 0
     failures: Counter[int] = Counter()  # by point
@@ -195,7 +195,7 @@ def _untried(trials: Sequence[Trial], points: Sequence[Values], failures: Mappin
 
 
 def _jobs(asked: int | None) -> int:
-    """Return how many processes there may be: more than there are cores would only be in each other's way."""
+    """Return how many processes there may be: at most one for each core."""
     cores = len(machine.cores())
     if asked is not None and asked > cores:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"

@@ -1,4 +1,4 @@
-"""Which settings of VPRTempo are searched: the parameters of the paper's Table I, drawn at random or on a grid."""
+"""Which settings are searched: the parameters that conf/search.yaml declares, drawn at random or on a grid."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import optuna
+import yaml
 from optuna.distributions import BaseDistribution, FloatDistribution
+
+from vprbench.plugins import registry
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # it would tell of every trial
 
-Values = Mapping[str, float]  # of every parameter, by the name of VPRTempo's argument
+Values = Mapping[str, float]  # of every parameter, by the name of the method's argument
 
 _DIGITS = 3  # significant ones, so that what was found can be typed
 _RINGS = 6  # steps of the grid to either side, at most: 28,560 points
@@ -19,7 +22,7 @@ _RINGS = 6  # steps of the grid to either side, at most: 28,560 points
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of Table I: its value in the paper and the range that is searched."""
+    """An argument of the method: its value in the paper and the range that is searched."""
 
     name: str  # of the argument
     symbol: str
@@ -30,18 +33,13 @@ class Parameter:
     step: float | None = None  # of the grid; None: stays at the best random value
 
 
-# VPRTempo (ICRA 2024), Table I; the paper prints no ranges. Its grid is over the rates and the probabilities.
-PARAMETERS = (
-    Parameter("threshold_max", "theta_max", 0.5, 0.0, 1.0),
-    Parameter("stdp_rate", "eta_STDP init", 0.005, 0.0002, 0.02, log=True),
-    Parameter("itp_rate", "eta_ITP init", 0.15, 0.01, 0.5, log=True),
-    Parameter("rate_min", "f_min", 0.2, 0.05, 1.0, step=0.05),
-    Parameter("rate_max", "f_max", 0.9, 0.05, 1.0, step=0.05),
-    Parameter("p_excitatory", "P_exc", 0.1, 0.02, 0.5, step=0.03),
-    Parameter("p_inhibitory", "P_inh", 0.5, 0.05, 1.0, step=0.1),
-    Parameter("constant_input", "C", 0.1, 0.0, 0.3),
-)
+_DECLARED = yaml.safe_load((registry.conf_folders()["vprbench"] / "search.yaml").read_text(encoding="utf-8"))
 
+METHOD: str = _DECLARED["method"]
+TITLE: str = _DECLARED["title"]  # of the method
+PLACES_ARGUMENT: str = _DECLARED["places_argument"]  # of the method: at most as many places as there are
+SCATTERING: tuple[str, ...] = tuple(_DECLARED["scattering_protocols"])
+PARAMETERS = tuple(Parameter(name, **values) for name, values in _DECLARED["parameters"].items())
 PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}
 
 
@@ -79,7 +77,8 @@ def around(best: Values) -> Iterator[Values]:
 
 
 def _possible(values: Values) -> bool:
-    return values["rate_min"] <= values["rate_max"]
+    smaller, larger = _DECLARED["ordered"]
+    return values[smaller] <= values[larger]
 
 
 def _rounded(value: float) -> float:

@@ -23,8 +23,6 @@ Stage = Literal["random", "grid"]
 
 JOURNAL = "journal.log"
 
-_NAME = "vprtempo"  # of the study within the journal
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -35,8 +33,8 @@ class Trial:
     point: int  # which of its stage's settings these are
     values: Values
     recall_at_1: float | None  # None: it failed
-    diverged: str | None  # how that was seen; its recall counts as 0
-    failed: str | None  # why; empty where the process that tried it was killed
+    diverged: str | None  # how the divergence was seen; the recall counts as 0
+    failed: str | None  # why; empty if the process that tried it was killed
     seconds: float | None
 
 
@@ -56,7 +54,7 @@ class Study:
         return trial.number
 
     def end(self, number: int, recall_at_1: float, diverged: str | None) -> None:
-        """Store what came of a trial."""
+        """Store the recall of a trial."""
         trial = self._running.pop(number)
         if diverged is not None:
             trial.set_user_attr("diverged", diverged)
@@ -75,7 +73,7 @@ class Study:
     def importance(self) -> dict[str, float]:
         """Return the share of each parameter in how the recall of the random trials varies, the largest first.
 
-        By fANOVA (Hutter et al. 2014), main effects, as shares of their sum. Empty where the recall does not vary.
+        By fANOVA (Hutter et al. 2014), main effects, as shares of their sum. Empty if the recall does not vary.
         """
         apart = optuna.create_study(direction="maximize")
         recalls = set()
@@ -91,7 +89,7 @@ class Study:
             return {}
 
     def abandon_unfinished(self) -> None:
-        """Count as failed what a killed process was trying."""
+        """Count the trials of a killed process as failed."""
         waiting = self._stored.get_trials(deepcopy=False, states=[TrialState.WAITING])
         for _ in waiting:
             self._stored.ask()
@@ -114,7 +112,7 @@ def best_of(trials: list[Trial], stage: Stage | None = None) -> Trial | None:
 def opened(folder: Path) -> Iterator[Study]:
     """Open the study in a folder, or begin one; nobody else can meanwhile.
 
-    Raises BadInput where another process has it open, or where its journal cannot be read.
+    Raises BadInput if another process has it open or if its journal cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     journal = folder / JOURNAL
@@ -126,14 +124,16 @@ def opened(folder: Path) -> Iterator[Study]:
         _mend(journal)
         lock = JournalFileOpenLock(str(journal))
         storage = JournalStorage(JournalFileBackend(str(journal), lock))
-        stored = optuna.create_study(storage=storage, study_name=_NAME, direction="maximize", load_if_exists=True)
+        stored = optuna.create_study(
+            storage=storage, study_name=space.METHOD, direction="maximize", load_if_exists=True
+        )
         study = Study(stored)
         study.abandon_unfinished()
         yield study
 
 
 def _mend(journal: Path) -> None:
-    """Remove what a process left that was killed while it wrote: half a line, and the lock of the journal."""
+    """Remove the half line and the lock that a process killed while writing left in the journal."""
     Path(f"{journal}.lock").unlink(missing_ok=True)
     if not journal.exists():
         return

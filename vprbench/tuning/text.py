@@ -14,7 +14,7 @@ from vprbench.storage.atomic import replace_text
 from vprbench.tuning.comparison import AGREE, SEEDS, Comparison, Repeated
 from vprbench.tuning.objective import StretchName
 from vprbench.tuning.search import Found, Settings
-from vprbench.tuning.space import PARAMETERS
+from vprbench.tuning.space import METHOD, PARAMETERS, PLACES_ARGUMENT, TITLE
 
 _FEW = 50  # random trials below which importance is hardly more than chance
 _NAMED = 3  # stored runs, at most
@@ -26,9 +26,9 @@ _TEMPLATE = Path(__file__).with_name("search.md.j2")
 
 
 def write(found: Found, folder: Path) -> str:
-    """Leave what was found and every trial in a folder and in that of the study; returns the text to print.
+    """Write the report and every trial into a folder and into the folder of the study; returns the text to print.
 
-    In the folder the names tell the dataset, where it is not the usual one, and a quick search: search.md and
+    In the folder the names tell an unusual dataset and a quick search: search.md and
     search.csv, search-street.md, search-quick.md.
     """
     text, trials = text_of(found), trials_csv(found)
@@ -61,19 +61,17 @@ def text_of(found: Found) -> str:
         here=found.environment,
         software=machine_lines({**found.environment})[1],
         percent=_percent,
-        **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT},
+        **{"AGREE": AGREE, "SEEDS": SEEDS, "FEW": _FEW, "NAMED": _NAMED, "SHORT": _SHORT, "TITLE": TITLE},
     )
 
 
 def command(found: Found) -> str:
     """Return the command that runs the best settings on the whole dataset."""
-    options = ["method=vprtempo", f"dataset={found.settings.dataset}"]
+    options = [f"method={METHOD}", f"dataset={found.settings.dataset}"]
     if found.settings.root is not None:
         options.append(f"dataset.root={found.settings.root}")
-    rules = found.method.get("rules", "paper")
-    options += [f"method.rules={rules}"] * (rules != "paper")
-    if (places := found.dataset.get("places")) is not None and places < found.method["max_module"]:
-        options.append(f"method.max_module={places}")
+    if (places := found.dataset.get("places")) is not None and places < found.method[PLACES_ARGUMENT]:
+        options.append(f"method.{PLACES_ARGUMENT}={places}")
     options += [f"method.{name}={value:g}" for name, value in found.best.values.items()]
     return " ".join(["python -m vprbench", *map(shlex.quote, options)])
 

@@ -60,7 +60,7 @@ class Workers(Generic[Asked, Given]):
         return len(self._pools)
 
     def answers(self, tasks: Sequence[Asked], begins: Callable[[int], None]) -> Iterator[Answer[Given]]:
-        """Yield what comes of each task, in the order in which they end; `begins` is told of each handed out."""
+        """Yield the answer to each task as tasks end; `begins` is given the number of each task that is handed out."""
         while len(self._pools) < min(self._count, len(tasks)):
             self._start(len(self._pools))
         waiting, idle = deque(enumerate(tasks)), list(range(len(self._pools)))
@@ -92,7 +92,7 @@ class Workers(Generic[Asked, Given]):
             return self._pools[number].submit(self._attempt, asked)
 
     def _start(self, number: int) -> None:
-        """Start a process, in the place of the one that died where there was one."""
+        """Start a process, in the place of a dead one if there was one."""
         context = get_context("spawn")  # forking a process that has threads is not safe
         pool = ProcessPoolExecutor(1, context, initializer=_begin)
         self._pools[number:] = [pool, *self._pools[number + 1 :]]
