@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, cast, get_args, get_type_hints
+from typing import Any, ClassVar, Literal, cast, get_args, get_type_hints
 
 import yaml
 from hydra.core.config_search_path import ConfigSearchPath
@@ -18,6 +18,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import ending
 from vprbench.api.dataset import Dataset
@@ -25,7 +26,6 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
-from vprbench.plugins.tuned_on import TunedOn
 from vprbench.text import near as near  # for the commands too
 
 Group = Literal["method", "dataset"]
@@ -34,6 +34,17 @@ ENTRY_POINTS = "vprbench.conf"
 
 _DECLARED = "tuned_on"  # of a method: what its yaml says of its settings, no argument
 _NO_CHOICE = ("_target_", "defaults", "seed", "device", _DECLARED)  # what every run sets for itself
+
+
+@dataclass(frozen=True)
+class TunedOn:
+    """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
+
+    dataset: str  # its name, as runs hold it
+    places: str  # in words: the first 1000 places
+    also_in: tuple[str, ...] = ()  # datasets that show these places under other names
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)
@@ -54,9 +65,7 @@ class Entry:
     @property
     def options(self) -> list[str]:
         """The names of the arguments that the yaml holds, those of the one it builds on included."""
-        content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
-        names = [name for name in content if name not in ("_target_", "defaults", _DECLARED)]
-        return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
+        return [str(name) for name in self._values() if name not in ("_target_", "defaults", _DECLARED)]
 
     @property
     def tuned_on(self) -> dict[str, Any]:
@@ -74,7 +83,7 @@ class Entry:
         """
         own = OmegaConf.to_container(self._values())
         given = {name: value for name, value in arguments.items() if name not in _NO_CHOICE}
-        return _different(given, own if isinstance(own, dict) else {})
+        return _different(given, cast(dict[Any, Any], own))
 
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function, its own or that of the one it builds on.
@@ -82,11 +91,8 @@ class Entry:
         Raises BadInput with the reason where that fails.
         """
         try:
-            content = yaml.safe_load(self.path.read_text(encoding="utf-8"))
-            if "_target_" not in content and (bases := self._bases(content)):
-                return bases[-1].target()
-            return _locate(content["_target_"])
-        except (yaml.YAMLError, KeyError, TypeError) as error:
+            return _locate(self._values()["_target_"])
+        except (yaml.YAMLError, OmegaConfBaseException, OSError) as error:
             reason = str(error).splitlines()[0]
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
 
@@ -99,13 +105,9 @@ class Entry:
         content = OmegaConf.load(self.path)
         if not isinstance(content, DictConfig):
             return OmegaConf.create()
-        return cast(DictConfig, OmegaConf.merge(*(base._values() for base in self._bases(content)), content))
-
-    def _bases(self, content: Mapping[str, Any]) -> list[Entry]:
-        """Return the ones that the yaml builds on."""
         known = entries(self.group)
         named = [base for base in content.get("defaults", []) if isinstance(base, str) and base != self.name]
-        return [known[base] for base in named if base in known]
+        return cast(DictConfig, OmegaConf.merge(*(known[base]._values() for base in named if base in known), content))
 
 
 def entries(group: Group) -> dict[str, Entry]:
@@ -272,7 +274,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
 
 
 def _tuned_on(given: Any, where: object) -> dict[str, Any]:
-    """Return what a `tuned_on` declares, as plain values; raises BadInput that says where it stands."""
+    """Return a declared `tuned_on` as plain values; raises BadInput that names the yaml or method."""
     if given is None:
         return {}
     plain = OmegaConf.to_container(given) if OmegaConf.is_config(given) else given
