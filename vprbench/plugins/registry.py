@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import inspect
 from collections.abc import Callable, Iterator, Mapping
@@ -88,7 +87,7 @@ class Entry:
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function, its own or that of the one it builds on.
 
-        Raises BadInput with the reason where that fails.
+        Raises BadInput with the reason if the import fails.
         """
         try:
             return _locate(self._values()["_target_"])
@@ -138,29 +137,13 @@ def _offered(group: Group) -> dict[str, list[Entry]]:
 
 def conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by provider: this project's and those of plug-ins."""
-    folders = {"vprbench": _package_folder("vprbench.conf")}
-    for name, points in _plugin_points().items():
-        with contextlib.suppress(ModuleNotFoundError):  # `broken_plugins` names it
-            if len(points) == 1 and name != "vprbench":
-                folders[name] = _package_folder(points[0].value)
-    return folders
+    plugins = {name: found for name, found in _plugins().items() if isinstance(found, Path)}
+    return {"vprbench": _package_folder("vprbench.conf"), **plugins}
 
 
 def broken_plugins() -> Iterator[tuple[str, str]]:
     """Yield the installed plug-ins of which something is not used, with the reason."""
-    for name, points in _plugin_points().items():
-        if len(points) > 1 or name == "vprbench":
-            packages = " and ".join(point.dist.name if point.dist else point.value for point in points)
-            owners = packages + " and by this project" * (name == "vprbench")
-            yield name, f"the entry point is named so by {owners}, and no plug-in of that name is used"
-            continue
-        try:
-            folder = _package_folder(points[0].value)
-        except ModuleNotFoundError as error:
-            yield name, str(error)
-        else:
-            if not folder.is_dir():
-                yield name, f"{folder} does not exist"
+    yield from ((name, found) for name, found in _plugins().items() if isinstance(found, str))
     for group in get_args(Group):
         for name, offers in _offered(group).items():
             for entry in offers[len(offers) == 1 or offers[0].provider == "vprbench" :]:
@@ -212,12 +195,24 @@ class _PluginSearchPath(SearchPathPlugin):
                 search_path.append(provider=provider, path=f"file://{folder}")
 
 
-def _plugin_points() -> dict[str, list[EntryPoint]]:
-    """Return the entry points of plug-ins by name; with more than one for a name none of them can be used."""
+def _plugins() -> dict[str, Path | str]:
+    """Return by the name of its entry point the folder of each plug-in, or the reason why the plug-in is not used."""
     points: dict[str, list[EntryPoint]] = {}
     for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
         points.setdefault(point.name, []).append(point)
-    return points
+    found: dict[str, Path | str] = {}
+    for name, shared in points.items():
+        if len(shared) > 1 or name == "vprbench":
+            packages = " and ".join(point.dist.name if point.dist else point.value for point in shared)
+            owners = packages + " and by this project" * (name == "vprbench")
+            found[name] = f"the entry point is named so by {owners}, and no plug-in of that name is used"
+            continue
+        try:
+            folder = _package_folder(shared[0].value)
+            found[name] = folder if folder.is_dir() else f"{folder} does not exist"
+        except ModuleNotFoundError as error:
+            found[name] = str(error)
+    return found
 
 
 def _package_folder(name: str) -> Path:

@@ -114,7 +114,7 @@ class FileHashes:
             self._remembered |= hashes
 
     def _ask(self, question: Callable[[sqlite3.Connection], Answer]) -> Answer | None:
-        """Put a question to the database, once more to a new one where it was damaged; None once it has refused."""
+        """Put a question to the database, once more to a new database if it was damaged; None once it has refused."""
         if self._refused:
             return None
         try:
