@@ -120,32 +120,19 @@ ARRAYS = {
 ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)
 
 
-def back_from_disk(folder: Path, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    method = Holding(arrays={"only": array})
-    networks.save(networks.Destination(folder / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
-    networks.load(folder / "x.safetensors", method, ORIGIN)
-    return method.arrays["only"]
-
-
 @pytest.mark.parametrize("name", ARRAYS)
 def test_an_array_comes_back_bit_by_bit(tmp_path: Path, name: str) -> None:
-    back, given = back_from_disk(tmp_path, ARRAYS[name]), ARRAYS[name]
+    method, given = Holding(arrays={"only": ARRAYS[name]}), ARRAYS[name]
+    networks.save(networks.Destination(tmp_path / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
+    networks.load(tmp_path / "x.safetensors", method, ORIGIN)
+    back = method.arrays["only"]
     assert (back.dtype, back.shape, back.tobytes()) == (given.dtype, given.shape, given.tobytes())
 
 
-def test_big_endian_numbers_come_back_with_their_values(tmp_path: Path) -> None:
-    assert back_from_disk(tmp_path, np.array([1.5, -2], ">f4")).tolist() == [1.5, -2]
-
-
-def test_a_loaded_network_gives_the_scores_of_the_trained_one(path: Path) -> None:
+def test_a_loaded_network_gives_the_scores_of_the_trained_one_and_tells_its_run(path: Path) -> None:
     trained, loaded = store(path, Prototypes(seed=3)), Prototypes(seed=3)
-    load(path, loaded)
+    assert load(path, loaded) == ("loaded network: run 0123 trained it in 12.3 s",)
     assert np.array_equal(loaded.query(WORLD.queries), trained.query(WORLD.queries))
-
-
-def test_loading_tells_the_run_that_trained_and_how_long_it_took(path: Path) -> None:
-    store(path, Prototypes())
-    assert load(path, Prototypes()) == ("loaded network: run 0123 trained it in 12.3 s",)
 
 
 @pytest.mark.parametrize(
@@ -481,12 +468,9 @@ def published(path: Path, content: Any, **options: Any) -> Path:
     return path
 
 
-class Reader(Holding):
-    """Takes whatever a file holds."""
-
-
 def read(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    networks.load(path, method := Reader(), ORIGIN)
+    (note,) = networks.load(path, method := Holding(), ORIGIN)
+    assert note.startswith("published network: neither")
     return method.arrays
 
 
@@ -516,20 +500,13 @@ def test_parameters_and_state_dictionaries_of_a_module_can_be_read(tmp_path: Pat
     assert np.array_equal(arrays["model_0.weight"], arrays["model_1.w"])
 
 
-def test_a_published_network_is_said_to_be_unchecked(tmp_path: Path) -> None:
-    path = published(tmp_path / "x.pth", {"model_0": LAYER})
-    assert networks.load(path, Reader(), ORIGIN) == (
-        "published network: neither its arguments nor its training images could be checked",
-    )
-
-
 @pytest.mark.parametrize("write", [torch.save, lambda content, path: path.write_bytes(pickle.dumps(content))])
 @pytest.mark.parametrize("wrap", [lambda trap: trap, lambda trap: {"model_0": {"thr": trap}}], ids=["bare", "nested"])
 def test_a_file_with_code_in_it_is_refused_and_its_code_does_not_run(
     tmp_path: Path, write: Callable[[Any, Path], object], wrap: Callable[[Trap], Any]
 ) -> None:
     write(wrap(Trap(tmp_path / "sprung")), tmp_path / "x.pth")
-    assert re.search("would run posix.mkdir|no file of torch", refusal(tmp_path / "x.pth"))
+    assert "would have to run code of its own" in refusal(tmp_path / "x.pth")
     assert not (tmp_path / "sprung").exists()
 
 
@@ -543,7 +520,7 @@ def test_the_trap_of_these_tests_springs_where_pickle_is_trusted(tmp_path: Path)
     [
         ([torch.zeros(1)], "one list"),
         (torch.zeros(1), "one Tensor"),
-        (torch.nn.Linear(2, 2), "torch.nn.modules.linear.Linear"),
+        (torch.nn.Linear(2, 2), "tensors alone"),
         ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int"),
         ({"model_0": None}, "model_0 is of type NoneType"),
         ({"model_0": {"deeper": {"thr": torch.zeros(1)}}}, "model_0.deeper is of type dict"),
@@ -679,9 +656,12 @@ def test_a_trained_run_is_not_answered_with_a_loaded_one(stored: dict[str, Any],
     assert stored["run_folder"] in folders
 
 
-def test_another_network_in_the_same_file_is_another_run(stored: dict[str, Any], ask: Ask) -> None:
-    first = ask("load=net.safetensors")
-    ask("save=net.safetensors", "force=true")  # took another time to train
+def test_force_trains_again_and_another_network_in_the_same_file_is_another_run(
+    stored: dict[str, Any], ask: Ask
+) -> None:
+    first, before = ask("load=net.safetensors"), Path("net.safetensors").read_bytes()
+    assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
+    assert Path("net.safetensors").read_bytes() != before
     second = ask("load=net.safetensors")
     assert second["from_store"] is False
     assert second["network"] != first["network"]
@@ -705,20 +685,19 @@ def test_nothing_is_trained_for_a_file_that_cannot_be_written(untrainable: None,
     assert Path("there.safetensors").read_text() == "mine"
 
 
-def test_a_run_in_the_store_is_made_again_for_its_network(ask: Ask, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(
+    ask: Ask, caplog: pytest.LogCaptureFixture
+) -> None:
     ask()
     caplog.set_level("INFO")
-    assert ask("save=net.safetensors")["from_store"] is False
+    run = ask("save=net.safetensors")
     assert caplog.messages == ["prototypes is stored without its network: running again for save=net.safetensors"]
-    assert Path("net.safetensors").exists()
-
-
-def test_a_run_whose_network_was_kept_is_answered_from_the_store(
-    stored: dict[str, Any], untrainable: None, ask: Ask
-) -> None:
     before = Path("net.safetensors").read_bytes()
-    assert ask("save=net.safetensors")["from_store"] is True
+    again = ask("save=net.safetensors")
+    assert (run["from_store"], again["from_store"]) == (False, True)
     assert Path("net.safetensors").read_bytes() == before
+    Path(run["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
+    assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
 
 
 def test_a_run_in_the_store_does_not_take_the_network_of_another_run_for_its_own(
@@ -726,12 +705,6 @@ def test_a_run_in_the_store_does_not_take_the_network_of_another_run_for_its_own
 ) -> None:
     ask("seed=1")
     assert "save=net.safetensors is there already" in refused("save=net.safetensors", "seed=1")
-
-
-def test_force_trains_again_and_replaces_the_network(stored: dict[str, Any], ask: Ask) -> None:
-    before = Path("net.safetensors").read_bytes()
-    assert ask("save=net.safetensors", "force=true")["from_store"] is False
-    assert Path("net.safetensors").read_bytes() != before
 
 
 def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -742,14 +715,6 @@ def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monke
         patch.setattr(Prototypes, "match", fail)
         assert main([*RUN, "save=net.safetensors"]) == 1
     assert ask("load=net.safetensors")["queries"] > 0
-
-
-def test_the_command_of_a_run_that_was_killed_after_its_network_was_stored_is_given_again(
-    stored: dict[str, Any], ask: Ask
-) -> None:
-    Path(stored["run_folder"], "run.json").unlink()
-    assert ask("save=net.safetensors")["from_store"] is False
-    assert ask("save=net.safetensors")["from_store"] is True
 
 
 def test_a_training_that_fails_leaves_no_network(untrainable: None, here: Path) -> None:

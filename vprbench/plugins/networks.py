@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ _UNCHECKED = "published network: neither its arguments nor its training images c
 
 @dataclass(frozen=True)
 class Files:
-    """Where a run takes its network from, and where it leaves the one that it trained."""
+    """Where a run takes its network from, and where it leaves the network that it trained."""
 
     load: Path | None = None
     sha256: str | None = None  # of the file to load
@@ -74,7 +75,7 @@ def keeps_a_network(method: Method) -> bool:
 
 
 def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
-    """Return what the network of a method is trained with and on, where `arguments` configure the method."""
+    """Return the arguments and data that the network of a method, configured by `arguments`, is trained with."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
     held_out = calibration(method, dataset)
@@ -115,7 +116,7 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
 def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
     """Store what a method has learnt; a reader sees the old file or the whole new one, never a part.
 
-    Raises BadInput if the disk refuses, or where another run has stored its network there meanwhile.
+    Raises BadInput if the disk refuses, or if another run has stored its network there meanwhile.
     """
     description = {
         "format": FORMAT,
@@ -229,8 +230,17 @@ def _published(path: Path) -> Arrays:
     """
     import torch
 
+    try:
+        content = read_weights(path)
+    except BadInput as error:
+        if not isinstance(error.__cause__, pickle.UnpicklingError):
+            raise
+        raise BadInput(
+            f"{path} is damaged, or would have to run code of its own to be read, which is never done: "
+            "give a file that holds tensors alone"
+        ) from error
     found: dict[str, Any] = {}
-    for name, value in read_weights(path).items():
+    for name, value in content.items():
         found |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
     for name, value in found.items():
         if not is_plain(value):
