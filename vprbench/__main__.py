@@ -13,7 +13,7 @@ from vprbench import ending
 
 
 def main() -> int:
-    """Run the command line; returns the exit code, which is 0 only where all that was asked for is done."""
+    """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     if ending.waited_for():
         return _waited_for()
     from vprbench.run.processes import run_apart
@@ -38,7 +38,7 @@ def _waited_for() -> int:
         from vprbench import cli
 
         code = cli.main()
-    except SystemExit as error:  # of Hydra, that says why; of a plug-in it is caught where that runs
+    except SystemExit as error:  # of Hydra, which says why; a plug-in's is caught where the plug-in runs
         code = error.code if isinstance(error.code, int) else int(error.code is not None)
     except KeyboardInterrupt:  # before the command line could say so: the process that waits does
         return 128 + signal.SIGINT

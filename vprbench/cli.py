@@ -12,7 +12,7 @@ import sys
 import textwrap
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -72,7 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         registry.register_search_path()
         if arguments and arguments[0] in COMMANDS:
-            return _command(arguments[0], arguments[1:])
+            try:
+                return COMMANDS[arguments[0]](arguments[1:])
+            except SystemExit as error:  # of a plug-in; Hydra's goes on
+                return _complain(_told(error), 1)
         if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
             raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
         return _run_or_sweep(in_order(readable(arguments)))
@@ -89,14 +92,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(IN_SWEEP):  # the sweep or the table that waits for this run says it
             return code
         return _complain("interrupted; what was finished before is kept: give the same command again", code)
-
-
-def _command(name: str, options: list[str]) -> int:
-    """Run one of the commands beside a run."""
-    try:
-        return COMMANDS[name](options)
-    except SystemExit as error:
-        return _complain(_told(error), 1)
 
 
 def _run_or_sweep(arguments: list[str]) -> int:
@@ -119,9 +114,9 @@ def _run_or_sweep(arguments: list[str]) -> int:
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
-    sys.argv = [kept[0], *arguments]
-    with _hydra_options(arguments) as options:
-        sys.argv += options
+    sweep = any(text == "-m" or "multirun" in text.lower() for text in arguments)
+    with scratch() if sweep else contextlib.nullcontext() as folder:  # where Hydra leaves its notes on a sweep
+        sys.argv = [kept[0], *arguments, *([f"hydra.sweep.dir={folder}"] if sweep else [])]
         try:
             task()
         except ValueError as error:  # of flags that do not go together
@@ -131,16 +126,6 @@ def _run_or_sweep(arguments: list[str]) -> int:
     if errors:
         raise errors[0]
     return max(codes, default=0)
-
-
-@contextlib.contextmanager
-def _hydra_options(arguments: Sequence[str]) -> Iterator[list[str]]:
-    """Yield the options by which Hydra leaves its notes on a sweep in a folder that is removed; none for one run."""
-    if not any(text == "-m" or "multirun" in text.lower() for text in arguments):
-        yield []
-        return
-    with scratch() as folder:
-        yield [f"hydra.sweep.dir={folder}"]
 
 
 def _run(config: DictConfig) -> int:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
+from vprbench.plugins.options import chosen
+from vprbench.progress import answers_alone, progress_shown
 from vprbench.run.compose import check_names, composed, readable
 from vprbench.run.settings import checked_settings, n_threads
 from vprbench.text import printable
@@ -42,9 +44,8 @@ def report(options: list[str]) -> int:
 
 
 def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
-    """Return which rows and columns are asked for, the options of their runs, and what resolves those of a dataset."""
+    """Return the rows and columns asked for, the options of their runs, and what resolves a dataset's options."""
     from vprbench.paper.gather import TableRequest
-    from vprbench.plugins.options import chosen
 
     own = [option for option in options if option.partition("=")[0] in TableRequest.__dataclass_fields__]
     rest = readable([option for option in options if option not in own])
@@ -61,8 +62,6 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
 
 def search_parameters(options: list[str]) -> int:
     """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
-    from vprbench.plugins.options import chosen
-    from vprbench.progress import progress_shown
     from vprbench.run.store import Store
     from vprbench.tuning import search, text
 
@@ -80,7 +79,6 @@ def search_parameters(options: list[str]) -> int:
 
 def measure_speed(options: list[str]) -> int:
     """Measure how fast training, preprocessing and queries are, and write the numbers."""
-    from vprbench.plugins.options import chosen
     from vprbench.speed import bench
     from vprbench.speed.settings import QUICK, Settings
 
@@ -93,7 +91,6 @@ def measure_speed(options: list[str]) -> int:
 
 def measure_descriptors(options: list[str]) -> int:
     """Measure how fast each method describes frames and searches, and write the numbers."""
-    from vprbench.plugins.options import chosen
     from vprbench.speed import descriptors
 
     settings = chosen(descriptors.Settings, options, descriptors.QUICK)
@@ -107,7 +104,6 @@ def measure_descriptors(options: list[str]) -> int:
 
 def compare_gpu(options: list[str]) -> int:
     """Compare the GPU with the CPU, time it, and write both."""
-    from vprbench.plugins.options import chosen
     from vprbench.speed import gpu
 
     settings = chosen(gpu.Settings, options, gpu.QUICK)
@@ -120,8 +116,7 @@ def compare_gpu(options: list[str]) -> int:
 
 @contextlib.contextmanager
 def _prepared(title: str, device: str, threads: int | None, results: str, seed: int) -> Iterator[Path]:
-    """Check what all commands share, pin the threads and show the progress; yields the results folder."""
-    from vprbench.progress import progress_shown
+    """Check the options that all commands share, pin the threads, show the progress; yields the results folder."""
     from vprbench.run import machine
     from vprbench.run.store import Store
 
@@ -135,7 +130,7 @@ def _prepared(title: str, device: str, threads: int | None, results: str, seed: 
 
 
 def _maker(seed: int) -> Callable[..., Method]:
-    """Return what builds a method by its name for a device, with arguments that replace those of its yaml."""
+    """Return a maker of methods by name and device; its arguments replace the arguments of the yaml."""
 
     @functools.cache
     def config(name: str, device: str) -> dict[str, Any]:
@@ -170,9 +165,8 @@ def list_plugins(options: list[str]) -> int:
 
 
 def check_method(options: list[str]) -> int:
-    """Test a method against the rules of the contract and count them; raises BadInput where none is named."""
+    """Test a method against the rules of the contract and count them; raises BadInput if no method is named."""
     from vprbench.plugins import conformance
-    from vprbench.progress import progress_shown
     from vprbench.run import machine
 
     if not any(option.startswith("method=") for option in options):
@@ -194,10 +188,9 @@ def check_method(options: list[str]) -> int:
 def doctor(options: list[str]) -> int:
     """Examine a dataset and say what is wrong with it and what to do.
 
-    Raises BadInput where none is named, and for options that are neither its own nor output=json.
+    Raises BadInput if no dataset is named, and for options that are neither its own nor output=json.
     """
     from vprbench.data.doctor import command
-    from vprbench.progress import answers_alone, progress_shown
 
     if not any(option.startswith("dataset=") for option in options):
         raise BadInput(f"doctor needs dataset=NAME; {registry.near('', registry.entries('dataset'))}")
@@ -221,7 +214,7 @@ def doctor(options: list[str]) -> int:
 def fetch(options: list[str]) -> int:
     """Download a dataset, unpack and check it, or say what a person has to do; without a name list what there is.
 
-    Returns 1 where the frames that came are not right.
+    Returns 1 if the frames that came are not right.
     """
     from vprbench.data.doctor import Finding, quick
     from vprbench.data.fetch.command import fetch_command

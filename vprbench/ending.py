@@ -18,7 +18,7 @@ def waited_for() -> bool:
 
 
 def tell(**words: Any) -> None:
-    """Add plain values to what this process leaves; nothing where nobody waits, or in a fork of it."""
+    """Add plain values to what this process leaves; nothing if nobody waits, or in a fork of this process."""
     path, process = _place()
     if path is not None and os.getpid() == process:
         with contextlib.suppress(OSError), Path(path).open("a", encoding="utf-8") as file:
@@ -35,7 +35,7 @@ def told(path: Path) -> dict[str, Any]:
 
 
 def leave_if_forked(process: int) -> None:
-    """End this process where it is a fork of `process`, whose answer would be a second one."""
+    """End this process if it is a fork of `process`, whose answer would be a second one."""
     if os.getpid() != process:
         os._exit(0)
 

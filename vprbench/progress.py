@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from contextvars import ContextVar
 from typing import Any, TextIO
 
@@ -24,7 +24,7 @@ _STEPS = 1000  # resolution of the bar
 
 
 def report(stage: str, done: float) -> None:
-    """Say which share of `stage`, 0 to 1, is done; costs nothing where nobody listens."""
+    """Say which share of `stage`, 0 to 1, is done; costs nothing if nobody listens."""
     listener = _listener.get()
     if listener is not None:
         listener(stage, done)
@@ -58,7 +58,7 @@ def log_lines() -> None:
 def answers_alone() -> Iterator[Callable[[str], None]]:
     """Yield what prints a line on standard output; all else that is printed inside goes to standard error.
 
-    In a process that another one waits for that holds for compiled code too, and until the process ends.
+    In a process that another process waits for this holds for compiled code too, and until the process ends.
     """
     stream = sys.stdout
     if ending.waited_for():
@@ -79,12 +79,8 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
     shown = _Forgiving(sys.stderr if stream is None else stream)
     title = printable(title)
-    if shown.isatty():
-        with _Bar(title, shown) as bar, listening(bar.show):
-            yield
-    else:
-        with listening(_Lines(title, shown).show):
-            yield
+    with _bar(title, shown) if shown.isatty() else nullcontext(_lines(title, shown)) as show, listening(show):
+        yield
 
 
 class _Forgiving:
@@ -106,48 +102,41 @@ class _Forgiving:
             self._stream.flush()
 
 
-class _Bar:
-    def __init__(self, title: str, stream: _Forgiving) -> None:
-        columns, rows = shutil.get_terminal_size()  # 80 and 24 where a terminal does not tell
-        layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
-        from tqdm import tqdm
+@contextmanager
+def _bar(title: str, stream: _Forgiving) -> Iterator[Listener]:
+    """Yield what moves a bar, and draws it anew for a new stage."""
+    from tqdm import tqdm
 
-        self._bar = tqdm(
-            total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns, nrows=rows
-        )
-        self._title = title
-        self._stage = ""
+    columns, rows = shutil.get_terminal_size()  # 80 and 24 if a terminal does not tell
+    layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
+    current = ""
+    with tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns, nrows=rows) as bar:
 
-    def __enter__(self) -> _Bar:
-        return self
+        def show(stage: str, done: float) -> None:
+            nonlocal current
+            if stage != current:
+                current = stage
+                bar.reset()
+                bar.set_description_str(f"{title}: {printable(stage)}")
+            bar.update(int(done * _STEPS) - bar.n)
 
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def show(self, stage: str, done: float) -> None:
-        """Draw the bar anew for a new stage, and move it."""
-        if stage != self._stage:
-            self._stage = stage
-            self._bar.reset()
-            self._bar.set_description_str(f"{self._title}: {printable(stage)}")
-        self._bar.update(int(done * _STEPS) - self._bar.n)
+        yield show
 
 
-class _Lines:
-    def __init__(self, title: str, stream: _Forgiving) -> None:
-        self._title = title
-        self._stream = stream
-        self._stage = ""
-        self._started = self._last = 0.0
+def _lines(title: str, stream: _Forgiving) -> Listener:
+    """Return what prints a line for a new stage, and one every few seconds of a long stage."""
+    current, started, last = "", 0.0, 0.0
 
-    def show(self, stage: str, done: float) -> None:
-        """Print a line for a new stage, and one every few seconds of a long one."""
+    def show(stage: str, done: float) -> None:
+        nonlocal current, started, last
         now = time.perf_counter()
-        if stage != self._stage:
-            self._stage, self._started, self._last = stage, now, now
-            print(f"{self._title}: {printable(stage)}", file=self._stream, flush=True)
-        elif now - self._last >= _LINE_EVERY and 0 < done < 1:
-            self._last = now
-            left = (now - self._started) * (1 - done) / done
-            line = f"{self._title}: {printable(stage)} {100 * done:.0f} %, {left:.0f} s left"
-            print(line, file=self._stream, flush=True)
+        line = f"{title}: {printable(stage)}"
+        if stage != current:
+            current, started, last = stage, now, now
+            print(line, file=stream, flush=True)
+        elif now - last >= _LINE_EVERY and 0 < done < 1:
+            last = now
+            left = (now - started) * (1 - done) / done
+            print(f"{line} {100 * done:.0f} %, {left:.0f} s left", file=stream, flush=True)
+
+    return show

@@ -6,13 +6,17 @@ import difflib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-_NAMED = 5  # of a list in a sentence
+
+def some(names: Iterable[Any], most: int = 5) -> str:
+    """Return the first `most` names as text, and how many more there are."""
+    listed = [str(name) for name in names]
+    more = f" and {len(listed) - most} more" if len(listed) > most else ""
+    return ", ".join(listed[:most]) + more
 
 
-def some(names: Sequence[str], separator: str = ", ") -> str:
-    """Return the first five names, and how many more there are."""
-    listed = separator.join(names[:_NAMED])
-    return f"{listed} and {len(names) - _NAMED} more" if len(names) > _NAMED else listed
+def some_of(names: Iterable[Any]) -> str:
+    """Return the first three names as text, and how many more there are."""
+    return some(names, most=3)
 
 
 def plural(number: int, one: str) -> str:
@@ -22,7 +26,7 @@ def plural(number: int, one: str) -> str:
 
 
 def be(names: Sequence[str]) -> str:
-    """Return the verb for so many."""
+    """Return the verb that fits so many names: is or are."""
     return "is" if len(names) == 1 else "are"
 
 
@@ -38,10 +42,3 @@ def near(name: str, known: Iterable[str]) -> str:
     if close:
         return f"did you mean {' or '.join(close)}?"
     return f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
-
-
-def some_of(names: Iterable[Any]) -> str:
-    """Return the first three names as text, and how many more there are."""
-    names = [str(name) for name in names]
-    shown = ", ".join(names[:3])
-    return f"{shown} and {len(names) - 3} more" if len(names) > 3 else shown

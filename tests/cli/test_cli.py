@@ -10,14 +10,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
 from checkout import ROOT
 from PIL import Image as PillowImage
+from served_files import serving
 
 from vprbench import cli
 from vprbench.cli import main
@@ -57,6 +56,17 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert not list(Path().rglob("run.json"))
     assert not list(Path().rglob(".partial-*"))
     return lines[-1]
+
+
+def in_a_process(*options: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "vprbench", *options, *QUICK],
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1", **environment},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
 
 
 def frames(folder: Path, count: int, size: tuple[int, int] = (16, 12), mode: str = "RGB") -> Path:
@@ -123,11 +133,12 @@ def test_a_run_prints_one_json_object_and_answers_from_the_store_unless_forced(
 ) -> None:
     rows = []
     for options in ([], [], ["force=true"]):
-        assert main(["method=sad", *QUICK, "output=json", *options]) == 0
+        assert main(["method=sad", *QUICK, "output=json", "results=min m\u00e5ling", *options]) == 0
         rows.append(json.loads(capsys.readouterr().out))
     assert set(rows[0]) >= KEYS
     assert [row.pop("from_store") for row in rows] == [False, True, False]
     assert rows[0] == rows[1]
+    assert Path(rows[0]["run_folder"]).parts[0] == "min m\u00e5ling"
 
 
 def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_words_it_was_asked_with(
@@ -153,55 +164,19 @@ def test_a_row_names_its_numbers_and_its_folder_from_the_store_too_under_the_wor
     assert "patch=7" not in printed.out
 
 
-def test_a_sweep_runs_every_combination_and_survives_a_failing_cell() -> None:
-    options = [*QUICK, "method.patch=4,3"]
-    done = subprocess.run(
-        [sys.executable, "-m", "vprbench", "-m", "method=sad", *options],
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert len(list(Path().rglob("run.json"))) == 1
-    (failure,) = Path().rglob("failure.json")
-    assert "method.patch=4" in json.loads(failure.read_text())["error"]
-
-
-def test_a_sweep_says_in_a_line_each_which_weights_are_missing_and_runs_the_rest() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "vprbench", "-m", "method=gcl,salad,sad", *QUICK],
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "OMP_NUM_THREADS": "1", "VPRBENCH_OFFLINE": "1"}
-        | {"VPRBENCH_WEIGHTS": str(Path("weights").absolute())},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+def test_a_sweep_survives_failing_cells_and_says_in_a_line_each_which_weights_are_missing() -> None:
+    weights = {"VPRBENCH_OFFLINE": "1", "VPRBENCH_WEIGHTS": str(Path("weights").absolute())}
+    done = in_a_process("-m", "method=gcl,salad,sad", **weights)
     assert done.returncode == 2
     (run,) = Path().rglob("run.json")
     assert json.loads(run.read_text())["method"] == "sad"
-    complaints = [line for line in done.stderr.splitlines() if " needs " in line]
-    assert [re.split(r" which is not in", line)[0] for line in complaints] == [
+    complaints = [line.partition(" which is not in")[0] for line in done.stderr.splitlines() if " needs " in line]
+    assert complaints == [
         "vprbench: GCL needs MSLS_resnet152_GeM_480_GCL.pth,",
         "vprbench: SALAD needs dino_salad.ckpt,",
     ]
     assert "Traceback" not in done.stderr
     assert len(list(Path().rglob("failure.json"))) == 2
-
-
-class Page(BaseHTTPRequestHandler):
-    """Serves the same bytes, no network, under every name."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Length", "1000")
-        self.end_headers()
-        self.wfile.write(b"x" * 1000)
-
-    def log_message(self, *_: object) -> None:
-        pass
 
 
 @pytest.mark.parametrize("command", [["check"], []], ids=["check", "run"])
@@ -210,15 +185,9 @@ def test_a_download_shows_its_progress(
 ) -> None:
     monkeypatch.setenv("VPRBENCH_OFFLINE", "0")
     monkeypatch.setenv("VPRBENCH_WEIGHTS", "weights")
-    with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            url = f"http://127.0.0.1:{server.server_port}/file"
-            main([*command, "method=salad", f"method.weights.url={url}", *QUICK])
-        finally:
-            server.shutdown()
-            thread.join()
+    with serving() as server:
+        url = server.serve("/file", b"x" * 1000)
+        main([*command, "method=salad", f"method.weights.url={url}", *QUICK])
     assert Path("weights/dino_salad.ckpt").read_bytes() == b"x" * 1000
     assert "downloading dino_salad.ckpt" in [
         line.partition(": ")[2].removesuffix(" 100 %") for line in capsys.readouterr().err.splitlines()
@@ -268,7 +237,6 @@ def test_help_names_the_commands_and_changes_nothing(arguments: list[str], capsy
         (["method=vprtempoo"], "method=vprtempoo is unknown: did you mean vprtempo or"),
         (["dataset=nordlnd"], "dataset=nordlnd is unknown: did you mean nordland"),
         (["-m", "method=sad,sadd"], "method=sadd is unknown: did you mean sad or salad?"),
-        (["method.pach=5"], "option method.pach is unknown to sad: did you mean patch?"),
         (
             ["method=vprtempo", "method.max_modul=5"],
             "method.max_modul is unknown to vprtempo: did you mean max_module?",
@@ -277,10 +245,8 @@ def test_help_names_the_commands_and_changes_nothing(arguments: list[str], capsy
         (["timing.minimum_second=5"], "option timing.minimum_second is unknown: did you mean minimum_seconds"),
         (["thread=1"], "option thread is unknown: did you mean threads?"),
         (["method.patch=seven"], "method.patch=seven: wanted an integer"),
-        (["method.patch=6.5"], "method.patch=6.5: wanted an integer"),
         (["method.preprocessing=D"], "method.preprocessing=D: wanted 'A', 'B' or 'C'"),
         (["method.patch=6", *QUICK], "method.patch=6: the window needs a centre"),
-        (["seed=x"], "seed=x: wanted an integer"),
         (["force=perhaps"], "force=perhaps: wanted a boolean"),
         (["output=xml"], "output=xml: wanted 'row' or 'json'"),
         (["device=tpu"], "device=tpu is unknown: give cpu, cuda or cuda:1"),
@@ -307,23 +273,18 @@ def test_help_names_the_commands_and_changes_nothing(arguments: list[str], capsy
         (["method='sad'", "method.pach=5"], "option method.pach is unknown"),
         (["check", "method=sad", "threads=x"], "threads=x: wanted an integer"),
         (["method=vprtempo", "method.features_per_pixel=0.0", *QUICK, "method.max_module=12"], "give more than 0"),
-        (["method=vprtempo", "method.p_excitatory=2.0", *QUICK, "method.max_module=12"], "give a probability"),
-        (["method=vprtempo", "method.rate_min=-0.5", *QUICK, "method.max_module=12"], "method.rate_min=-0.5: give"),
         (["dataset=nordland_64x32", "dataset.root=/nowhere"], "TimQuelch/seqslam"),
         (["dataset=nordland", "dataset.root=/d\u00e5ta/a=b (1)"], "dataset.root=/d\u00e5ta/a=b (1) is no folder"),
         (["dataset.references=spring"], "dataset.references=spring: wanted a list, as in [first,second]"),
         (["dataset.name=../out", *QUICK], "dataset.name=../out: give letters"),
         (["-m", "method=vprtempo,sad", "method.rules=paper"], "option method.rules is unknown to sad"),
-        (["lst"], "lst is no command: did you mean list?"),
         (["gpu-chek"], "gpu-chek is no command: did you mean gpu-check"),
         (["bench", "--cfg"], "option --cfg is unknown"),
         (["table", "-m"], "-m is no option here"),
         (["table", "timing.minimum_second=1"], "option timing.minimum_second is unknown"),
         (["check"], "check needs method=NAME"),
-        (["check", "method=sda"], "method=sda is unknown: did you mean sad?"),
         (["list", "everything"], "list takes no options"),
         (["table", "method=sad"], "method=sad: rows, methods, columns, seeds and devices say what the table holds"),
-        (["figures", "load=a.safetensors"], "load=a.safetensors: rows, methods, columns, seeds and devices say"),
         (["table", "rows=[SAAD]"], "rows=SAAD is unknown: did you mean SAD?"),
         (["report", "columns=[railwy]"], "columns=railwy is unknown: did you mean railway"),
         (["table", "methods=[hogg]"], "methods=hogg is unknown: did you mean hog"),
@@ -331,11 +292,9 @@ def test_help_names_the_commands_and_changes_nothing(arguments: list[str], capsy
         (["table", "seeds=0"], "seeds=0: give at least 1"),
         (["table", "stored=true"], "results=results holds no run of these rows and columns: leave stored=true out"),
         (["search", "dataset=nordland_64x32"], "nordland_64x32"),
-        (["search", "dataset=streat"], "dataset=streat is unknown: did you mean street?"),
         (["search", "trails=3"], "option trails is unknown: did you mean trials?"),
         (["results=~nobody_here/r"], "results=~nobody_here/r"),
         ([f"results={'a' * 300}", *QUICK], "File name too long"),
-        (["save=~nobody_here/n.safetensors"], "save=~nobody_here/n.safetensors"),
         (["load=~nobody_here/n.safetensors"], "load=~nobody_here/n.safetensors"),
         (["dataset=nordland", "dataset.root=~nobody_here"], "dataset.root=~nobody_here"),
         (["dataset=folders", "dataset.references=['~nobody_here']"], "dataset.references=~nobody_here"),
@@ -395,33 +354,22 @@ def test_images_of_differing_sizes_grey_with_alpha_or_black_are_accepted(capsys:
     assert json.loads(capsys.readouterr().out)["queries"] == 6
 
 
-def test_a_results_folder_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("file").write_text("no folder")
-    assert "results=file/inside cannot be written" in refused(["results=file/inside", *QUICK], capsys)
-
-
-def test_a_dataset_folder_on_a_disk_that_is_not_there_is_named_before_the_run(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("where", ["results", "results/synthetic", "results/synthetic/run"])
+def test_results_that_cannot_be_written_are_named_before_the_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     from vprbench.run import runner
 
-    ran: list[object] = []
-    monkeypatch.setattr(runner, "run", lambda *_: ran.append(True))
-    Path("results").mkdir()
-    Path("results/synthetic").symlink_to("/nowhere/synthetic")
-    assert "results/synthetic cannot be written" in refused(["method=sad", *QUICK], capsys)
-    assert not ran
-
-
-def test_a_stored_run_that_can_be_neither_read_nor_replaced_is_named_before_the_run(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    main(["method=sad", *QUICK])
-    (stored,) = Path("results/synthetic").iterdir()
-    shutil.rmtree(stored)
-    stored.symlink_to("/nowhere/run")
+    place = Path(where)
+    if place.name == "run":
+        main(["method=sad", *QUICK])
+        (place,) = Path("results/synthetic").iterdir()
+        shutil.rmtree(place)
+    place.parent.mkdir(exist_ok=True)
+    place.symlink_to("/nowhere/there")
     capsys.readouterr()
-    assert f"{stored} cannot be written" in refused(["method=sad", *QUICK], capsys)
+    monkeypatch.setattr(runner, "run", lambda *_: pytest.fail("it ran"))
+    assert f"{place} cannot be written" in refused(["method=sad", *QUICK], capsys)
 
 
 def test_what_a_full_disk_refuses_is_still_shown(
@@ -462,8 +410,3 @@ def test_a_method_that_fails_ends_with_code_1_and_is_recorded_without_the_name_o
     assert "vprbench: sad failed: RuntimeError: ~/photos is strange" in capsys.readouterr().err
     (failure,) = Path("results").rglob("failure.json")
     assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"
-
-
-def test_results_may_lie_in_a_folder_with_a_space_and_letters_from_abroad(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=sad", *QUICK, "results=min m\u00e5ling", "output=json"]) == 0
-    assert Path(json.loads(capsys.readouterr().out)["run_folder"]).parts[0] == "min m\u00e5ling"

@@ -12,7 +12,6 @@ import pytest
 from little import a_failure, a_run
 
 from vprbench.cli import main
-from vprbench.run.record import Failure
 from vprbench.run.store import Store
 
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "threads=1"]
@@ -110,12 +109,6 @@ def in_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
 
 
-def failed(arguments: list[str]) -> Failure:
-    assert main(arguments) == 2
-    (failure,) = Store(Path("results")).failures()
-    return failure
-
-
 MISSING = {
     "no root": ["dataset=nordland"],
     "a root that is no folder": ["dataset=nordland", "dataset.root=/nowhere"],
@@ -129,35 +122,36 @@ MISSING = {
 }
 
 
-@pytest.mark.usefixtures("in_a_sweep")
-@pytest.mark.parametrize("arguments", MISSING.values(), ids=MISSING.keys())
-def test_what_can_be_fetched_or_put_there_is_stored_as_missing(arguments: list[str]) -> None:
-    assert failed(arguments).missing is True
+WRONG = {
+    "no window": [*QUICK, "method.patch=0"],
+    "no places": [*QUICK, "dataset.places=0"],
+    "no training": [*QUICK, "method=vprtempo", "method.epochs=0"],
+}
 
 
 @pytest.mark.usefixtures("in_a_sweep")
 @pytest.mark.parametrize(
-    "arguments", [["method.patch=0"], ["dataset.places=0"], ["method=vprtempo", "method.epochs=0"]]
+    ("arguments", "missing"),
+    [
+        *[pytest.param(arguments, True, id=name) for name, arguments in MISSING.items()],
+        *[pytest.param(arguments, False, id=name) for name, arguments in WRONG.items()],
+    ],
 )
-def test_what_is_asked_for_wrongly_is_not_stored_as_missing(arguments: list[str]) -> None:
-    assert failed([*QUICK, *arguments]).missing is False
-
-
-@pytest.mark.usefixtures("in_a_sweep")
-def test_a_failure_holds_what_it_ran_on_and_which_arguments_were_changed() -> None:
-    failure = failed(["method.patch=0", *QUICK])
-    assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
-    assert failure.config["changed"] == {"patch": 0}
-
-
-@pytest.mark.usefixtures("in_a_sweep")
-@pytest.mark.parametrize(("arguments", "missing"), [(["dataset=nordland"], True), (["method.patch=0", *QUICK], False)])
-def test_a_failure_told_as_json_says_whether_something_was_missing(
+def test_a_failure_says_whether_something_was_missing_that_can_be_put_there(
     arguments: list[str], missing: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main([*arguments, "output=json"])
+    assert main([*arguments, "output=json"]) == 2
+    (failure,) = Store(Path("results")).failures()
     told = json.loads(capsys.readouterr().out)
-    assert (told["method"], told["missing"]) == ("sad", missing)
+    assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
+    assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
+
+
+@pytest.mark.usefixtures("in_a_sweep")
+def test_a_failure_holds_which_arguments_were_changed() -> None:
+    assert main(["method.patch=0", *QUICK]) == 2
+    (failure,) = Store(Path("results")).failures()
+    assert failure.config["changed"] == {"patch": 0}
 
 
 @pytest.mark.usefixtures("in_a_sweep")

@@ -102,7 +102,7 @@ class TestParts:
     def test_only_those_that_are_named_are_fetched(self, both: Download, root: Path, server: Server) -> None:
         get(both, root, parts=["summer"])
         assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
-        assert {path for path, _ in server.asked} == {"/summer"}
+        assert {asked.path for asked in server.asked} == {"/summer"}
 
     def test_the_usual_ones_are_fetched_where_none_is_named(self, both: Download, root: Path) -> None:
         get(little(parts=both.parts, default=("summer",)), root)
@@ -112,7 +112,7 @@ class TestParts:
         get(both, root, parts=["summer"])
         server.asked.clear()
         get(both, root)
-        assert {path for path, _ in server.asked} == {"/spring"}
+        assert {asked.path for asked in server.asked} == {"/spring"}
         assert sorted(recorded(root)) == ["spring", "summer"]
 
     def test_an_unknown_one_is_named(self, both: Download, root: Path) -> None:
@@ -130,23 +130,24 @@ class TestAddresses:
         warned = [line.getMessage() for line in caplog.records if line.levelno == logging.WARNING]
         assert warned == [f"{gone} answers 404 Not Found: give the address where it is now; the next address follows"]
 
-    def test_the_next_is_tried_where_a_file_is_another_one(self, server: Server, root: Path) -> None:
-        wrong, url = server.serve("/wrong", zipped({"spring/1.png": b"another"})), server.serve("/spring", SPRING)
-        get(little(parts={"spring": spring(wrong, url, sha256=SHA256)}), root)
-        assert recorded(root)["spring"]["url"] == url
-        assert visible(root) == COMPLETE
-
-    def test_the_next_is_tried_where_an_archive_is_damaged(self, server: Server, root: Path) -> None:
-        damaged, url = server.serve("/damaged", SPRING[:-CHUNK]), server.serve("/spring", SPRING)
-        get(little(parts={"spring": spring(damaged, url)}), root)
-        assert recorded(root)["spring"]["url"] == url
+    @pytest.mark.parametrize(
+        ("wrong", "stated"),
+        [(zipped({"spring/1.png": b"another"}), {"sha256": SHA256}), (SPRING[:-CHUNK], {})],
+        ids=["other", "damaged"],
+    )
+    def test_the_next_is_tried_where_a_file_is_another_one_or_damaged(
+        self, server: Server, root: Path, wrong: bytes, stated: dict[str, str]
+    ) -> None:
+        urls = server.serve("/wrong", wrong), server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(*urls, **stated)}), root)
+        assert recorded(root)["spring"]["url"] == urls[1]
         assert visible(root) == COMPLETE
 
     def test_what_a_person_can_do_is_said_where_all_fail(self, server: Server, root: Path) -> None:
         archive = root / "archives" / "spring.zip"
         with pytest.raises(NotThere, match=f"/two answers 404 .* get the file by hand and store it as {archive}$"):
             get(little(parts={"spring": spring(f"{server.url}/one", f"{server.url}/two")}), root)
-        assert [path for path, _ in server.asked] == ["/one", "/two"]
+        assert [asked.path for asked in server.asked] == ["/one", "/two"]
         assert not (root / "spring").exists()
 
 
@@ -176,7 +177,7 @@ class TestInterruptions:
         server.asked.clear()
         get(entry, root)
         assert visible(root) == COMPLETE
-        assert {wanted for _, wanted in server.asked} - {None} == {f"bytes={CHUNK}-"}
+        assert {asked.range for asked in server.asked} - {None} == {f"bytes={CHUNK}-"}
 
     def test_a_server_that_stalls_is_left_for_the_next(self, server: Server, root: Path) -> None:
         stalling, url = server.serve("/stalling", SPRING, stalls_after=0), server.serve("/spring", SPRING)
@@ -222,17 +223,16 @@ class TestArchives:
             get(little(parts={"spring": spring(server.serve("/spring", hostile))}), root)
         assert visible(root) == ["archives", "archives/spring.zip"]
 
-    def test_one_without_the_expected_folder_is_refused(self, server: Server, root: Path) -> None:
-        other = zipped({"Spring/1.png": b"one"})
-        with pytest.raises(BadInput, match="gave no folder spring: it is another archive than expected"):
-            get(little(parts={"spring": spring(server.serve("/spring", other))}), root)
-        assert not (root / "Spring").exists()
-
-    def test_another_number_of_files_is_said(
+    def test_one_without_the_expected_folder_is_refused_and_another_number_of_files_is_said(
         self, server: Server, root: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        url = server.serve("/spring", zipped({"spring/1.png": b"one"}))
-        assert get(little(parts={"spring": spring(url)}), root) == 0
+        entry = little(parts={"spring": spring(server.serve("/spring", zipped({"Spring/1.png": b"one"})))})
+        with pytest.raises(BadInput, match="gave no folder spring"):
+            get(entry, root)
+        assert visible(root) == ["archives", "archives/spring.zip"]
+        shutil.rmtree(root)
+        server.serve("/spring", zipped({"spring/1.png": b"one"}))
+        assert get(entry, root) == 0
         assert f"{root / 'spring'}: 1 file, but 2 were expected" in capsys.readouterr().out
 
     def test_other_files_than_stated_are_refused(self, server: Server, root: Path) -> None:
@@ -247,25 +247,21 @@ class TestArchives:
         server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"one"}))
         assert get(little(parts={"spring": part}), root) == 0
 
-    def test_one_put_there_by_hand_needs_no_net(
+    def test_one_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_stated(
         self, root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
         archive = root / "archives" / "spring.zip"
         archive.parent.mkdir(parents=True)
+        entry = little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)})
+        archive.write_bytes(SUMMER)
+        with pytest.raises(BadInput, match=f"{archive} has SHA-256 .* stated is {SHA256}"):
+            get(entry, root)
         archive.write_bytes(SPRING)
-        assert get(little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)}), root) == 0
+        assert get(entry, root) == 0
         assert visible(root) == COMPLETE
         assert recorded(root)["spring"]["url"] is None
         assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
-
-    def test_one_put_there_by_hand_is_compared_with_what_is_stated(self, root: Path) -> None:
-        archive = root / "archives" / "spring.zip"
-        archive.parent.mkdir(parents=True)
-        archive.write_bytes(SUMMER)
-        with pytest.raises(BadInput, match=f"{archive} has SHA-256 .* stated is {SHA256}: remove it and run again"):
-            get(little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)}), root)
-        assert archive.exists()
 
 
 def test_nothing_is_asked_for_where_downloads_are_forbidden(

@@ -120,44 +120,36 @@ ARRAYS = {
 ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)
 
 
-def back_from_disk(folder: Path, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    method = Holding(arrays={"only": array})
-    networks.save(networks.Destination(folder / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
-    networks.load(folder / "x.safetensors", method, ORIGIN)
-    return method.arrays["only"]
-
-
 @pytest.mark.parametrize("name", ARRAYS)
 def test_an_array_comes_back_bit_by_bit(tmp_path: Path, name: str) -> None:
-    back, given = back_from_disk(tmp_path, ARRAYS[name]), ARRAYS[name]
+    method, given = Holding(arrays={"only": ARRAYS[name]}), ARRAYS[name]
+    networks.save(networks.Destination(tmp_path / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
+    networks.load(tmp_path / "x.safetensors", method, ORIGIN)
+    back = method.arrays["only"]
     assert (back.dtype, back.shape, back.tobytes()) == (given.dtype, given.shape, given.tobytes())
 
 
-def test_big_endian_numbers_come_back_with_their_values(tmp_path: Path) -> None:
-    assert back_from_disk(tmp_path, np.array([1.5, -2], ">f4")).tolist() == [1.5, -2]
-
-
-def test_a_loaded_network_gives_the_scores_of_the_trained_one(path: Path) -> None:
+def test_a_loaded_network_gives_the_scores_of_the_trained_one_and_tells_its_run(path: Path) -> None:
     trained, loaded = store(path, Prototypes(seed=3)), Prototypes(seed=3)
-    load(path, loaded)
+    assert load(path, loaded) == ("loaded network: run 0123 trained it in 12.3 s",)
     assert np.array_equal(loaded.query(WORLD.queries), trained.query(WORLD.queries))
 
 
-def test_loading_tells_the_run_that_trained_and_how_long_it_took(path: Path) -> None:
-    store(path, Prototypes())
-    assert load(path, Prototypes()) == ("loaded network: run 0123 trained it in 12.3 s",)
-
-
-@pytest.mark.parametrize("other", [{"contrast": 2.0}, {"device": "cuda"}], ids=["contrast", "device"])
-def test_an_argument_that_no_training_sees_may_differ(path: Path, other: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("other", "given", "name"),
+    [
+        ({"contrast": 2.0}, {}, "journey"),
+        ({"device": "cuda"}, {}, "journey"),
+        ({}, {"_target_": "elsewhere.Prototypes"}, "journey"),
+        ({}, {"noise": 0.5, "seed": 0.0}, "journey"),
+        ({}, {}, "voyage"),
+    ],
+    ids=["contrast", "device", "class", "way of writing numbers", "name of the dataset"],
+)
+def test_what_no_training_sees_may_differ(path: Path, other: dict[str, Any], given: dict[str, Any], name: str) -> None:
     trained, loaded = store(path, Prototypes()), Prototypes(**other)
-    load(path, loaded)
+    load(path, loaded, replace(WORLD, name=name), **given)
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
-
-
-def test_the_class_of_a_method_and_its_way_of_writing_numbers_are_no_difference(path: Path) -> None:
-    store(path, Prototypes())
-    load(path, Prototypes(), _target_="elsewhere.Prototypes")
 
 
 def test_a_method_may_load_what_another_of_the_same_kind_stored(path: Path) -> None:
@@ -170,11 +162,6 @@ def test_a_method_may_load_what_another_of_the_same_kind_stored(path: Path) -> N
     trained, loaded = store(path, First()), Second()
     load(path, loaded)
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
-
-
-def test_the_same_images_under_another_name_of_the_dataset_are_no_difference(path: Path) -> None:
-    store(path, Prototypes())
-    load(path, Prototypes(), replace(WORLD, name="voyage"))
 
 
 def test_a_file_holds_no_pickle(path: Path) -> None:
@@ -286,25 +273,28 @@ def test_a_file_that_changed_since_its_hash_was_taken_is_refused(path: Path) -> 
         networks.load(path, Prototypes(), networks.origin(Prototypes(), {}, WORLD), "0" * 64)
 
 
+def denied(*_: Any, **__: Any) -> NoReturn:
+    raise PermissionError(errno.EACCES, "Permission denied")
+
+
 @pytest.mark.parametrize(
     ("name", "wanted"),
-    [("missing.safetensors", "is no file"), ("folder.safetensors", "is no file"), ("network.bin", "give a stored")],
+    [
+        ("missing.safetensors", "is no file"),
+        ("folder.safetensors", "is no file"),
+        ("network.bin", "give a stored"),
+        ("network.pth", r"cannot be read \(Permission denied\)"),
+    ],
 )
-def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(tmp_path: Path, name: str, wanted: str) -> None:
+def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, wanted: str
+) -> None:
     (tmp_path / "folder.safetensors").mkdir()
-    (tmp_path / "network.bin").touch()
-    with pytest.raises(BadInput, match=wanted):
+    for file in ("network.bin", "network.pth"):
+        (tmp_path / file).touch()
+    monkeypatch.setattr(Path, "open", denied)
+    with pytest.raises(BadInput, match=f"^load=.*{wanted}"):
         networks.chosen_files(None, str(tmp_path / name), False)
-
-
-def test_a_file_that_the_system_does_not_read_is_named(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any, **__: Any) -> NoReturn:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    store(path, Prototypes())
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(BadInput, match=r"load=.*cannot be read \(Permission denied\)"):
-        networks.chosen_files(None, str(path), False)
 
 
 def test_a_tilde_is_the_home_folder(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,64 +304,44 @@ def test_a_tilde_is_the_home_folder(path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (files.save, files.load) == (path.parent / "new.safetensors", path)
 
 
-# Methods that keep no network
-
-
-@pytest.mark.parametrize("ask", [Lookup.state, lambda method: method.restore({})], ids=["state", "restore"])
+@pytest.mark.parametrize(
+    "ask",
+    [
+        Method.state,
+        lambda method: method.restore({}),
+        lambda method: networks.load(Path("x.safetensors"), method, ORIGIN),
+        lambda method: destination(Path("x.safetensors"), method, WORLD),
+    ],
+    ids=["state", "restore", "load", "prepare"],
+)
 def test_a_method_that_keeps_no_network_says_what_to_do(ask: Callable[[Method], object]) -> None:
-    with pytest.raises(BadInput, match=r"save=.*load="):
+    with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
         ask(Lookup(np.ones((1, 1), np.float32)))
-
-
-def test_loading_into_a_method_that_keeps_no_network_is_refused(path: Path) -> None:
-    store(path, Prototypes())
-    with pytest.raises(BadInput, match="Lookup keeps no network"):
-        networks.load(path, Lookup(np.ones((1, 1), np.float32)), ORIGIN)
 
 
 # Before the training
 
 
-def test_a_method_that_keeps_no_network_is_refused_before_it_trains(path: Path) -> None:
-    with pytest.raises(BadInput, match="Lookup keeps no network"):
-        destination(path, Lookup(np.ones((1, 1), np.float32)), WORLD)
-
-
-@pytest.mark.parametrize("name", ["network", "network.pth", "network.safetensors.bak"])
-def test_another_ending_is_refused_before_the_training(tmp_path: Path, name: str) -> None:
-    with pytest.raises(BadInput, match=r"\.safetensors"):
-        destination(tmp_path / name, Prototypes(), WORLD)
-
-
-def test_a_file_that_is_there_is_refused_before_the_training(path: Path) -> None:
-    store(path, Prototypes())
-    with pytest.raises(BadInput, match=r"is there already.*\$\{seed\}.*force=true"):
-        destination(path, Prototypes(), WORLD)
-
-
-@pytest.mark.parametrize("force", [False, True])
-def test_a_folder_of_that_name_is_refused_before_the_training(path: Path, force: bool) -> None:
-    path.mkdir(parents=True)
-    with pytest.raises(BadInput, match="is a folder"):
-        destination(path, Prototypes(), WORLD, force)
-
-
-@pytest.mark.parametrize("name", ["file/x.safetensors", "file/deeper/x.safetensors", f"{'x' * 300}.safetensors"])
-def test_a_place_that_cannot_be_written_is_refused_before_the_training(tmp_path: Path, name: str) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(BadInput, match="cannot be written"):
-        destination(tmp_path / name, Prototypes(), WORLD)
-
-
-def test_a_folder_without_the_right_to_write_is_refused_before_the_training(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("name", "force", "said"),
+    [
+        *[(name, False, r"\.safetensors") for name in ("network", "network.pth", "network.safetensors.bak")],
+        ("there.safetensors", False, r"is there already.*\$\{seed\}.*force=true"),
+        *[("folder.safetensors", force, "is a folder") for force in (False, True)],
+        *[(f"{name}.safetensors", False, "cannot be written") for name in ("there/x", "there/deeper/x", "x" * 300)],
+        ("denied.safetensors", False, r"save=.*cannot be written \(Permission denied\)"),
+    ],
+)
+def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, force: bool, said: str
 ) -> None:
-    def refuse(*_: Any, **__: Any) -> NoReturn:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(Path, "touch", refuse)  # root, who may run these tests, has every right
-    with pytest.raises(BadInput, match=r"save=.*cannot be written \(Permission denied\)"):
-        destination(path, Prototypes(), WORLD)
+    (tmp_path / "folder.safetensors").mkdir()
+    for file in ("there", "there.safetensors"):
+        (tmp_path / file).touch()
+    if name.startswith("denied"):
+        monkeypatch.setattr(Path, "touch", denied)  # root, who may run these tests, has every right
+    with pytest.raises(BadInput, match=said):
+        destination(tmp_path / name, Prototypes(), WORLD, force)
 
 
 def test_a_folder_is_made_and_nothing_left_in_it_before_the_training(path: Path) -> None:
@@ -498,12 +468,9 @@ def published(path: Path, content: Any, **options: Any) -> Path:
     return path
 
 
-class Reader(Holding):
-    """Takes whatever a file holds."""
-
-
 def read(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    networks.load(path, method := Reader(), ORIGIN)
+    (note,) = networks.load(path, method := Holding(), ORIGIN)
+    assert note.startswith("published network: neither")
     return method.arrays
 
 
@@ -533,13 +500,6 @@ def test_parameters_and_state_dictionaries_of_a_module_can_be_read(tmp_path: Pat
     assert np.array_equal(arrays["model_0.weight"], arrays["model_1.w"])
 
 
-def test_a_published_network_is_said_to_be_unchecked(tmp_path: Path) -> None:
-    path = published(tmp_path / "x.pth", {"model_0": LAYER})
-    assert networks.load(path, Reader(), ORIGIN) == (
-        "published network: neither its arguments nor its training images could be checked",
-    )
-
-
 @pytest.mark.parametrize("write", [torch.save, lambda content, path: path.write_bytes(pickle.dumps(content))])
 @pytest.mark.parametrize("wrap", [lambda trap: trap, lambda trap: {"model_0": {"thr": trap}}], ids=["bare", "nested"])
 def test_a_file_with_code_in_it_is_refused_and_its_code_does_not_run(
@@ -555,16 +515,13 @@ def test_the_trap_of_these_tests_springs_where_pickle_is_trusted(tmp_path: Path)
     assert (tmp_path / "sprung").exists()
 
 
-def test_a_whole_module_is_refused(tmp_path: Path) -> None:
-    assert "tensors alone" in refusal(published(tmp_path / "x.pth", torch.nn.Linear(2, 2)))
-
-
 @pytest.mark.parametrize(
     ("content", "wanted"),
     [
-        ([torch.zeros(1)], "holds one list; wanted a dictionary of state dictionaries"),
-        (torch.zeros(1), "holds one Tensor; wanted"),
-        ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int; wanted plain tensors"),
+        ([torch.zeros(1)], "one list"),
+        (torch.zeros(1), "one Tensor"),
+        (torch.nn.Linear(2, 2), "tensors alone"),
+        ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int"),
         ({"model_0": None}, "model_0 is of type NoneType"),
         ({"model_0": {"deeper": {"thr": torch.zeros(1)}}}, "model_0.deeper is of type dict"),
         (
@@ -576,7 +533,7 @@ def test_a_whole_module_is_refused(tmp_path: Path) -> None:
             "model_0.thr is of type torch.strided of torch.complex64",
         ),
     ],
-    ids=["list", "tensor", "number", "nothing", "deeper", "sparse", "complex"],
+    ids=["list", "tensor", "module", "number", "nothing", "deeper", "sparse", "complex"],
 )
 def test_a_published_file_of_anything_but_state_dictionaries_is_refused(
     tmp_path: Path, content: Any, wanted: str
@@ -584,16 +541,11 @@ def test_a_published_file_of_anything_but_state_dictionaries_is_refused(
     assert wanted in refusal(published(tmp_path / "x.pth", content))
 
 
-@pytest.mark.parametrize("content", [b"", b"hello there", b"\x80\x02"], ids=["empty", "text", "cut off"])
-def test_a_damaged_published_file_is_named(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "x.pth").write_bytes(content)
-    refusal(tmp_path / "x.pth")
-
-
-def test_a_published_file_that_was_cut_off_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("left", [0, 2, -100])
+def test_a_published_file_that_was_cut_off_is_named(tmp_path: Path, left: int) -> None:
     path = published(tmp_path / "x.pth", {"model_0": LAYER})
-    path.write_bytes(path.read_bytes()[:-100])
-    assert "cannot be read as a file of torch" in refusal(path)
+    path.write_bytes(path.read_bytes()[:left])
+    refusal(path)
 
 
 def test_a_method_that_cannot_use_what_was_published_says_so_with_the_path(tmp_path: Path) -> None:
@@ -665,31 +617,24 @@ def stored(ask: Ask) -> dict[str, Any]:
 ACCURACY = ("recall_at_1", "recall_at_5", "auc_pr_a", "average_precision_a", "queries")
 
 
-def test_a_run_that_loads_is_as_accurate_as_the_one_that_trained(stored: dict[str, Any], ask: Ask) -> None:
-    loaded = ask("load=net.safetensors")
+def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(
+    stored: dict[str, Any], untrainable: None, ask: Ask
+) -> None:
+    loaded, again = ask("load=net.safetensors"), ask("load=net.safetensors")
     assert [loaded[name] for name in ACCURACY] == [stored[name] for name in ACCURACY]
-
-
-def test_a_run_that_loads_gives_the_scores_of_the_one_that_trained(stored: dict[str, Any], ask: Ask) -> None:
-    ask("load=net.safetensors")
     first, second = [run.scores for run in Store(Path("results")).runs()]
     assert first is not None
     assert second is not None
     assert np.array_equal(first, second)
-
-
-def test_a_run_that_loads_trains_nothing(stored: dict[str, Any], untrainable: None, ask: Ask) -> None:
-    loaded = ask("load=net.safetensors")
     assert (loaded["fit_seconds"], loaded["fit_compute_seconds"]) == (None, None)
     assert 0 < loaded["load_seconds"] < 5
-
-
-def test_a_run_that_loads_names_its_network_and_where_that_came_from(stored: dict[str, Any], ask: Ask) -> None:
-    loaded = ask("load=net.safetensors")
     assert (stored["network"], stored["load_seconds"]) == (None, None)
     assert loaded["network"] == networks.chosen_files(None, "net.safetensors", False).sha256
     key = Path(stored["run_folder"]).name.removeprefix("prototypes-")
     assert any(note["text"].startswith(f"loaded network: run {key} trained it in ") for note in loaded["notes"])
+    record = json.loads(Path(loaded["run_folder"], "run.json").read_text())
+    assert record["config"]["load"] == "net.safetensors"
+    assert (loaded["from_store"], again["from_store"]) == (False, True)
 
 
 def test_a_row_and_csv_of_a_loaded_run_say_so(
@@ -705,31 +650,27 @@ def test_a_row_and_csv_of_a_loaded_run_say_so(
     assert (loaded["fit_seconds"], loaded["fit_compute_seconds"]) == ("", "")
 
 
-def test_a_loaded_run_is_answered_from_the_store_the_second_time(stored: dict[str, Any], ask: Ask) -> None:
-    assert [ask("load=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
-
-
 def test_a_trained_run_is_not_answered_with_a_loaded_one(stored: dict[str, Any], ask: Ask) -> None:
     folders = {ask("load=net.safetensors")["run_folder"], ask()["run_folder"]}
     assert len(folders) == 2
     assert stored["run_folder"] in folders
 
 
-def test_another_network_in_the_same_file_is_another_run(stored: dict[str, Any], ask: Ask) -> None:
-    first = ask("load=net.safetensors")
-    ask("save=net.safetensors", "force=true")  # took another time to train
+def test_force_trains_again_and_another_network_in_the_same_file_is_another_run(
+    stored: dict[str, Any], ask: Ask
+) -> None:
+    first, before = ask("load=net.safetensors"), Path("net.safetensors").read_bytes()
+    assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
+    assert Path("net.safetensors").read_bytes() != before
     second = ask("load=net.safetensors")
     assert second["from_store"] is False
     assert second["network"] != first["network"]
 
 
-def test_a_network_of_another_seed_is_refused_by_name(stored: dict[str, Any], refused: Callable[..., str]) -> None:
-    assert "net.safetensors holds another network than this run needs: method.seed is 0 there and 1 here;" in refused(
-        "load=net.safetensors", "seed=1"
-    )
-
-
-def test_a_network_of_other_places_is_refused(stored: dict[str, Any], refused: Callable[..., str]) -> None:
+def test_a_network_of_another_seed_or_of_other_places_is_refused_by_name(
+    stored: dict[str, Any], refused: Callable[..., str]
+) -> None:
+    assert "method.seed is 0 there and 1 here;" in refused("load=net.safetensors", "seed=1")
     assert "12 places there (dataset synthetic) and 13 here" in refused("load=net.safetensors", "dataset.places=13")
 
 
@@ -744,20 +685,19 @@ def test_nothing_is_trained_for_a_file_that_cannot_be_written(untrainable: None,
     assert Path("there.safetensors").read_text() == "mine"
 
 
-def test_a_run_in_the_store_is_made_again_for_its_network(ask: Ask, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(
+    ask: Ask, caplog: pytest.LogCaptureFixture
+) -> None:
     ask()
     caplog.set_level("INFO")
-    assert ask("save=net.safetensors")["from_store"] is False
+    run = ask("save=net.safetensors")
     assert caplog.messages == ["prototypes is stored without its network: running again for save=net.safetensors"]
-    assert Path("net.safetensors").exists()
-
-
-def test_a_run_whose_network_was_kept_is_answered_from_the_store(
-    stored: dict[str, Any], untrainable: None, ask: Ask
-) -> None:
     before = Path("net.safetensors").read_bytes()
-    assert ask("save=net.safetensors")["from_store"] is True
+    again = ask("save=net.safetensors")
+    assert (run["from_store"], again["from_store"]) == (False, True)
     assert Path("net.safetensors").read_bytes() == before
+    Path(run["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
+    assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
 
 
 def test_a_run_in_the_store_does_not_take_the_network_of_another_run_for_its_own(
@@ -765,12 +705,6 @@ def test_a_run_in_the_store_does_not_take_the_network_of_another_run_for_its_own
 ) -> None:
     ask("seed=1")
     assert "save=net.safetensors is there already" in refused("save=net.safetensors", "seed=1")
-
-
-def test_force_trains_again_and_replaces_the_network(stored: dict[str, Any], ask: Ask) -> None:
-    before = Path("net.safetensors").read_bytes()
-    assert ask("save=net.safetensors", "force=true")["from_store"] is False
-    assert Path("net.safetensors").read_bytes() != before
 
 
 def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -783,22 +717,9 @@ def test_a_network_outlives_a_failure_at_the_queries(here: Path, ask: Ask, monke
     assert ask("load=net.safetensors")["queries"] > 0
 
 
-def test_the_command_of_a_run_that_was_killed_after_its_network_was_stored_is_given_again(
-    stored: dict[str, Any], ask: Ask
-) -> None:
-    Path(stored["run_folder"], "run.json").unlink()
-    assert ask("save=net.safetensors")["from_store"] is False
-    assert ask("save=net.safetensors")["from_store"] is True
-
-
 def test_a_training_that_fails_leaves_no_network(untrainable: None, here: Path) -> None:
     assert main([*RUN, "save=nets/net.safetensors"]) == 1
     assert list(Path("nets").iterdir()) == []
-
-
-def test_what_a_run_loaded_is_part_of_its_record(stored: dict[str, Any], ask: Ask) -> None:
-    record = json.loads(Path(ask("load=net.safetensors")["run_folder"], "run.json").read_text())
-    assert record["config"]["load"] == "net.safetensors"
 
 
 def sweep(*options: str) -> subprocess.CompletedProcess[str]:

@@ -11,6 +11,8 @@ from omegaconf import OmegaConf
 
 from vprbench.api.method import Method
 from vprbench.cli import main
+from vprbench.errors import BadInput
+from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -33,32 +35,32 @@ def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return written
 
 
-def test_options_are_the_arguments_in_their_order(method) -> None:
-    assert method("one", "# One\n_target_: a.B\nwidth: 2\nheight: 1\n").options == ["width", "height"]
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("# One\n_target_: a.B\nwidth: 2\nheight: 1\n", ["width", "height"]),
+        ("", []),
+        ("defaults: [lower, _self_]\n_target_: a.C\nmembers: 5\nwidth: 3\n", ["height", "depth", "width", "members"]),
+        ("defaults: [elsewhere, one, _self_]\nwidth: 2\n", ["width"]),
+        ("defaults:\n- override /dataset: nordland\n- _self_\nwidth: 2\n", ["width"]),
+    ],
+    ids=["its own", "none", "two below", "one that nobody registers", "a mapping"],
+)
+def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(method, text: str, options) -> None:
+    method("lowest", "_target_: a.A\nheight: 1\ndepth: 1\n")
+    method("lower", "defaults: [lowest, _self_]\nwidth: 2\nheight: 1\n")
+    assert method("one", text).options == options
 
 
-def test_a_yaml_of_nothing_has_no_options(method) -> None:
-    assert method("none", "").options == []
+@pytest.mark.parametrize("text", ["a: [", "- a list\n", "width: 1\n", "word\n"])
+def test_a_yaml_that_names_no_class_is_named(method, text: str) -> None:
+    with pytest.raises(BadInput, match=r"broken\.yaml is no method"):
+        method("broken", text).target()
 
 
-def test_a_yaml_that_builds_on_another_has_the_options_of_both_once_each(method) -> None:
-    method("lower", "_target_: a.B\nwidth: 2\nheight: 1\n")
-    entry = method("upper", "defaults: [lower, _self_]\n_target_: a.C\nmembers: 5\nwidth: 3\n")
-    assert sorted(entry.options) == ["height", "members", "width"]
-
-
-def test_a_yaml_may_build_on_one_that_builds_on_another(method) -> None:
-    method("lowest", "_target_: a.A\nheight: 1\n")
-    method("lower", "defaults: [lowest, _self_]\n_target_: a.B\nwidth: 2\n")
-    assert sorted(method("upper", "defaults: [lower]\n_target_: a.C\n").options) == ["height", "width"]
-
-
-def test_what_a_yaml_builds_on_that_is_no_registered_one_is_passed_over(method) -> None:
-    assert method("one", "defaults: [elsewhere, one, _self_]\n_target_: a.B\nwidth: 2\n").options == ["width"]
-
-
-def test_a_mapping_among_the_defaults_is_passed_over(method) -> None:
-    assert method("one", "defaults:\n- override /dataset: nordland\n- _self_\nwidth: 2\n").options == ["width"]
+def test_a_yaml_without_a_class_has_that_of_the_yaml_below(method) -> None:
+    method("lower", "_target_: vprbench.methods.sad.SAD\n")
+    assert method("upper", "defaults: [lower, _self_]\nwidth: 3\n").target() is SAD
 
 
 @pytest.mark.parametrize(
@@ -78,6 +80,7 @@ def test_every_method_can_be_built_without_any_file_of_weights(name: str) -> Non
 
 # Changed arguments
 
+NESTED = "defaults: [lower]\nweights: {file: b.pth}\n"
 LOWER = "# Lower\n_target_: a.B\nwidth: 2\nrate: 1e-3\nsizes: [1, 2]\nnothing: null\nseed: ${seed}\ndevice: ${device}\n"
 
 
@@ -99,28 +102,27 @@ def test_seed_and_device_never_count_as_changed(method) -> None:
     assert method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n").changed({"seed": 7, "device": "cuda"}) == {}
 
 
-def test_what_the_yaml_interpolates_does_not_count_as_changed(method) -> None:
-    entry = method("one", "_target_: a.B\nsize: 4\nfile: net_${.size}.pth\nseeds: ['${seed}']\n")
-    assert entry.changed({"size": 5, "file": "net_5.pth", "seeds": [3]}) == {"size": 5}
-
-
-def test_what_the_yaml_below_holds_is_not_changed_and_what_the_upper_holds_wins(method) -> None:
-    method("lower", LOWER)
-    entry = method("upper", "defaults: [lower, _self_]\nwidth: 3\n")
-    assert entry.changed({"width": 3, "rate": 0.001}) == {}
-    assert entry.changed({"width": 2, "rate": 0.001}) == {"width": 2}
-
-
-def test_of_a_nested_mapping_only_what_differs_is_changed(method) -> None:
-    method("lower", "_target_: a.B\nweights: {file: a.pth, url: 'http://${.file}', path: null}\n")
-    entry = method("upper", "defaults: [lower, _self_]\nweights: {file: b.pth}\n")
-    given = {"file": "b.pth", "url": "http://b.pth", "path": None}
-    assert entry.changed({"weights": given}) == {}
-    assert entry.changed({"weights": {**given, "path": "/mine.pth"}}) == {"weights": {"path": "/mine.pth"}}
-
-
-def test_of_an_empty_yaml_every_argument_is_changed(method) -> None:
-    assert method("none", "").changed({"_target_": "a.B", "width": 1}) == {"width": 1}
+@pytest.mark.parametrize(
+    ("text", "given", "changed"),
+    [
+        (
+            "size: 4\nfile: net_${.size}.pth\nseeds: ['${seed}']\n",
+            {"size": 5, "file": "net_5.pth", "seeds": [3]},
+            {"size": 5},
+        ),
+        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 3, "rate": 0.001}, {}),
+        ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 2, "rate": 0.001}, {"width": 2}),
+        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": None}}, {}),
+        (NESTED, {"weights": {"file": "b.pth", "url": "http://b", "path": "/b"}}, {"weights": {"path": "/b"}}),
+        ("", {"_target_": "a.B", "width": 1}, {"width": 1}),
+    ],
+    ids=["interpolated", "as the upper", "as the lower", "a mapping", "within a mapping", "nothing there"],
+)
+def test_what_differs_from_the_yaml_and_those_below_is_changed(
+    method, text: str, given: dict[str, object], changed: dict[str, object]
+) -> None:
+    method("lower", LOWER + "weights: {file: a.pth, url: 'http://${.file}', path: null}\n")
+    assert method("upper", text).changed(given) == changed
 
 
 @pytest.mark.parametrize("name", registry.entries("method"))

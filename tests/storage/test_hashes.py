@@ -9,7 +9,7 @@ import sqlite3
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -78,10 +78,15 @@ def refused(hashes: FileHashes, paths: list[Path]) -> str:
 # Right
 
 
-@pytest.mark.parametrize(("content", "sha256"), [(b"", EMPTY), (b"abc", ABC)])
-def test_the_hash_of_a_file_is_its_sha256(tmp_path: Path, folder: Path, content: bytes, sha256: str) -> None:
-    (found,) = later(folder).of([write(tmp_path / "a.png", content)])
-    assert (found.size_bytes, found.sha256.hex()) == (len(content), sha256)
+@pytest.mark.parametrize(
+    ("name", "content", "sha256"),
+    [("a.png", b"", EMPTY), ("a.png", b"abc", ABC), (os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc", ABC)],
+    ids=["empty", "abc", "a name that is no Unicode"],
+)
+def test_the_hash_of_a_file_is_its_sha256(tmp_path: Path, folder: Path, name: str, content: bytes, sha256: str) -> None:
+    for _ in range(2):
+        (found,) = later(folder).of([write(tmp_path / name, content)])
+        assert (found.size_bytes, found.sha256.hex()) == (len(content), sha256)
 
 
 def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_once(
@@ -95,12 +100,6 @@ def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_on
 def test_no_files_have_no_hashes_and_leave_no_folder(folder: Path) -> None:
     assert later(folder).of([]) == []
     assert not folder.exists()
-
-
-def test_a_name_that_is_no_unicode_is_a_name(tmp_path: Path, folder: Path) -> None:
-    path = write(Path(os.fsdecode(os.fsencode(tmp_path) + b"/hiver-\xe9t\xe9.png")), b"abc")
-    for _ in range(2):
-        assert later(folder).of([path]) == expected([path])
 
 
 # Once
@@ -154,29 +153,31 @@ def test_hashes_that_were_read_before_an_error_are_kept(
 # Files that change
 
 
-def test_a_renamed_file_is_read_again(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
-    (path,) = files(tmp_path, 1)
-    later(folder).of([path])
-    renamed = path.rename(path.with_name("other.png"))
-    assert later(folder).of([renamed]) == expected([renamed])
-    assert read == {"0.png": 1, "other.png": 1}
+def rename(path: Path) -> Path:
+    return path.rename(path.with_name("other.png"))
 
 
-def test_a_touched_file_is_read_again_and_has_the_same_hash(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
-    (path,) = files(tmp_path, 1)
-    before = later(folder).of([path])
+def touch(path: Path) -> Path:
+    os.utime(path, ns=(1, 1))
+    return path
+
+
+def put_another_in_its_place(path: Path) -> Path:
+    other = write(path.with_name("other.png"), b"summer")
+    os.utime(other, ns=(0, 0))
+    return other.replace(path)
+
+
+@pytest.mark.parametrize("change", [rename, touch, put_another_in_its_place])
+def test_a_file_that_is_not_as_it_was_is_read_again(
+    tmp_path: Path, folder: Path, read: Counter[str], change: Callable[[Path], Path]
+) -> None:
+    path = write(tmp_path / "a.png", b"winter")
     os.utime(path, ns=(0, 0))
-    assert later(folder).of([path]) == before
-    assert read == {"0.png": 2}
-
-
-def test_another_file_of_the_same_size_and_time_in_its_place_is_seen(tmp_path: Path, folder: Path) -> None:
-    old, new = write(tmp_path / "a.png", b"winter"), write(tmp_path / "b.png", b"summer")
-    for path in (old, new):
-        os.utime(path, ns=(0, 0))
-    later(folder).of([old])
-    new.replace(old)
-    assert later(folder).of([old])[0].sha256 == hashlib.sha256(b"summer").digest()
+    later(folder).of([path])
+    changed = change(path)
+    assert later(folder).of([changed]) == expected([changed])
+    assert read.total() == 2
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps no time of change that nobody can set back")
@@ -207,37 +208,25 @@ def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(
     assert read == {"0.png": times_read}
 
 
-def test_a_file_that_is_being_written_is_read_until_it_is_whole(
-    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("times", [2, 9])
+def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, times: int
 ) -> None:
     path, digest = write(tmp_path / "a.png", b"half"), file_hashes.file_digest
-    rest = [b" of it", b" and the end"]
+    rest = [b" more"] * times
 
     def overtaken(file: Any, kind: str) -> Any:
         found = digest(file, kind)
         if rest:
             with path.open("ab") as end:
-                end.write(rest.pop(0))
+                end.write(rest.pop())
         return found
 
     monkeypatch.setattr(file_hashes, "file_digest", overtaken)
-    (found,) = later(folder).of([path])
-    assert found == FileHash(22, hashlib.sha256(b"half of it and the end").digest())
-
-
-def test_a_file_that_never_stops_changing_is_an_error_with_its_path(
-    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, digest = write(tmp_path / "a.png", b""), file_hashes.file_digest
-
-    def overtaken(file: Any, kind: str) -> Any:
-        with path.open("ab") as end:
-            end.write(b"more")
-        return digest(file, kind)
-
-    monkeypatch.setattr(file_hashes, "file_digest", overtaken)
-    message = refused(later(folder), [path])
-    assert message == f"{path} changes while it is read: wait until it is written, then run again"
+    if times == 2:
+        assert later(folder).of([path]) == [FileHash(14, hashlib.sha256(b"half more more").digest())]
+    else:
+        assert refused(later(folder), [path]).startswith(f"{path} changes while it is read")
 
 
 @pytest.mark.parametrize("name", ["absent.png", "frames"])
@@ -378,20 +367,19 @@ def test_several_processes_share_the_hashes(tmp_path: Path, folder: Path, read: 
 # Where they lie, and what is told
 
 
-def test_the_folder_is_the_chosen_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("chosen", [True, False])
+def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: bool
+) -> None:
+    monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
+    monkeypatch.delenv("VPRBENCH_HASHES")
+    if chosen:
+        monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "chosen"))
     paths = files(tmp_path, 2)
-    monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "chosen"))
     monkeypatch.setattr(file_hashes, "time_ns", lambda: YEAR_2096)
     assert file_hashes.file_hashes(paths) == expected(paths)
-    assert [path.name for path in (tmp_path / "chosen").iterdir()] == ["files-1.sqlite3"]
-
-
-def test_the_folder_is_in_the_users_cache_where_none_was_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("VPRBENCH_HASHES")
-    monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
-    assert file_hashes.hashes_folder() == tmp_path / "vprbench" / "hashes"
+    folder = tmp_path / "chosen" if chosen else tmp_path / "vprbench" / "hashes"
+    assert [path.name for path in folder.iterdir()] == ["files-1.sqlite3"]
 
 
 @pytest.mark.parametrize(("count", "shares"), [(9, [4 / 9, 8 / 9, 1.0]), (4, [])], ids=["many", "few"])

@@ -13,15 +13,63 @@ _PIECE = 1 << 15
 
 
 @dataclass
+class Asked:
+    """One request and what was answered."""
+
+    path: str
+    range: str | None
+    status: int = 0
+    sent_bytes: int = 0
+    ended: threading.Event = field(default_factory=threading.Event)
+
+
+@dataclass
 class Served:
     """One file, and what happens to who asks for it."""
 
     content: bytes
+    net: Server
+    url: str
+    etag: str | None = '"one"'
+    modified: str | None = None
+    kind: str = "application/octet-stream"
+    attached: bool = False  # says that it is a file to keep
     statuses: list[int] = field(default_factory=list)  # answered first, one each
     location: str | None = None  # where it has gone
     honours_ranges: bool = True
     breaks_after: int | None = None  # bytes of each answer
     stalls_after: int | None = None  # bytes of each answer
+
+    def answer(self, handler: BaseHTTPRequestHandler, asked: Asked) -> None:
+        start = int(asked.range.removeprefix("bytes=").removesuffix("-")) if asked.range and self.honours_ranges else 0
+        version = self.etag or self.modified
+        if handler.headers.get("If-Range", version) != version:
+            start = 0
+        rest = self.content[start:]
+        asked.status = 302 if self.location is not None else 206 if start and rest else 416 if start else 200
+        headers = {"Content-Type": self.kind, "Content-Length": str(len(rest)), "Location": self.location}
+        headers |= {"ETag": self.etag, "Last-Modified": self.modified}
+        headers["Content-Disposition"] = 'attachment; filename="published.ckpt"' if self.attached else None
+        if asked.status == 206:
+            size = len(self.content)
+            headers["Content-Range"] = f"bytes {start}-{size - 1}/{size}"
+        handler.send_response(asked.status)
+        for name, value in headers.items():
+            if value is not None:
+                handler.send_header(name, value)
+        handler.end_headers()
+        self._send(handler, asked, rest)
+
+    def _send(self, handler: BaseHTTPRequestHandler, asked: Asked, rest: bytes) -> None:
+        for at in range(0, len(rest), _PIECE):
+            if self.breaks_after is not None and at >= self.breaks_after:
+                return
+            if self.stalls_after is not None and at >= self.stalls_after:
+                self.net.stalled.set()
+                self.net.go_on.wait(240)
+                return
+            handler.wfile.write(rest[at : at + _PIECE])
+            asked.sent_bytes += len(rest[at : at + _PIECE])
 
 
 @dataclass
@@ -30,42 +78,30 @@ class Server:
 
     url: str
     files: dict[str, Served] = field(default_factory=dict)
-    asked: list[tuple[str, str | None]] = field(default_factory=list)  # path and range
+    asked: list[Asked] = field(default_factory=list)
+    stalled: threading.Event = field(default_factory=threading.Event)
     go_on: threading.Event = field(default_factory=threading.Event)
 
-    def serve(self, path: str, content: bytes, **trouble: Any) -> str:
+    def serve(self, path: str, content: bytes = b"", **trouble: Any) -> str:
         """Put a file on the net; returns its address."""
-        self.files[path] = Served(content, **trouble)
+        self.files[path] = Served(content, self, self.url + path, **trouble)
         return self.url + path
 
+    def ranges(self) -> list[str | None]:
+        """Return the parts that were answered, each once."""
+        return list(dict.fromkeys(asked.range for asked in self.asked if asked.status == 206))
+
     def answer(self, handler: BaseHTTPRequestHandler) -> None:
-        wanted = handler.headers.get("Range")
-        self.asked.append((handler.path, wanted))
-        served = self.files.get(handler.path)
-        if served is None or served.statuses:
-            handler.send_error(served.statuses.pop(0) if served else 404)
-            return
-        if served.location is not None:
-            handler.send_response(302)
-            handler.send_header("Location", served.location)
-            handler.send_header("Content-Length", "0")
-            handler.end_headers()
-            return
-        start = int(wanted.removeprefix("bytes=").removesuffix("-")) if wanted and served.honours_ranges else 0
-        handler.send_response(206 if start else 200)
-        handler.send_header("ETag", '"one"')
-        handler.send_header("Content-Length", str(len(served.content) - start))
-        if start:
-            size = len(served.content)
-            handler.send_header("Content-Range", f"bytes {start}-{size - 1}/{size}")
-        handler.end_headers()
-        for at in range(0, len(served.content) - start, _PIECE):
-            if served.breaks_after is not None and at >= served.breaks_after:
-                return
-            if served.stalls_after is not None and at >= served.stalls_after:
-                self.go_on.wait(120)
-                return
-            handler.wfile.write(served.content[start + at : start + at + _PIECE])
+        asked = Asked(handler.path, handler.headers.get("Range"))
+        self.asked.append(asked)
+        served = self.files.get(handler.path.partition("?")[0])
+        try:
+            if served is None or served.statuses:
+                handler.send_error(served.statuses.pop(0) if served else 404)
+            else:
+                served.answer(handler, asked)
+        finally:
+            asked.ended.set()
 
 
 class _Quiet(ThreadingHTTPServer):

@@ -38,7 +38,7 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
     content = read_weights(path)
     key = next((key for key in keys if key in content), None)
     found = content if key is None else content[key]
-    odd = [name for name, value in found.items() if not _is_plain(value)] if isinstance(found, Mapping) else [key]
+    odd = [name for name, value in found.items() if not is_plain(value)] if isinstance(found, Mapping) else [key]
     if odd or not found:
         places = " or ".join([*keys, "its top"])
         raise BadInput(f"{path} does not hold tensors alone under {places} (it holds {some_of(content)}): give another")
@@ -48,7 +48,7 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
 def read_tensor(path: Path) -> Tensor:
     """Return the one tensor that a file of torch holds; raises BadInput for anything else."""
     content = _content(path)
-    if not _is_plain(content):
+    if not is_plain(content):
         raise BadInput(f"{path} holds one {type(content).__name__}; wanted one tensor: give another file")
     return content.detach()  # type: ignore[no-any-return]
 
@@ -109,7 +109,8 @@ def _reason(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _is_plain(value: Any) -> bool:
+def is_plain(value: Any) -> bool:
+    """Tell whether a value is a tensor of plain numbers: dense, not quantised, not complex."""
     import torch
 
     return (

@@ -6,25 +6,20 @@ import hashlib
 import json
 import os
 import pickle
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method, calibration
+from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import remove_leftovers, unfinished
 from vprbench.storage.tensors import Arrays, Seal, plain
-
-if TYPE_CHECKING:
-    import torch
 
 FORMAT = 1
 _OURS, _PUBLISHED = ".safetensors", ".pth"
@@ -34,7 +29,7 @@ _UNCHECKED = "published network: neither its arguments nor its training images c
 
 @dataclass(frozen=True)
 class Files:
-    """Where a run takes its network from, and where it leaves the one that it trained."""
+    """Where a run takes its network from, and where it leaves the network that it trained."""
 
     load: Path | None = None
     sha256: str | None = None  # of the file to load
@@ -80,7 +75,7 @@ def keeps_a_network(method: Method) -> bool:
 
 
 def origin(method: Method, arguments: Mapping[str, Any], dataset: Dataset) -> Origin:
-    """Return what the network of a method is trained with and on, where `arguments` configure the method."""
+    """Return the arguments and data that the network of a method, configured by `arguments`, is trained with."""
     digest = hashlib.sha256(dataset.references.fingerprint().encode())
     digest.update(dataset.places.tobytes())
     held_out = calibration(method, dataset)
@@ -121,7 +116,7 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
 def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
     """Store what a method has learnt; a reader sees the old file or the whole new one, never a part.
 
-    Raises BadInput if the disk refuses, or where another run has stored its network there meanwhile.
+    Raises BadInput if the disk refuses, or if another run has stored its network there meanwhile.
     """
     description = {
         "format": FORMAT,
@@ -185,11 +180,10 @@ def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str])
     if there["kind"].rpartition(".")[2] != wanted.kind:  # version 0.6 wrote the module of the class too
         yield f"it is one of {there['kind']}, not of {wanted.kind}"
         return  # the arguments of another method say nothing
-    given, missing = there["arguments"], object()
-    for name in sorted({*given, *wanted.arguments} - free):
-        before, now = given.get(name, missing), wanted.arguments.get(name, missing)
-        if before != now:
-            yield f"method.{name} is {_shown(before, missing)} there and {_shown(now, missing)} here"
+    before, now = there["arguments"], wanted.arguments
+    for name in sorted({*before, *now} - free):
+        if not (name in before and name in now and before[name] == now[name]):
+            yield f"method.{name} is {_shown(before, name)} there and {_shown(now, name)} here"
     if there["n_places"] != wanted.n_places:
         yield f"{there['n_places']} places there (dataset {there['dataset']}) and {wanted.n_places} here"
     elif there["references"] != wanted.references:
@@ -198,9 +192,10 @@ def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str])
         yield "its settings were chosen by other held-out places"
 
 
-def _shown(value: Any, missing: object) -> str:
-    if value is missing:
+def _shown(arguments: Mapping[str, Any], name: str) -> str:
+    if name not in arguments:
         return "unknown"
+    value = arguments[name]
     return value if isinstance(value, str) else json.dumps(value)
 
 
@@ -230,44 +225,28 @@ def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
 def _published(path: Path) -> Arrays:
     """Return the tensors of a file in the authors' layout, a dictionary of state dictionaries, under dotted names.
 
-    Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save.
+    Source: VPRTempo's public code saves {"model_0": state dictionary, ...} with torch.save. Raises BadInput for a file
+    that is damaged, would have to run code, or holds anything else.
     """
     import torch
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about what was written by an older torch
-            content = torch.load(path, weights_only=True, map_location="cpu")
-    except pickle.UnpicklingError as error:
+        content = read_weights(path)
+    except BadInput as error:
+        if not isinstance(error.__cause__, pickle.UnpicklingError):
+            raise
         raise BadInput(
             f"{path} is damaged, or would have to run code of its own to be read, which is never done: "
             "give a file that holds tensors alone"
         ) from error
-    except Exception as error:  # torch raises whatever a damaged file leads it to
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"{path} cannot be read as a file of torch ({reason}): restore the file") from error
-    if not isinstance(content, dict):
-        raise BadInput(f"{path} holds one {type(content).__name__}; wanted a dictionary of state dictionaries")
-    return dict(_flattened(path, "", content))
-
-
-def _flattened(path: Path, prefix: str, content: Mapping[Any, Any]) -> Iterator[tuple[str, npt.NDArray[np.float32]]]:
-    import torch
-
+    found: dict[str, Any] = {}
     for name, value in content.items():
-        if isinstance(value, dict) and not prefix:
-            yield from _flattened(path, f"{prefix}{name}.", value)
-        elif isinstance(value, torch.Tensor) and _is_plain(value):
-            yield f"{prefix}{name}", value.detach().to(torch.float32).numpy()
-        else:
-            kind = type(value).__name__
-            if isinstance(value, torch.Tensor):
-                kind = f"{value.layout} of {value.dtype}"
-            raise BadInput(f"{path}: {prefix}{name} is of type {kind}; wanted plain tensors in state dictionaries")
-
-
-def _is_plain(tensor: torch.Tensor) -> bool:
-    return str(tensor.layout) == "torch.strided" and not tensor.is_quantized and not tensor.is_complex()
+        found |= {f"{name}.{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
+    for name, value in found.items():
+        if not is_plain(value):
+            kind = f"{value.layout} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
+            raise BadInput(f"{path}: {name} is of type {kind}; wanted plain tensors in state dictionaries")
+    return {name: value.detach().to(torch.float32, copy=True).numpy() for name, value in found.items()}
 
 
 def _file_digest(path: Path) -> str:

@@ -15,7 +15,7 @@ Given = TypeVar("Given")
 
 
 def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[str, Any]) -> Given:
-    """Return the settings that `option=value` ask for, those of `quick` where quick=true stands among them.
+    """Return the settings that `option=value` ask for, after those of `quick` if quick=true is among them.
 
     Raises BadInput that names the option that is unknown or does not fit.
     """

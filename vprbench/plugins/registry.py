@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import inspect
 from collections.abc import Callable, Iterator, Mapping
@@ -10,7 +9,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, cast, get_args, get_type_hints
+from typing import Any, ClassVar, Literal, cast, get_args, get_type_hints
 
 import yaml
 from hydra.core.config_search_path import ConfigSearchPath
@@ -18,6 +17,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import ending
 from vprbench.api.dataset import Dataset
@@ -25,7 +25,6 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
-from vprbench.plugins.tuned_on import TunedOn
 from vprbench.text import near as near  # for the commands too
 
 Group = Literal["method", "dataset"]
@@ -34,6 +33,17 @@ ENTRY_POINTS = "vprbench.conf"
 
 _DECLARED = "tuned_on"  # of a method: what its yaml says of its settings, no argument
 _NO_CHOICE = ("_target_", "defaults", "seed", "device", _DECLARED)  # what every run sets for itself
+
+
+@dataclass(frozen=True)
+class TunedOn:
+    """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
+
+    dataset: str  # its name, as runs hold it
+    places: str  # in words: the first 1000 places
+    also_in: tuple[str, ...] = ()  # datasets that show these places under other names
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)
@@ -54,9 +64,7 @@ class Entry:
     @property
     def options(self) -> list[str]:
         """The names of the arguments that the yaml holds, those of the one it builds on included."""
-        content = yaml.safe_load(self.path.read_text(encoding="utf-8")) or {}
-        names = [name for name in content if name not in ("_target_", "defaults", _DECLARED)]
-        return list(dict.fromkeys([*names, *(name for base in self._bases(content) for name in base.options)]))
+        return [str(name) for name in self._values() if name not in ("_target_", "defaults", _DECLARED)]
 
     @property
     def tuned_on(self) -> dict[str, Any]:
@@ -74,19 +82,16 @@ class Entry:
         """
         own = OmegaConf.to_container(self._values())
         given = {name: value for name, value in arguments.items() if name not in _NO_CHOICE}
-        return _different(given, own if isinstance(own, dict) else {})
+        return _different(given, cast(dict[Any, Any], own))
 
     def target(self) -> Callable[..., Any]:
         """Import and return the class or function, its own or that of the one it builds on.
 
-        Raises BadInput with the reason where that fails.
+        Raises BadInput with the reason if the import fails.
         """
         try:
-            content = yaml.safe_load(self.path.read_text(encoding="utf-8"))
-            if "_target_" not in content and (bases := self._bases(content)):
-                return bases[-1].target()
-            return _locate(content["_target_"])
-        except (yaml.YAMLError, KeyError, TypeError) as error:
+            return _locate(self._values()["_target_"])
+        except (yaml.YAMLError, OmegaConfBaseException, OSError) as error:
             reason = str(error).splitlines()[0]
             raise BadInput(f"{self.path} is no {self.group} ({reason}): a yaml with _target_ is wanted") from error
 
@@ -99,13 +104,9 @@ class Entry:
         content = OmegaConf.load(self.path)
         if not isinstance(content, DictConfig):
             return OmegaConf.create()
-        return cast(DictConfig, OmegaConf.merge(*(base._values() for base in self._bases(content)), content))
-
-    def _bases(self, content: Mapping[str, Any]) -> list[Entry]:
-        """Return the ones that the yaml builds on."""
         known = entries(self.group)
         named = [base for base in content.get("defaults", []) if isinstance(base, str) and base != self.name]
-        return [known[base] for base in named if base in known]
+        return cast(DictConfig, OmegaConf.merge(*(known[base]._values() for base in named if base in known), content))
 
 
 def entries(group: Group) -> dict[str, Entry]:
@@ -136,29 +137,13 @@ def _offered(group: Group) -> dict[str, list[Entry]]:
 
 def conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by provider: this project's and those of plug-ins."""
-    folders = {"vprbench": _package_folder("vprbench.conf")}
-    for name, points in _plugin_points().items():
-        with contextlib.suppress(ModuleNotFoundError):  # `broken_plugins` names it
-            if len(points) == 1 and name != "vprbench":
-                folders[name] = _package_folder(points[0].value)
-    return folders
+    plugins = {name: found for name, found in _plugins().items() if isinstance(found, Path)}
+    return {"vprbench": _package_folder("vprbench.conf"), **plugins}
 
 
 def broken_plugins() -> Iterator[tuple[str, str]]:
     """Yield the installed plug-ins of which something is not used, with the reason."""
-    for name, points in _plugin_points().items():
-        if len(points) > 1 or name == "vprbench":
-            packages = " and ".join(point.dist.name if point.dist else point.value for point in points)
-            owners = packages + " and by this project" * (name == "vprbench")
-            yield name, f"the entry point is named so by {owners}, and no plug-in of that name is used"
-            continue
-        try:
-            folder = _package_folder(points[0].value)
-        except ModuleNotFoundError as error:
-            yield name, str(error)
-        else:
-            if not folder.is_dir():
-                yield name, f"{folder} does not exist"
+    yield from ((name, found) for name, found in _plugins().items() if isinstance(found, str))
     for group in get_args(Group):
         for name, offers in _offered(group).items():
             for entry in offers[len(offers) == 1 or offers[0].provider == "vprbench" :]:
@@ -210,12 +195,24 @@ class _PluginSearchPath(SearchPathPlugin):
                 search_path.append(provider=provider, path=f"file://{folder}")
 
 
-def _plugin_points() -> dict[str, list[EntryPoint]]:
-    """Return the entry points of plug-ins by name; with more than one for a name none of them can be used."""
+def _plugins() -> dict[str, Path | str]:
+    """Return by the name of its entry point the folder of each plug-in, or the reason why the plug-in is not used."""
     points: dict[str, list[EntryPoint]] = {}
     for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
         points.setdefault(point.name, []).append(point)
-    return points
+    found: dict[str, Path | str] = {}
+    for name, shared in points.items():
+        if len(shared) > 1 or name == "vprbench":
+            packages = " and ".join(point.dist.name if point.dist else point.value for point in shared)
+            owners = packages + " and by this project" * (name == "vprbench")
+            found[name] = f"the entry point is named so by {owners}, and no plug-in of that name is used"
+            continue
+        try:
+            folder = _package_folder(shared[0].value)
+            found[name] = folder if folder.is_dir() else f"{folder} does not exist"
+        except ModuleNotFoundError as error:
+            found[name] = str(error)
+    return found
 
 
 def _package_folder(name: str) -> Path:
@@ -272,7 +269,7 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
 
 
 def _tuned_on(given: Any, where: object) -> dict[str, Any]:
-    """Return what a `tuned_on` declares, as plain values; raises BadInput that says where it stands."""
+    """Return a declared `tuned_on` as plain values; raises BadInput that names the yaml or method."""
     if given is None:
         return {}
     plain = OmegaConf.to_container(given) if OmegaConf.is_config(given) else given

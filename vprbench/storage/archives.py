@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import io
 import lzma
 import stat
 import struct
@@ -14,15 +13,17 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, BinaryIO, cast
+from typing import IO, BinaryIO, cast
 
 from vprbench.errors import BadInput
 
-_CHUNK = 1 << 20  # bytes read at once
-_HEADER_BYTES = 1 << 20  # of one member in a tar, far more than any honest one has
+CHUNK = 1 << 20  # bytes read at once
+_PIECE = 1 << 14  # bytes of a tar: tarfile copies the rest of a piece whenever it reads of it
+_HEADER_BYTES = 1 << 20  # of one member in a tar, far more than any honest header has
 _PADDING_BYTES = 1 << 25  # after the last member of a tar, at most
-_XZ_BYTES = 1 << 27  # of memory; what the strongest preset of xz made takes half of them
+_XZ_BYTES = 1 << 27  # of memory; a file that the strongest preset of xz made takes half of them
 _ZIP, _GZIP, _BZIP2, _XZ = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0"
 _DAMAGE = (
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, struct.error),
@@ -38,102 +39,57 @@ class DamagedArchive(BadInput):
 class Member:
     """A file, a folder or something else in an archive."""
 
-    name: str  # as it stands there
+    name: str  # as the archive has it
     kind: str  # "file", "folder", or what it is instead
-    size_bytes: int  # as it stands there
-    chunks: Callable[[], Iterator[bytes]]  # its content, of a file; before the next member is asked for
+    size_bytes: int  # as the archive states it; no more come
+    open: Callable[[], IO[bytes]]  # of a file, before the next member is asked for
 
 
 @contextmanager
-def members(archive: Path) -> Iterator[Iterator[Member]]:
-    """Open a zip, tar, tar.gz, tar.bz2 or tar.xz, whatever its name is; yields its members in order.
-
-    Raises DamagedArchive, now or when members and chunks are asked for, where it is none or ends early.
-    """
-    with archive.open("rb") as raw:
-        start = raw.read(8)
-        raw.seek(0)
-        if start.startswith(_ZIP):
-            with _reading(archive):
-                opened = zipfile.ZipFile(raw)
-            with opened:
-                yield _guarded(archive, _in_zip(archive, opened))
-        else:
-            with _decompressed(raw, start) as stream:
-                yield _guarded(archive, _in_tar(archive, _Forward(stream)))
-
-
-@contextmanager
-def _reading(archive: Path) -> Iterator[None]:
-    """Turn what the libraries raise about a damaged archive into one error."""
+def damage_told(archive: Path) -> Iterator[None]:
+    """Turn what the libraries raise about a damaged archive into DamagedArchive; errors of the disk stay."""
     try:
         yield
+    except BadInput:
+        raise
     except _DAMAGE as error:
         if isinstance(error, OSError) and error.errno is not None:
-            raise  # of the disk
+            raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DamagedArchive(f"{archive} is damaged, or no archive ({reason}): download it anew") from error
 
 
-def _guarded(archive: Path, found: Iterator[Member]) -> Iterator[Member]:
-    while True:
-        with _reading(archive):
-            member = next(found, None)
-        if member is None:
-            return
-        yield member
+def members(archive: Path) -> Iterator[Member]:
+    """Yield the members of a zip, tar, tar.gz, tar.bz2 or tar.xz in order, whatever its name is.
+
+    For a file that is none of these, or ends early, it raises what `damage_told` turns into one error.
+    """
+    with archive.open("rb") as raw:
+        start = raw.read(8)
+        raw.seek(0)
+        yield from _in_zip(raw) if start.startswith(_ZIP) else _in_tar(_decompressed(raw, start))
 
 
-def _chunks(archive: Path, opened: Callable[[], IO[bytes]]) -> Iterator[bytes]:
-    with _reading(archive):
-        source = opened()
-    with source:
-        while True:
-            with _reading(archive):
-                chunk = source.read(_CHUNK)
-            if not chunk:
-                return
-            yield chunk
+def _in_zip(raw: BinaryIO) -> Iterator[Member]:
+    with zipfile.ZipFile(raw) as opened:
+        for info in opened.infolist():
+            mode = info.external_attr >> 16  # 0 if the archive was not made under Unix
+            if stat.S_ISLNK(mode):
+                kind = "a link"
+            elif info.flag_bits & 1:
+                kind = "encrypted"
+            elif info.is_dir():
+                kind = "folder"
+            elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                kind = "compressed in a way that may fill the memory"  # zipfile bounds no other way
+            else:
+                kind = "file" if stat.S_IFMT(mode) in (0, stat.S_IFREG) else "no plain file"
+            yield Member(info.orig_filename, kind, info.file_size, partial(opened.open, info))
 
 
-@contextmanager
-def _decompressed(raw: BinaryIO, start: bytes) -> Iterator[IO[bytes]]:
-    if start.startswith(_GZIP):
-        with gzip.GzipFile(fileobj=raw) as stream:
-            yield cast(IO[bytes], stream)
-    elif start.startswith(_BZIP2):
-        with bz2.BZ2File(raw) as stream:
-            yield stream
-    elif start.startswith(_XZ):
-        with io.BufferedReader(_Xz(raw)) as stream:
-            yield stream
-    else:
-        yield raw
-
-
-def _in_zip(archive: Path, opened: zipfile.ZipFile) -> Iterator[Member]:
-    for info in opened.infolist():
-        mode = info.external_attr >> 16  # 0 where the archive was not made under Unix
-        if stat.S_ISLNK(mode):
-            kind = "a link"
-        elif info.flag_bits & 1:
-            kind = "encrypted"
-        elif info.is_dir():
-            kind = "folder"
-        elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            kind = "compressed in a way that may fill the memory"  # zipfile bounds no other one
-        else:
-            kind = "file" if stat.S_IFMT(mode) in (0, stat.S_IFREG) else "no plain file"
-
-        def chunks(info: zipfile.ZipInfo = info) -> Iterator[bytes]:
-            return _chunks(archive, lambda: opened.open(info))
-
-        yield Member(info.orig_filename, kind, info.file_size, chunks)
-
-
-def _in_tar(archive: Path, stream: _Forward) -> Iterator[Member]:
-    stream.allow(_HEADER_BYTES)
-    with tarfile.TarFile(fileobj=cast(IO[bytes], stream)) as opened:
+def _in_tar(pieces: Iterator[bytes]) -> Iterator[Member]:
+    stream = _Bounded(pieces)
+    with tarfile.open(fileobj=cast(IO[bytes], stream), mode="r|", tarinfo=_Header) as opened:
         while (info := opened.next()) is not None:
             if info.issym() or info.islnk():
                 kind = "a link"
@@ -141,82 +97,68 @@ def _in_tar(archive: Path, stream: _Forward) -> Iterator[Member]:
                 kind = "folder"
             else:
                 kind = "file" if info.isreg() and not info.issparse() else "no plain file"
-
-            def chunks(info: tarfile.TarInfo = info) -> Iterator[bytes]:
-                return _chunks(archive, lambda: cast(IO[bytes], opened.extractfile(info)))
-
-            stream.allow(info.size)
-            yield Member(info.name, kind, info.size, chunks)
-            opened.members.clear()  # type: ignore[attr-defined]  # it would keep them all ...
+            stream.left = opened.offset - info.offset + _HEADER_BYTES  # the content, and the next header
+            content = cast(Callable[[], IO[bytes]], partial(opened.extractfile, info))
+            yield Member(info.name, kind, info.size, content)
+            opened.members.clear()  # type: ignore[attr-defined]  # tarfile would keep them all ...
             opened.pax_headers.clear()  # type: ignore[attr-defined]  # ... and each header for all that follow
-            stream.allow(_HEADER_BYTES)
-    if stream.last != bytes(tarfile.BLOCKSIZE):  # tarfile takes the first header that it cannot read for the end
-        raise tarfile.ReadError("it ends early")
-    stream.allow(_PADDING_BYTES)
-    while stream.read(_CHUNK):  # gzip compares its checksum at the very end
+    stream.left = _PADDING_BYTES
+    while stream.read():  # gzip compares its checksum at the very end
         pass
 
 
-class _Xz(io.RawIOBase):
-    """An xz file decompressed in bounded memory: its header may ask for gigabytes."""
+class _Header(tarfile.TarInfo):
+    """The header of a member, of which tarfile takes an unreadable one for the end of the archive."""
 
-    def __init__(self, raw: BinaryIO) -> None:
-        self._raw = raw
-        self._stream = _xz_stream()
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        """Write what comes next to a buffer; returns how many bytes, 0 at the end."""
-        while True:
-            content = b""
-            if self._stream.eof:
-                content = self._stream.unused_data.lstrip(b"\0") or self._raw.read(_CHUNK).lstrip(b"\0")
-                if not content:
-                    return 0
-                self._stream = _xz_stream()  # several may follow one another
-            elif self._stream.needs_input:
-                content = self._raw.read(_CHUNK)
-                if not content:
-                    raise EOFError("it ends early")
-            if found := self._stream.decompress(content, len(buffer)):
-                buffer[: len(found)] = found
-                return len(found)
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> _Header:
+        """Read 512 bytes; raises ReadError if they are neither a header nor the zeros that end an archive."""
+        try:
+            return super().frombuf(buf, encoding, errors)
+        except tarfile.EOFHeaderError:  # type: ignore[attr-defined]
+            raise
+        except tarfile.HeaderError as error:
+            raise tarfile.ReadError(f"it ends early: {error}") from error
 
 
-def _xz_stream() -> lzma.LZMADecompressor:
-    return lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_BYTES)
+class _Bounded:
+    """What tarfile reads from: it gives no more bytes than are left, for a header may ask for any length."""
+
+    def __init__(self, pieces: Iterator[bytes]) -> None:
+        self._pieces = pieces
+        self.left = _HEADER_BYTES
+
+    def read(self, _: int = _PIECE) -> bytes:
+        """Return the next piece, of any length, and nothing at the end; raises ReadError if no bytes are left."""
+        if self.left < 0:
+            raise tarfile.ReadError("more bytes than a header has")
+        piece = next(self._pieces, b"")
+        self.left -= len(piece)
+        return piece
 
 
-class _Forward:
-    """A stream that is read forwards alone, and no further than allowed: a header may ask for any length."""
+def _decompressed(raw: BinaryIO, start: bytes) -> Iterator[bytes]:
+    """Yield the content of a tar in pieces, none of them empty."""
+    if start.startswith(_XZ):
+        yield from filter(None, _unxz(raw))
+        return
+    opened: IO[bytes] = raw
+    if start.startswith(_GZIP):
+        opened = cast(IO[bytes], gzip.GzipFile(fileobj=raw))
+    elif start.startswith(_BZIP2):
+        opened = bz2.BZ2File(raw)
+    while piece := opened.read(_PIECE):
+        yield piece
 
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self._position = self._allowed = 0
-        self.last = b""  # what the latest read gave
 
-    def allow(self, n_bytes: int) -> None:
-        """Allow so many bytes to be read from here on."""
-        self._allowed = n_bytes
-
-    def tell(self) -> int:
-        return self._position
-
-    def read(self, n_bytes: int) -> bytes:
-        if not 0 <= n_bytes <= self._allowed:
-            raise tarfile.ReadError(f"{n_bytes} bytes where so many cannot be")
-        self.last = self._stream.read(n_bytes)
-        self._allowed -= len(self.last)
-        self._position += len(self.last)
-        return self.last
-
-    def seek(self, position: int) -> None:
-        if position < self._position:
-            raise tarfile.ReadError("it goes back")
-        while self._position < position:
-            skipped = self._stream.read(min(position - self._position, _CHUNK))
-            if not skipped:
-                raise tarfile.ReadError("it ends early")
-            self._position += len(skipped)
+def _unxz(raw: BinaryIO) -> Iterator[bytes]:
+    """Yield what an xz file holds, in bounded memory: its header may ask for gigabytes, and lzma.open sets no limit."""
+    rest = b""
+    while rest := rest.lstrip(b"\0") or raw.read(CHUNK).lstrip(b"\0"):  # several streams may follow one another
+        stream = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_BYTES)
+        while not stream.eof:
+            if stream.needs_input and not (rest := rest or raw.read(CHUNK)):
+                raise EOFError("it ends early")
+            yield stream.decompress(rest, _PIECE)
+            rest = b""
+        rest = stream.unused_data

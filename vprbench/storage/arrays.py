@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,25 +23,23 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class ArrayCache:
-    """A folder of arrays: `<key>.npy` holds one, `<key>.json` says what it came from.
+    """A folder of arrays: `<key>.npy` holds an array, `<key>.json` says what it came from.
 
     Several processes may use it at once. A disk that is full or cannot be written costs the cache and never the run:
-    it is said, and the array stays in memory. `what` is what the arrays hold, for people: descriptors, ...
+    a warning is logged, and the array stays in memory. `what` names the content of the arrays: descriptors, ...
     """
 
     folder: Path
     what: str
 
-    def find(
-        self, key: str, shape: tuple[int | None, ...], dtype: type[np.generic], mode: Literal["r", "c"] = "r"
-    ) -> Array | None:
-        """Return the array under a key, memory-mapped; None if there is none of this shape, of which None is any.
+    def find(self, key: str, shape: tuple[int | None, ...], dtype: type[np.generic]) -> Array | None:
+        """Return the array under a key, memory-mapped to be read; None if there is none of this shape.
 
-        It is read-only, or in mode "c" a copy where it is written to.
+        A length of None in `shape` stands for any length.
         """
         path = self.folder / f"{key}.npy"
         try:
-            stored: Array = np.load(path, mmap_mode=mode, allow_pickle=False)
+            stored: Array = np.load(path, mmap_mode="r", allow_pickle=False)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, EOFError) as error:
@@ -61,14 +59,6 @@ class ArrayCache:
             )
             return None
         return stored
-
-    def origin(self, key: str) -> Mapping[str, Any] | None:
-        """Return what `keep` was told of an array; None if that cannot be read."""
-        try:
-            found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
 
     def keep(
         self,

@@ -75,9 +75,9 @@ def replace_bytes(path: Path, content: bytes) -> None:
 def move_folder(partial: Path, folder: Path) -> None:
     """Rename a complete folder to its final name; of several writers of one name the last one stays.
 
-    What was replaced is left to be removed under the name `partial`, where the system can exchange two folders. There a
-    reader finds the old run or the new one at any time, elsewhere for a moment none. Where the final folder is on
-    another disk, by way of a link, it is copied there first; `partial` then stays for the caller to remove.
+    If the system can exchange two folders, the replaced folder is left under the name `partial` for the caller to
+    remove, and a reader finds the old run or the new run at any time, else for a moment none. If the final folder is
+    on another disk, by way of a link, it is copied there first; `partial` then stays for the caller to remove.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     aside: list[Path] = []
@@ -117,7 +117,7 @@ def _move_copy(partial: Path, folder: Path) -> None:
 
 
 def exchange(first: Path, second: Path) -> bool:
-    """Swap the names of two folders in one step; returns False where the system has no such step."""
+    """Swap the names of two folders in one step; returns False if the system has no such step."""
     try:
         exchange = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):  # no Linux, or an old one

@@ -53,8 +53,8 @@ def fetch(
     """Download a file, unless it is there; what an interrupted download has left is continued.
 
     `timeout_seconds` is how long a server may be silent, `pause_seconds` the wait before a second attempt, twice as
-    long before each further one. Raises NotThere, and leaves no file, where the server refuses, keeps silent, or
-    gives a web page or something of another size or SHA-256 than stated, and BadInput where the disk is full.
+    long before each further one. Raises NotThere, and leaves no file, if the server refuses, keeps silent, or
+    gives a web page or a file of another size or SHA-256 than stated, and BadInput if the disk is full.
     """
     from filelock import FileLock
 
@@ -69,7 +69,9 @@ def fetch(
                 folder.mkdir(exist_ok=True)
                 _transfer(wanted, folder, stage)
                 _check(wanted, folder)
-                _keep(folder / _WHOLE, destination)
+                with (folder / _WHOLE).open("rb+") as file:
+                    os.fsync(file.fileno())
+                (folder / _WHOLE).replace(destination)
                 shutil.rmtree(folder)
     except _Refused as refusal:
         raise NotThere(f"{url} {refusal}; or get the file by hand and store it as {destination}") from refusal
@@ -109,10 +111,11 @@ def _transfer(wanted: _Wanted, folder: Path, stage: str) -> None:
 
 
 def _attempt(wanted: _Wanted, folder: Path, progressed: Callable[[int, int | None], None]) -> str | None:
-    """Bring what is missing; returns None, or why another attempt is worthwhile. Raises _Refused where none is."""
+    """Bring the missing bytes; returns None, or why another attempt is worthwhile. Raises _Refused if no attempt is."""
     import gdown
     import requests
     from gdown.parse_url import is_google_drive_url
+    from urllib3.exceptions import NameResolutionError
 
     try:
         if not is_google_drive_url(wanted.url):  # it answers a plain request with a page, which gdown follows
@@ -134,7 +137,7 @@ def _attempt(wanted: _Wanted, folder: Path, progressed: Callable[[int, int | Non
     except requests.exceptions.SSLError as error:
         raise _Refused(f"has no valid certificate ({_line(error)}): mend the connection") from error
     except (requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError) as error:
-        if _unknown_host(error):
+        if isinstance(_reason(error), NameResolutionError):
             raise _Refused(
                 f"cannot be reached ({_line(error)}): run again with a connection to the internet"
             ) from error
@@ -149,7 +152,7 @@ def _attempt(wanted: _Wanted, folder: Path, progressed: Callable[[int, int | Non
 
 
 def _discard_what_does_not_fit(wanted: _Wanted, folder: Path) -> None:
-    """Ask the server for the rest of the version that a part is of; delete the part where it does not give that."""
+    """Ask the server for the rest of the version that a part is of; delete the part if it has another version."""
     import requests
 
     had, version = _received_bytes(folder), _version(folder)
@@ -192,7 +195,7 @@ def _discard(folder: Path) -> None:
 
 
 def _check(wanted: _Wanted, folder: Path) -> None:
-    """Compare what has come with what is stated, and delete it where they differ."""
+    """Compare the file that has come with the stated size and hash; deletes it and raises _Refused if they differ."""
     whole = folder / _WHOLE
     with whole.open("rb") as file:
         start = file.read(512).lstrip(b"\xef\xbb\xbf \t\r\n").lower()
@@ -211,12 +214,6 @@ def _check(wanted: _Wanted, folder: Path) -> None:
     raise _Refused(f"{problem}: it was deleted, run again")
 
 
-def _keep(whole: Path, destination: Path) -> None:
-    with whole.open("rb+") as file:
-        os.fsync(file.fileno())
-    whole.replace(destination)
-
-
 def _line(error: Exception) -> str:
     """Return an error as one line: libraries indent, wrap and nest theirs."""
     text = " ".join(str(_reason(error)).split())
@@ -226,9 +223,3 @@ def _line(error: Exception) -> str:
 def _reason(error: Exception) -> object:
     """Return why a connection failed, out of the error that only says that it did."""
     return getattr(error.args[0], "reason", None) or error if error.args else error
-
-
-def _unknown_host(error: Exception) -> bool:
-    from urllib3.exceptions import NameResolutionError
-
-    return isinstance(_reason(error), NameResolutionError)

@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 
 
 def expanded(option: str, path: str) -> Path:
-    """Return a path with its ~ resolved; raises BadInput, naming the option, where nobody knows that home."""
+    """Return a path with its ~ resolved; raises BadInput, naming the option, if that home is not known."""
     try:
         return Path(path).expanduser()
     except RuntimeError as error:
@@ -48,7 +48,7 @@ def cache_folder(variable: str, name: str) -> Path:
 
 
 def checkout_folder() -> Path:
-    """Return the folder that holds this package: that of the checkout where it runs from one."""
+    """Return the folder that holds this package: the checkout if it runs from a checkout."""
     return Path(vprbench.__file__).resolve().parents[1]
 
 

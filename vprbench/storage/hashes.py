@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import file_digest
 from pathlib import Path
 from time import time_ns
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from vprbench import progress
 from vprbench.errors import BadInput
@@ -44,21 +44,16 @@ class FileHash:
     sha256: bytes  # 32 of them
 
 
-@dataclass(frozen=True, slots=True)
-class _State:
-    """What the file system says of a file; its hash holds for as long as that stays the same."""
+class _State(NamedTuple):
+    """What the file system says of a file; its hash holds for as long as the state stays the same."""
 
     size_bytes: int
     modified_ns: int
     changed_ns: int  # of its metadata too, which nobody can set back; on Windows, when it was made
     inode: int
 
-    @classmethod
-    def of(cls, found: os.stat_result) -> _State:
-        return cls(found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino)
-
     def __str__(self) -> str:
-        return f"{self.size_bytes} {self.modified_ns} {self.changed_ns} {self.inode}"
+        return " ".join(map(str, self))
 
     def is_fresh(self, now_ns: int) -> bool:
         """Tell whether the file changed just now: another change might leave the same times."""
@@ -86,20 +81,15 @@ class FileHashes:
         Raises BadInput if a file cannot be read, or changes while it is read.
         """
         absolute = [path.absolute() for path in paths]
-        states = {path: _state(path) for path in absolute}
+        states = {path: _state(path) for path in absolute}  # each file once
         if not states:
             return []
-        found = self._recall(states)
-        found |= self._read([path for path in states if path not in found])
-        return [found[path] for path in absolute]
-
-    def _recall(self, states: Mapping[Path, _State]) -> dict[Path, FileHash]:
-        """Return the hashes that are known of files in this state."""
         known = self._ask(lambda database: _look_up(database, states))
         if known is None:
-            remembered = {path: self._remembered[path] for path in states if path in self._remembered}
-            known = {path: sha256 for path, (state, sha256) in remembered.items() if state == states[path]}
-        return {path: FileHash(states[path].size_bytes, sha256) for path, sha256 in known.items()}
+            known = {path: sha256 for path, (state, sha256) in self._remembered.items() if state == states.get(path)}
+        found = {path: FileHash(states[path].size_bytes, sha256) for path, sha256 in known.items()}
+        found |= self._read([path for path in states if path not in found])
+        return [found[path] for path in absolute]
 
     def _read(self, paths: Sequence[Path]) -> dict[Path, FileHash]:
         """Read files and keep their hashes, batch by batch."""
@@ -124,7 +114,7 @@ class FileHashes:
             self._remembered |= hashes
 
     def _ask(self, question: Callable[[sqlite3.Connection], Answer]) -> Answer | None:
-        """Put a question to the database, once more to a new one where it was damaged; None once it has refused."""
+        """Put a question to the database, once more to a new database if it was damaged; None once it has refused."""
         if self._refused:
             return None
         try:
@@ -185,26 +175,27 @@ def _look_up(database: sqlite3.Connection, states: Mapping[Path, _State]) -> dic
     return found
 
 
-def _state(path: Path) -> _State:
-    try:
-        return _State.of(path.stat())
-    except OSError as error:
-        raise _unreadable(path, error) from error
+def _state(path: Path, opened: int | None = None) -> _State:
+    """Return the state of a file, of the one that is open under its path if given; raises BadInput if there is none."""
+    with _error_told(path):
+        found = os.stat(path if opened is None else opened)  # noqa: PTH116 - of an open file too
+    return _State(found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino)
 
 
 def _read_file(path: Path) -> tuple[_State, bytes]:
-    """Return the state that a file was read in, and its SHA-256."""
-    try:
-        for _ in range(_ATTEMPTS):
-            with path.open("rb", buffering=0) as file:
-                before = _State.of(os.fstat(file.fileno()))
-                sha256 = file_digest(file, "sha256").digest()
-                if _State.of(os.fstat(file.fileno())) == before:
-                    return before, sha256
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    """Return the state that a file was read in, and its SHA-256; raises BadInput if it cannot be read."""
+    for _ in range(_ATTEMPTS):
+        with _error_told(path), path.open("rb", buffering=0) as file:
+            before = _state(path, file.fileno())
+            sha256 = file_digest(file, "sha256").digest()
+            if _state(path, file.fileno()) == before:
+                return before, sha256
     raise BadInput(f"{path} changes while it is read: wait until it is written, then run again")
 
 
-def _unreadable(path: Path, error: OSError) -> BadInput:
-    return BadInput(f"{path} cannot be read ({error.strerror}): restore the file")
+@contextmanager
+def _error_told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}): restore the file") from error

@@ -18,7 +18,7 @@ UNREADABLE = 4
 def main(path: str, folder: str, options: str) -> int:
     """Write the content of a .mat file to a folder: `tree.json`, and `arrays`, .npy files one after the other.
 
-    Prints why it cannot be read, where it returns `UNREADABLE`.
+    Prints why the file cannot be read if it returns `UNREADABLE`.
     """
     import scipy.io
 
@@ -66,7 +66,7 @@ def _node(value: Any, file: IO[bytes]) -> Any:
 
 
 def _limit(memory_bytes: int, seconds: int) -> None:
-    """Bound memory, time and what is written, where the system can."""
+    """Bound memory, time and the size of written files, if the system can."""
     try:
         import resource
     except ImportError:

@@ -28,12 +28,12 @@ class MatFileError(ValueError):
 
 
 def read_mat(path: Path, variables: Sequence[str] | None = None, *, squeeze: bool = False) -> dict[str, Any]:
-    """Return the variables of a .mat file before version 7.3, all of them where None are named.
+    """Return the variables of a .mat file before version 7.3, all of them if None are named.
 
     Numbers and matrices of characters are arrays, as scipy.io.loadmat gives them (`squeeze` is its `squeeze_me`). A
     structure is a dict in the order of its fields, cells and several structures are an array of objects, one line of
     text may be a str, and what is anything else is None. Raises MatFileError for a file that cannot be read, or takes
-    far more memory or time than one of its size should, and OSError where it is not there.
+    far more memory or time than one of its size should, and OSError if it is not there.
     """
     size = path.stat().st_size
     limits = {"memory_bytes": max(_LEAST_BYTES, _GROWTH * size), "seconds": _LEAST_SECONDS + size // _BYTES_PER_SECOND}

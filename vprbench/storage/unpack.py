@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Literal
 
 from vprbench.errors import BadInput
 from vprbench.progress import report
-from vprbench.storage.archives import Member, members
+from vprbench.storage.archives import CHUNK, Member, damage_told, members
 
-UNFINISHED = ".unpacking-"  # how the names of folders begin that hold what is not whole yet
+UNFINISHED = ".unpacking-"  # how the names of folders begin whose files are not whole yet
 
 _DRIVE = re.compile(r"[A-Za-z]:")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
@@ -40,19 +40,20 @@ class Wanted:
 def unpack(
     archive: Path, destination: Path, wanted: Wanted, approve: Callable[[Path], None] = lambda folder: None
 ) -> int:
-    """Put the wanted files of a zip, tar, tar.gz, tar.bz2 or tar.xz into a folder; returns how many they are.
+    """Put the wanted files of a zip, tar, tar.gz, tar.bz2 or tar.xz into a folder; returns how many files.
 
     They get there when all are unpacked and `approve`, given the folder that holds them until then, has not raised.
-    Hidden files are left out. Raises DamagedArchive for what ends early or is no archive, and BadInput for links,
-    devices, duplicates, paths that lead out, more than is wanted, a full disk, and where something would be replaced.
-    The destination is then as it was.
+    Hidden files are left out. Raises DamagedArchive for a file that ends early or is no archive, and BadInput for
+    links, devices, duplicates, paths that lead out, more than is wanted, a full disk, and if something would be
+    replaced. The destination is then as it was.
     """
     try:
         destination.mkdir(parents=True, exist_ok=True)
         folder = destination / f"{UNFINISHED}{uuid.uuid4().hex[:8]}"
         folder.mkdir()
         try:
-            n_files = _fill(folder, archive, wanted)
+            with damage_told(archive):
+                n_files = _fill(folder, archive, wanted)
             approve(folder)
             _move(folder, destination)
         finally:
@@ -65,44 +66,38 @@ def unpack(
 
 
 def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
-    """Unpack the wanted files into an empty folder; returns how many."""
+    """Unpack the wanted files into an empty folder; returns how many files."""
     n_files = done_bytes = 0
     stage = f"unpacking {archive.name}"
     report(stage, 0.0)
-    with members(archive) as found:
-        for n_seen, member in enumerate(found, start=1):
-            if n_seen > wanted.most_files:
-                raise BadInput(f"{archive} holds more than {wanted.most_files} files, the most expected: {_NOTHING}")
-            path = _path(archive, member, wanted)
-            if path is None:
-                continue
-            _insist_on_size(archive, done_bytes + member.size_bytes, wanted)
-            target = folder / path
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                file = target.open("xb")
-            except (FileExistsError, NotADirectoryError) as error:
-                raise BadInput(f"{archive} holds {path} twice: {_NOTHING}, do not use it") from error
-            with file:
-                for chunk in member.chunks():
-                    done_bytes += len(chunk)
-                    _insist_on_size(archive, done_bytes, wanted)
-                    file.write(chunk)
-                    report(stage, done_bytes / wanted.unpacked_bytes)
-            n_files += 1
+    for n_seen, member in enumerate(members(archive), start=1):
+        if n_seen > wanted.most_files:
+            raise BadInput(f"{archive} holds more than {wanted.most_files} files, the most expected: {_NOTHING}")
+        path = _path(archive, member, wanted)
+        if path is None:
+            continue
+        if done_bytes + member.size_bytes > wanted.unpacked_bytes:
+            raise BadInput(f"{archive} holds more than {wanted.unpacked_bytes} bytes, the most expected: {_NOTHING}")
+        target = folder / path
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file = target.open("xb")
+        except (FileExistsError, NotADirectoryError) as error:
+            raise BadInput(f"{archive} holds {path} twice: {_NOTHING}, do not use it") from error
+        with file, member.open() as content:
+            while chunk := content.read(CHUNK):
+                done_bytes += len(chunk)
+                file.write(chunk)
+                report(stage, done_bytes / wanted.unpacked_bytes)
+        n_files += 1
     if not n_files:
         raise BadInput(f"{archive} holds no file like {wanted.only}: {_NOTHING}, it is another archive than expected")
     report(stage, 1.0)
     return n_files
 
 
-def _insist_on_size(archive: Path, n_bytes: int, wanted: Wanted) -> None:
-    if n_bytes > wanted.unpacked_bytes:
-        raise BadInput(f"{archive} holds more than {wanted.unpacked_bytes} bytes, the most expected: {_NOTHING}")
-
-
 def _path(archive: Path, member: Member, wanted: Wanted) -> Path | None:
-    """Return where a member goes, None for one that is not wanted; raises BadInput for one that nobody should want."""
+    """Return where a member goes, None if it is not wanted; raises BadInput for a member that nobody should want."""
     name, shown = member.name, ascii(member.name)
     parts = [part for part in name.split("/") if part not in ("", ".")]
     if name.startswith("/") or ".." in parts or "\\" in name or any(map(_DRIVE.match, parts)):
@@ -121,7 +116,7 @@ def _path(archive: Path, member: Member, wanted: Wanted) -> Path | None:
 
 
 def _move(folder: Path, destination: Path) -> None:
-    """Give all that a folder holds its place in the destination, or nothing."""
+    """Rename every entry of a folder to its place in the destination, or none of them."""
     entries = sorted(folder.iterdir())
     for entry in entries:
         target = destination / entry.name

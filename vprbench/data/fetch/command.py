@@ -15,6 +15,7 @@ from vprbench.data.fetch.entries import Download, Part, downloads
 from vprbench.data.fetch.received import RECORD, approve, count_files, insist_on_stated, record, remember
 from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
+from vprbench.plugins.options import chosen
 from vprbench.progress import progress_shown
 from vprbench.storage import download
 from vprbench.storage.archives import DamagedArchive
@@ -53,26 +54,18 @@ class _Place:
 
 
 def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
-    """Fetch what the first of `arguments` names, or list what there is where none is given; returns the exit code.
+    """Fetch the dataset that the first of `arguments` names, or list all if there is none; returns the exit code.
 
-    `check` says what it finds in a dataset that was fetched.
+    `check` returns lines about a dataset that was fetched. Raises BadInput for a name that cannot be fetched.
     """
     known = downloads()
     if not arguments:
         print(listing(known.values()))
         return 0
     name, *options = arguments
-    entry = _entry(name, known)
-    from vprbench.plugins.options import chosen  # which takes seconds to import
-
-    return fetch(entry, chosen(Settings, options, {}), check)
-
-
-def _entry(name: str, known: Mapping[str, Download]) -> Download:
-    """Return what is fetched under a name, or for a dataset of that name; raises BadInput where nothing is."""
     entry = known.get(name) or next((entry for entry in known.values() if name in entry.datasets), None)
     if entry is not None:
-        return entry
+        return fetch(entry, chosen(Settings, options, {}), check)
     if name in registry.entries("dataset"):
         raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
     raise BadInput(f"fetch {name}: nothing of that name can be fetched; {registry.near(name, known)}")
@@ -82,9 +75,8 @@ def listing(known: Iterable[Download]) -> str:
     """Return what can be fetched, as text: a few lines each."""
     lines = []
     for entry in known:
-        sizes = [f"{name} ({_size(_archive_bytes(part))})" for name, part in entry.parts.items()]
         by_hand = "a person has to ask for it" if entry.register else ""
-        how = "; this command gets ".join(filter(None, [by_hand, ", ".join(sizes)]))
+        how = "; this command gets ".join(filter(None, [by_hand, _sizes(entry.parts)]))
         lines += [f"{entry.name}: {entry.description}", f"  {how}", f"  licence: {entry.licence}"]
     return "\n".join([*lines, "", "python -m vprbench fetch NAME gets one of them, or says what you have to do."])
 
@@ -99,9 +91,9 @@ def fetch(
 ) -> int:
     """Get what an entry describes, as far as it is not there; returns the exit code.
 
-    2 where a person has to get it and has not yet. What an interrupted fetch has downloaded is kept and continued.
-    Raises NotThere where no address gives a part, and BadInput where it is not what the entry states, where the disk
-    is too small, or where other files are in the way.
+    The code is 2 if a person has to get the dataset and has not yet. The downloads of an interrupted fetch are kept and
+    continued. Raises NotThere if no address gives a part, and BadInput if a part is not what the entry states, the disk
+    is too small, or other files are in the way.
     """
     root = Path(settings.root).expanduser() if settings.root else data_folder(entry.folder)
     print(f"{entry.name}: {entry.description}\nLicence: {entry.licence}\nSource: {entry.source}\nFolder: {root}")
@@ -109,21 +101,20 @@ def fetch(
         if text:
             print(text.replace("{folder}", str(root)).rstrip())
     place = _Place(root, settings.keep_archives, timeout_seconds, pause_seconds)
-    new = False
+    if not entry.register:
+        if _bring_missing(entry, place, settings.parts):
+            _checked(entry, root, check)
+        else:
+            print("Nothing is left to fetch.")
+        return 0
     try:
-        new = _bring_missing(entry, place, settings.parts)
+        _bring_missing(entry, place, settings.parts)
     except NotThere as error:
-        if not entry.register:
-            raise
         print(error)
-    if entry.register and not _by_hand(entry, root):
+    if not _by_hand(entry, root):
         print(f"Nothing of that is in {root} yet. When it is, give this command again: it checks what is there.")
         return 2
-    if new or entry.register:
-        complete = _checked(entry, root, check)
-        return 0 if complete or not entry.register else 2
-    print("Nothing is left to fetch.")
-    return 0
+    return 0 if _checked(entry, root, check) else 2
 
 
 def _by_hand(entry: Download, root: Path) -> bool:
@@ -163,7 +154,7 @@ def _checked(entry: Download, root: Path, check: Check | None) -> bool:
 
 
 def _is_there(name: str, part: Part, root: Path) -> bool:
-    """Return whether a part is in its folders; raises BadInput where it is in some of them, or one is an empty link."""
+    """Return whether a part is in its folders; raises BadInput if it is in some alone, or a folder is an empty link."""
     counts = {folder: count_files(root / folder) for folder in part.holds}
     links = [root / folder for folder, n_files in counts.items() if not n_files and (root / folder).is_symlink()]
     if links:
@@ -186,19 +177,19 @@ def _print_counts(part: Part, root: Path) -> None:
         print(f"  {root / folder}: {n_files} file{'' if n_files == 1 else 's'}{but}")
 
 
-def _archive_bytes(part: Part) -> int | None:
-    return part.size_bytes or part.about_bytes
+def _sizes(parts: Mapping[str, Part]) -> str:
+    return ", ".join(f"{name} ({_size(part.size_bytes or part.about_bytes)})" for name, part in parts.items())
 
 
 def _insist_on_space(missing: Mapping[str, Part], place: _Place) -> None:
-    """Raise BadInput where the disk cannot hold what is downloaded and unpacked, the sizes of which are stated."""
+    """Raise BadInput if the disk cannot hold the downloads and unpacked files, whose sizes the entry states."""
     downloads_bytes = [
-        max((_archive_bytes(part) or 0) - download.kept_bytes(place.archive(part)), 0) for part in missing.values()
+        max((part.size_bytes or part.about_bytes or 0) - download.kept_bytes(place.archive(part)), 0)
+        for part in missing.values()
     ]
     unpacked = sum(part.unpack.unpacked_bytes for part in missing.values())
     needed = unpacked + (sum(downloads_bytes) if place.keep_archives else max(downloads_bytes))
-    sizes = ", ".join(f"{name} ({_size(_archive_bytes(part))})" for name, part in missing.items())
-    print(f"To download: {sizes}; with what is unpacked at most {_size(needed)}.")
+    print(f"To download: {_sizes(missing)}; with what is unpacked at most {_size(needed)}.")
     existing = next(folder for folder in [place.root, *place.root.absolute().parents] if folder.exists())
     free = shutil.disk_usage(existing).free
     if free < needed:
@@ -238,19 +229,17 @@ def _bring(entry: Download, name: str, part: Part, place: _Place) -> None:
                 came = insist_on_stated(part, archive)
                 unpack(archive, place.root, part.unpack, lambda folder: approve(part, archive, folder))
         except (NotThere, DamagedArchive) as error:
-            damaged = isinstance(error, DamagedArchive)
-            if damaged:
+            deleted = ""
+            if isinstance(error, DamagedArchive):
                 archive.unlink()
+                deleted = " (it was deleted{})"
             if url == sources[-1]:
-                deleted = " (it was deleted: give the same command again)" if damaged else ""
-                raise type(error)(f"{error}{deleted}") from error
-            deleted = " (it was deleted)" if damaged else ""
-            logger.warning("%s%s; the next address follows", _short(url, error), deleted)
+                raise type(error)(f"{error}{deleted.format(': give the same command again')}") from error
+            logger.warning("%s%s; the next address follows", _short(url, error), deleted.format(""))
             continue
         break
     today = datetime.now(UTC).date().isoformat()
-    kept = {"url": url, **came, "licence": entry.licence, "fetched": today}
-    remember(place.root, name, kept)
+    remember(place.root, name, {"url": url, **came, "licence": entry.licence, "fetched": today})
     if not place.keep_archives:
         _remove(archive)
     stated = "as stated" if part.sha256 else "none is stated: compare it with what others got"
@@ -274,7 +263,7 @@ def _download(part: Part, archive: Path, url: str | None, place: _Place) -> None
 
 
 def _remove(archive: Path) -> None:
-    """Remove an archive, and its folder where nothing else is in it."""
+    """Remove an archive, and its folder if nothing else is in it."""
     archive.unlink()
     archive.with_name(f".{archive.name}.lock").unlink(missing_ok=True)
     if not any(archive.parent.iterdir()):

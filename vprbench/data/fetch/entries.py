@@ -36,8 +36,8 @@ class Part:
     urls: tuple[str, ...]  # tried in turn
     unpack: Wanted
     holds: Mapping[str, Held]  # by folder below the dataset's
-    about_bytes: int | None = None  # where the source states its size roughly
-    size_bytes: int | None = None  # where it states it exactly
+    about_bytes: int | None = None  # if the source states its size roughly
+    size_bytes: int | None = None  # if it states its size exactly
     sha256: str | None = None
 
 
@@ -55,7 +55,7 @@ class Download:
     folder: str  # below the folder of all data
     parts: Mapping[str, Part] = field(default_factory=dict)
     default: tuple[str, ...] | None = None  # the parts that are fetched unless others are named; None: all
-    register: str | None = None  # what a person has to do where no program may download all of it
+    register: str | None = None  # what a person has to do if no program may download all of it
     note: str | None = None
 
     def chosen(self, names: list[str] | None) -> dict[str, Part]:
@@ -79,7 +79,7 @@ def downloads() -> dict[str, Download]:
 
 
 def read(path: Path) -> Download:
-    """Return the entry that a yaml holds; raises BadInput where it is none."""
+    """Return the entry that a yaml holds; raises BadInput if it holds none."""
     text = path.read_text(encoding="utf-8")
     first = text.partition("\n")[0]
     try:

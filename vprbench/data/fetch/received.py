@@ -23,7 +23,7 @@ def count_files(folder: Path) -> int:
 
 
 def insist_on_stated(part: Part, archive: Path) -> dict[str, Any]:
-    """Return the size and SHA-256 of an archive; raises BadInput where others are stated, as for one put by hand."""
+    """Return the size and SHA-256 of an archive; raises BadInput if the entry states others."""
     size_bytes, digest = archive.stat().st_size, hashlib.sha256()
     with archive.open("rb") as file:
         while chunk := file.read(_CHUNK):
@@ -36,7 +36,7 @@ def insist_on_stated(part: Part, archive: Path) -> dict[str, Any]:
 
 
 def approve(part: Part, archive: Path, unpacked: Path) -> None:
-    """Raise BadInput where an archive holds other folders than stated, or other files in them."""
+    """Raise BadInput if an archive holds other folders than stated, or other files in them."""
     for name, held in part.holds.items():
         folder = unpacked / name
         if not folder.is_dir():
@@ -59,7 +59,7 @@ def content_sha256(folder: Path) -> str:
 
 
 def record(root: Path) -> dict[str, dict[str, Any]]:
-    """Return what is recorded of the parts that were fetched, by name; none where nothing or nonsense is."""
+    """Return what is recorded of the parts that were fetched, by name; none if the record is missing or nonsense."""
     try:
         parts = json.loads((root / RECORD).read_text(encoding="utf-8"))["parts"]
         return {name: dict(part) for name, part in parts.items()}
