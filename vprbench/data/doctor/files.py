@@ -14,7 +14,7 @@ from vprbench.api.dataset import FrameFolder
 from vprbench.api.image_formats import is_beside, is_image_name
 from vprbench.text import be, plural, some
 
-from .finding import Finding
+from .finding import Finding, Level
 
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
@@ -47,12 +47,6 @@ class Contents:
         return sorted(set(self.images) - set(self.folder.used))
 
     @cached_property
-    def strangers(self) -> list[str]:
-        """The names of files that are not used, no images by their suffix, and of no kind that lies beside frames."""
-        names = set(self.sizes) - set(self.folder.used)
-        return sorted(name for name in names if not is_image_name(name) and not is_beside(name))
-
-    @cached_property
     def used(self) -> dict[str, int]:
         """The sizes in bytes of the files that are used and there."""
         return {name: self.sizes[name] for name in dict.fromkeys(self.folder.used) if name in self.sizes}
@@ -62,7 +56,7 @@ class Contents:
         """The names of files that the dataset wants and the folder lacks."""
         return [name for name in dict.fromkeys(self.folder.used) if name not in self.sizes]
 
-    @cached_property
+    @property
     def empty(self) -> list[str]:
         """The names of used files without a single byte."""
         return [name for name, size in self.used.items() if not size]
@@ -96,77 +90,51 @@ def contents(folder: FrameFolder) -> Contents | None:
         return Contents(folder, {entry.name: entry.stat().st_size for entry in entries if entry.is_file()})
 
 
-def no_folder(folder: FrameFolder) -> Finding:
-    """Return what is said of a folder that is not there."""
-    return Finding("error", "files", f"{folder.path} is no folder", "put the frames there, or name the right folder")
-
-
-def missing_files(found: Contents) -> Iterator[Finding]:
-    """Find files that the dataset wants and the folder lacks."""
-    if not found.missing:
+def of_folder(folder: FrameFolder, found: Contents | None) -> Iterator[Finding]:
+    """Find a folder that is not there, files that are missing or no images, and a number that no right copy has."""
+    if found is None:
+        advice = "put the frames there, or name the right folder"
+        yield Finding("error", "files", f"{folder.path} is no folder", advice)
         return
-    wanted = plural(len(set(found.folder.used)), "frame")
-    yield Finding(
-        "error",
-        "files",
-        f"{len(found.missing):,} of {wanted} are missing from {found.folder.path}: {some(found.missing)}",
-        "put them back: a frame that is skipped shifts all that follow against the ground truth",
-    )
-
-
-def empty_files(found: Contents) -> Iterator[Finding]:
-    """Find used files without a single byte."""
-    if not found.empty:
-        return
-    yield Finding(
-        "error",
-        "files",
-        f"{plural(len(found.empty), 'file')} of {found.folder.path} {be(found.empty)} empty (0 bytes): "
-        f"{some(found.empty)}",
-        "copy or download them again; the disk may have been full",
-    )
-
-
-def impostors(found: Contents) -> Iterator[Finding]:
-    """Find used files that are something else under the name of an image."""
-    for kind, names in found.impostors.items():
+    if found.missing:
         yield Finding(
             "error",
             "files",
-            f"{plural(len(names), 'file')} of {found.folder.path} {be(names)} {kind}: {some(names)}",
-            "download them again, and look at how the download answers",
+            f"{len(found.missing):,} of {plural(len(set(folder.used)), 'frame')} are missing from {folder.path}: "
+            f"{some(found.missing)}",
+            "put them back: a frame that is skipped shifts all that follow against the ground truth",
         )
+    yield from _count(folder, len(found.images))
+    others = found.sizes.keys() - {*folder.used}
+    strangers = sorted(name for name in others if not is_image_name(name) and not is_beside(name))
+    again = "download them again, and look at how the download answers"
+    unfit: list[tuple[Level, str, list[str], str]] = [
+        ("error", "empty (0 bytes)", found.empty, "copy or download them again; the disk may have been full"),
+        *(("error", kind, names, again) for kind, names in found.impostors.items()),
+        (
+            "note",
+            "no image that can be read, and not used",
+            strangers,
+            "if it is a frame, save it as PNG or JPEG and list it; else move it away",
+        ),
+    ]
+    for level, what, names, advice in unfit:
+        if names:
+            text = f"{plural(len(names), 'file')} of {folder.path} {be(names)} {what}: {some(names)}"
+            yield Finding(level, "files", text, advice)
 
 
-def count(found: Contents) -> Iterator[Finding]:
+def _count(folder: FrameFolder, number: int) -> Iterator[Finding]:
     """Find a number of images that is not that of the right copy."""
-    number, folder = len(found.images), found.folder
+    holds = f"{folder.path} holds {plural(number, 'image')}"
     if meaning := folder.wrong_counts.get(number):
         advice = "get the copy that the dataset's description names: the same file names show other places in this one"
-        yield Finding("error", "count", f"{folder.path} holds {plural(number, 'image')}: {meaning}", advice)
-        return
-    if not folder.counts or number in folder.counts:
-        return
-    right = " or ".join(f"{known:,}" for known in folder.counts)
-    yield Finding(
-        "warning" if number > max(folder.counts) else "note",
-        "count",
-        f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
-        "make sure that it is the copy that the dataset's description names",
-    )
-
-
-def strangers(found: Contents) -> Iterator[Finding]:
-    """Tell of files that are neither images that can be read nor of a kind that lies beside frames."""
-    if not found.strangers:
-        return
-    yield Finding(
-        "note",
-        "files",
-        f"{plural(len(found.strangers), 'file')} of {found.folder.path} {be(found.strangers)} no image that can be "
-        f"read, and not used: {some(found.strangers)}",
-        "if it is a frame, save it as PNG or JPEG and list it; else move it away",
-    )
+        yield Finding("error", "count", f"{holds}: {meaning}", advice)
+    elif folder.counts and number not in folder.counts:
+        level: Level = "warning" if number > max(folder.counts) else "note"
+        right = " or ".join(f"{known:,}" for known in folder.counts)
+        advice = "make sure that it is the copy that the dataset's description names"
+        yield Finding(level, "count", f"{holds}; a whole copy has {right}", advice)
 
 
 def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterator[Finding]:
@@ -181,7 +149,6 @@ def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterat
         "unused",
         f"{found.folder.path.name} holds {plural(len(found.images), 'image')}, of which the dataset uses "
         f"{len(found.used):,} and leaves {len(unused):,} out{dark}",
-        "",
     )
 
 

@@ -57,10 +57,7 @@ def of_places(descriptors: Descriptors, places: npt.NDArray[np.int64], n_places:
 
 def around(queries: Descriptors, middles: Middles, places: Descriptors) -> Likeness:
     """Return how alike each query is to the places up to REACH before and behind its right one."""
-    likeness = np.full((len(queries), 2 * REACH + 1), np.nan, np.float32)
-    for column, shift in enumerate(range(-REACH, REACH + 1)):
-        likeness[:, column] = under(queries, middles + shift, places)
-    return likeness
+    return np.stack([under(queries, middles + shift, places) for shift in range(-REACH, REACH + 1)], axis=1)
 
 
 def under(queries: Descriptors, shown: Middles, places: Descriptors) -> Descriptors:
