@@ -11,7 +11,7 @@ from vprbench.api import BadInput, Dataset, FrameFolder, Images
 
 from .readers.frame_folders import check_folders, root_folder
 from .readers.recipes import function_of
-from .readers.traverses import Evaluation, Split, Traverses, check_recorded, dataset_of, recorded_split
+from .readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -65,7 +65,9 @@ class Nordland:
         check_recorded("Nordland", "season", SEASONS, seasons, self.query)
         _check_protocol(self.protocol, self.stride, self.frame_multiple)
         names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix)
-        parts = self._split()
+        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
+        asked = (self.first_query_place, self.query_places, self.tolerance, self.query_stride)
+        parts = split(evaluation, self.places, *asked)
         used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
         folders = self._folders(used, seasons[0])
         return dataset_of(
@@ -88,11 +90,6 @@ class Nordland:
             [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
         )
 
-    def _split(self) -> Split:
-        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
-        asked = (self.places, self.first_query_place, self.query_places, self.tolerance, self.query_stride)
-        return recorded_split(evaluation, *asked)
-
     def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
         """Return the folder of each season, with the names used of it; raises NotThere where some are missing."""
         layout = (
@@ -113,19 +110,10 @@ nordland = function_of(Nordland)
 
 def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:
     """Return the file names of the places, in order; raises BadInput where the list does not hold that many."""
-    if min(stride, places, frame_multiple) < 1:
-        raise BadInput(
-            f"dataset.stride={stride}, dataset.places={places}, dataset.frame_multiple={frame_multiple}: "
-            "all have to be at least 1"
-        )
+    if frame_multiple < 1:
+        raise BadInput(f"dataset.frame_multiple={frame_multiple}: give 1 or more")
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
-    most = len(range(0, len(names), stride))
-    if places > most:
-        raise BadInput(
-            f"dataset.places={places}: the list of {len(names)} names at stride {stride} has {most} places, "
-            "so set dataset.places and dataset.query_places to fit"
-        )
-    return names[: places * stride : stride]
+    return every(names, stride, places)
 
 
 def published_frames() -> list[int]:

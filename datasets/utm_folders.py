@@ -10,8 +10,8 @@ from vprbench.api import BadInput, Dataset, NotThere
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import check_listed, images_in
+from .readers.positions import Zones, by_names
 from .readers.recipes import function_of
-from .readers.utm_names import Zones, by_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import logging
 import threading
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
-from vprbench.api import Image, Images, open_image
+from vprbench.api import Image, Images, open_image, replace_bytes
 
 from .calibration import VERSION, Calibration, processed, read_raw
 
@@ -56,20 +56,17 @@ class KeptFrames:
             if folder is None:
                 return files[i]
             mark = {"raw": files[i : i + 1].content_hash(), "calibration": self._calibration.sha256, "version": VERSION}
-            return self._frame(paths[i], folder / paths[i].name, mark)
+            path = folder / paths[i].name
+            image = _read(path, mark)
+            if image is None:
+                image = processed(read_raw(paths[i], self._calibration.camera), self._calibration)
+                self._keep(path, image, mark)
+            return image
 
         def besides(i: int) -> bytes:
             return made_with if paths[i].parent in self._folders else b""
 
         return Images(read, files.names, files=paths, stamp=besides, content=besides)
-
-    def _frame(self, raw: Path, path: Path, mark: Mapping[str, Any]) -> Image:
-        """Return a raw frame processed: as `path` kept it under this mark, or made now and kept."""
-        image = _read(path, mark)
-        if image is None:
-            image = processed(read_raw(raw, self._calibration.camera), self._calibration)
-            self._keep(path, image, mark)
-        return image
 
     def _keep(self, path: Path, image: Image, mark: Mapping[str, Any]) -> None:
         if self._refused:
@@ -80,13 +77,10 @@ class KeptFrames:
         except OSError as error:
             with self._one_at_a_time:
                 told, self._refused = self._refused, True
+            advice = "each is processed whenever it is read; make room, or set dataset.processed to another folder"
             if not told:
-                logger.warning(
-                    "processed frames cannot be kept in %s (%s): each is processed whenever it is read; make room, or "
-                    "set dataset.processed to another folder",
-                    path.parent,
-                    error.strerror or error,
-                )
+                why = error.strerror or error
+                logger.warning("processed frames cannot be kept in %s (%s): %s", path.parent, why, advice)
 
     def _record(self, folder: Path) -> None:
         """Say beside the frames how they were made, before the first of them is there."""
@@ -100,12 +94,7 @@ class KeptFrames:
                 **asdict(self._calibration.camera),
             }
             folder.mkdir(parents=True, exist_ok=True)
-            partial = _partial(folder / RECORD)
-            try:
-                partial.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-                partial.replace(folder / RECORD)
-            finally:
-                partial.unlink(missing_ok=True)
+            replace_bytes(folder / RECORD, f"{json.dumps(content, indent=1)}\n".encode())
             self._recorded.add(folder)
 
 
@@ -135,23 +124,17 @@ def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
             if mark != wanted or image.mode != "RGB":
                 return None
             frame = np.asarray(image)
-    except FileNotFoundError:
-        return None
-    except Exception:  # a damaged file may upset its reader in any way, and is made anew
+    except Exception:  # there is none, or a damaged file upset its reader in any way: it is made anew
         return None
     return frame if _digest(frame) == pixels else None
 
 
 def _write(path: Path, image: Image, mark: Mapping[str, Any]) -> None:
     """Write a frame so that a reader sees all of it or none."""
-    text = PngInfo()
+    text, content = PngInfo(), io.BytesIO()
     text.add_text(_MARK, json.dumps({**mark, "pixels": _digest(image)}))
-    partial = _partial(path)
-    try:
-        PillowImage.fromarray(image).save(partial, "PNG", pnginfo=text, compress_level=_COMPRESSION)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    PillowImage.fromarray(image).save(content, "PNG", pnginfo=text, compress_level=_COMPRESSION)
+    replace_bytes(path, content.getvalue())
 
 
 def _mark(image: PillowImage.Image) -> dict[str, Any]:
@@ -160,7 +143,3 @@ def _mark(image: PillowImage.Image) -> dict[str, Any]:
 
 def _digest(image: Image) -> str:
     return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
-
-
-def _partial(path: Path) -> Path:
-    return path.with_name(f".partial-{path.name}-{uuid.uuid4().hex[:8]}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,6 +22,11 @@ class GroundTruth:
     places: Places  # (n_references,)
     positives: Sequence[npt.NDArray[np.int64]]  # per query, ascending
     lacking: str  # what a query without any lacks, as in "no reference within 25 m"
+
+
+def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str) -> GroundTruth:
+    """Return the ground truth of references that are a place each, with the right ones of every query, ascending."""
+    return GroundTruth(np.arange(n_references), [np.array(found, dtype=np.int64) for found in right], lacking)
 
 
 def dataset_of_files(

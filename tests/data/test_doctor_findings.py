@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,8 @@ from PIL import Image as PillowImage
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import examine, insist, quick
-from vprbench.errors import BadInput
+from vprbench.data.doctor import Finding, as_text, command, examine, insist, quick
+from vprbench.errors import BadInput, NotThere
 from vprbench.progress import listening
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
@@ -191,3 +192,40 @@ def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path: Path) ->
     with listening(lambda stage, done: heard.__setitem__(stage, done)):
         examined(*healthy(tmp_path))
     assert heard == {"looking at winter": 1.0, "looking at summer": 1.0}
+
+
+# What the command prints
+
+
+def test_long_text_is_broken_between_words_alone() -> None:
+    path = "/data/a-very-long-path-that-must-stay-whole/" * 3
+    text = as_text("little", [Finding("warning", "files", f"{'word ' * 30}{path}", "")])
+    assert path in text
+    assert all(len(line) <= 110 or path in line for line in text.splitlines())
+    assert as_text("little", []).endswith("nothing is wrong: 0 errors, 0 warnings, 0 notes")
+
+
+@pytest.mark.parametrize(
+    ("damage", "code", "said"),
+    [
+        (lambda *_: {}, 0, ["note alignment"]),
+        (lambda *_: {"counts": (55,)}, 1, ["warning count", "warning count", "note alignment"]),
+        (lambda winter, summer: (summer / "007.png").write_bytes(b"") or {}, 1, ["error files", "note alignment"]),
+        (lambda winter, summer: {"name": winter}, 1, ["error dataset"]),
+    ],
+    ids=["healthy", "a warning", "an error", "a dataset that cannot be built"],
+)
+def test_errors_and_warnings_exit_with_1(tmp_path: Path, damage: Damage, code: int, said: list[str]) -> None:
+    winter, summer = healthy(tmp_path)
+    changes = damage(winter, summer) or {}
+
+    def build() -> Dataset:
+        if "name" in changes:
+            raise NotThere("winter/000.png is missing: get the frames")
+        return dataset_of([winter], summer, **changes)
+
+    lines: list[str] = []
+    assert command("little", build, lines.append, "json") == code
+    found = json.loads(lines[0])
+    assert [f"{finding['level']} {finding['check']}" for finding in found] == said
+    assert all({*finding} == {"level", "check", "text", "advice"} for finding in found)

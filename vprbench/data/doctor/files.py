@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,11 @@ from .finding import Finding, Level
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
 _HEAD_BYTES = 64
+_EMPTY, _STRANGE = "empty (0 bytes)", "no image that can be read, and not used"
+_ADVICE = {
+    _EMPTY: "copy or download them again; the disk may have been full",
+    _STRANGE: "if it is a frame, save it as PNG or JPEG and list it; else move it away",
+}
 #: How files begin that stand in for an image after a download has failed.
 _IMPOSTORS = {
     b"<": "a web page",
@@ -35,51 +40,16 @@ class Contents:
 
     folder: FrameFolder
     sizes: Mapping[str, int]  # bytes by file name
-
-    @cached_property
-    def images(self) -> list[str]:
-        """The names of files that are images by their suffix, sorted."""
-        return sorted(name for name in self.sizes if is_image_name(name))
-
-    @cached_property
-    def unused(self) -> list[str]:
-        """The names of the images that the dataset does not use, sorted."""
-        return sorted(set(self.images) - set(self.folder.used))
-
-    @cached_property
-    def used(self) -> dict[str, int]:
-        """The sizes in bytes of the files that are used and there."""
-        return {name: self.sizes[name] for name in dict.fromkeys(self.folder.used) if name in self.sizes}
-
-    @cached_property
-    def missing(self) -> list[str]:
-        """The names of files that the dataset wants and the folder lacks."""
-        return [name for name in dict.fromkeys(self.folder.used) if name not in self.sizes]
-
-    @property
-    def empty(self) -> list[str]:
-        """The names of used files without a single byte."""
-        return [name for name, size in self.used.items() if not size]
-
-    @cached_property
-    def impostors(self) -> dict[str, list[str]]:
-        """The names of used files that are no images, by what they are instead.
-
-        Looks into files of unusual size and some others first, and into all where one of these is no image.
-        """
-        path = self.folder.path
-        kinds: dict[str, list[str]] = {}
-        if any(_impostor(path / name) for name in _suspects(self.used)):
-            for name in self.used:
-                if kind := _impostor(path / name):
-                    kinds.setdefault(kind, []).append(name)
-        return kinds
+    images: list[str]  # by their suffix, sorted
+    unused: list[str]  # images that the dataset does not use, sorted
+    used: Mapping[str, int]  # bytes of the files that are used and there
+    missing: list[str]  # what the dataset wants and the folder lacks
+    unfit: Mapping[str, list[str]]  # used files that are no images, by what they are instead
 
     @property
     def broken(self) -> set[Path]:
         """The paths of files that are known to be unreadable without decoding them."""
-        names = [*self.missing, *self.empty, *(name for names in self.impostors.values() for name in names)]
-        return {self.folder.path / name for name in names}
+        return {self.folder.path / name for name in (*self.missing, *chain(*self.unfit.values()))}
 
 
 def contents(folder: FrameFolder) -> Contents | None:
@@ -87,7 +57,25 @@ def contents(folder: FrameFolder) -> Contents | None:
     if not folder.path.is_dir():
         return None
     with os.scandir(folder.path) as entries:
-        return Contents(folder, {entry.name: entry.stat().st_size for entry in entries if entry.is_file()})
+        sizes = {entry.name: entry.stat().st_size for entry in entries if entry.is_file()}
+    images = sorted(filter(is_image_name, sizes))
+    wanted = dict.fromkeys(folder.used)
+    used = {name: sizes[name] for name in wanted if name in sizes}
+    missing = [name for name in wanted if name not in sizes]
+    return Contents(folder, sizes, images, sorted({*images} - {*wanted}), used, missing, _unfit(folder.path, used))
+
+
+def _unfit(path: Path, used: Mapping[str, int]) -> dict[str, list[str]]:
+    """Return the names of used files that are no images, by what they are instead.
+
+    Looks into files of unusual size and some others first, and into all where one of these is no image.
+    """
+    kinds = {_EMPTY: empty} if (empty := [name for name, size in used.items() if not size]) else {}
+    if any(_impostor(path / name) for name in _suspects(used)):
+        for name in used:
+            if kind := _impostor(path / name):
+                kinds.setdefault(kind, []).append(name)
+    return kinds
 
 
 def of_folder(folder: FrameFolder, found: Contents | None) -> Iterator[Finding]:
@@ -107,20 +95,11 @@ def of_folder(folder: FrameFolder, found: Contents | None) -> Iterator[Finding]:
     yield from _count(folder, len(found.images))
     others = found.sizes.keys() - {*folder.used}
     strangers = sorted(name for name in others if not is_image_name(name) and not is_beside(name))
-    again = "download them again, and look at how the download answers"
-    unfit: list[tuple[Level, str, list[str], str]] = [
-        ("error", "empty (0 bytes)", found.empty, "copy or download them again; the disk may have been full"),
-        *(("error", kind, names, again) for kind, names in found.impostors.items()),
-        (
-            "note",
-            "no image that can be read, and not used",
-            strangers,
-            "if it is a frame, save it as PNG or JPEG and list it; else move it away",
-        ),
-    ]
-    for level, what, names, advice in unfit:
+    for kind, names in {**found.unfit, _STRANGE: strangers}.items():
         if names:
-            text = f"{plural(len(names), 'file')} of {folder.path} {be(names)} {what}: {some(names)}"
+            text = f"{plural(len(names), 'file')} of {folder.path} {be(names)} {kind}: {some(names)}"
+            level: Level = "note" if kind == _STRANGE else "error"
+            advice = _ADVICE.get(kind, "download them again, and look at how the download answers")
             yield Finding(level, "files", text, advice)
 
 
