@@ -137,7 +137,7 @@ def _table(file: Path, root: str | None) -> _Table:
 
 
 def _kind_of_all(tables: Sequence[_Table]) -> Kind:
-    """Return the first kind of ground truth that all tables hold; raises BadInput where there is none."""
+    """Return the first kind of ground truth that all tables hold; raises BadInput if no kind is common to all."""
     for kind, columns in _COLUMNS.items():
         if all({*columns} <= {*table.cells} for table in tables):
             return kind

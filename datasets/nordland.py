@@ -38,7 +38,7 @@ class Nordland:
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
     `tolerance` places away. With the protocol of VPRSNN `first_query_place` places, chosen as its authors do, are in
     neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. A `root` of None is
-    `default_root` (relative to the checkout) where it exists, else the folder of the `download`; `source` says in
+    `default_root` (relative to the checkout) if it exists, else the folder of the `download`; `source` says in
     messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
     """
 
@@ -91,7 +91,7 @@ class Nordland:
         )
 
     def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
-        """Return the folder of each season, with the names used of it; raises NotThere where some are missing."""
+        """Return the folder of each season, with the names used of it; raises NotThere if some frames are missing."""
         layout = (
             f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
             "first"
@@ -109,7 +109,7 @@ nordland = function_of(Nordland)
 
 
 def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:
-    """Return the file names of the places, in order; raises BadInput where the list does not hold that many."""
+    """Return the file names of the places, in order; raises BadInput if the list has fewer."""
     if frame_multiple < 1:
         raise BadInput(f"dataset.frame_multiple={frame_multiple}: give 1 or more")
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
@@ -124,7 +124,7 @@ def published_frames() -> list[int]:
 
 
 def _check_protocol(protocol: Protocol, stride: int, frame_multiple: int) -> None:
-    """Raise BadInput for an unknown protocol, and for places that one with all frames in its map does not have."""
+    """Raise BadInput for an unknown protocol, and for fewer frames than its map has to hold."""
     known = get_args(Protocol)
     if protocol not in known:
         raise BadInput(f"dataset.protocol={protocol}: choose {', '.join(known[:-1])} or {known[-1]}")

@@ -71,7 +71,7 @@ utm_folders = function_of(UtmFolders)
 
 
 def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
-    """Return the split, None where the root is not divided, and the folder that holds both wanted folders."""
+    """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
     for found, folder in ((split, top / "images" / split), (split, top / split), (None, top)):
         if all((folder / part).is_dir() for part in wanted):
             return found, folder
@@ -82,7 +82,7 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
 
 
 def _images(folder: Path, layout: str) -> list[Path]:
-    """Return the images of a folder: those of the list beside it where there is one, else all, by their paths."""
+    """Return the images of a folder: the images of the list beside it, if there is a list, else all, by their paths."""
     beside = _list_beside(folder)
     if not beside.is_file():
         return images_in(folder, "dataset.root", layout, order="plain")

@@ -38,7 +38,7 @@ def vpr_bench(
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
     `clip`; how many queries that concerns is noted. `default_root` (relative to the checkout) stands in for a `root` of
-    None where it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
+    None if it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
     asked, references = (images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref"))

@@ -82,7 +82,7 @@ def with_matrix(
 ) -> Dataset:
     """Return two folders of images, in the order of their paths, with the matrix GThard or GTsoft of GT.npz.
 
-    Every reference is a place. The matrix is (n_references, n_queries), true where they show the same place. Queries
+    Every reference is a place. The matrix is (n_references, n_queries), true if both show the same place. Queries
     without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
     messages where the data are to be had. Raises NotThere for what is missing, BadInput for a matrix that does not fit.
     """
@@ -103,7 +103,7 @@ def with_matrix(
 
 
 def _first(folder: Path, count: int, layout: str) -> list[Path]:
-    """Return the first images of a folder; raises NotThere where there are fewer."""
+    """Return the first images of a folder; raises NotThere if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:
         raise NotThere(

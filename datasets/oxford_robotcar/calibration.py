@@ -27,7 +27,7 @@ _EXACT = 4  # levels are demosaiced times this, so that means of two and of four
 
 @dataclass(frozen=True)
 class Camera:
-    """The size of a camera's frames, and of those without distortion focal lengths and principal point; in pixels."""
+    """The size of a camera's frames, and of its undistorted frames focal lengths and principal point; in pixels."""
 
     width: int
     height: int
@@ -50,9 +50,9 @@ class Calibration:
 
 
 def find_calibration(root: Path, given: str | None) -> Path:
-    """Return the file of the distortion table: `given`, a file or its folder, or else where a root has it.
+    """Return the file of the distortion table: `given`, a file or its folder, or else the file in a root.
 
-    Raises NotThere where there is none.
+    Raises NotThere if there is none.
     """
     path = Path(given or "").expanduser()
     named = [path / _TABLE if path.is_dir() else path]
@@ -69,7 +69,7 @@ def find_calibration(root: Path, given: str | None) -> Path:
 def read_calibration(path: Path, camera: Camera) -> Calibration:
     """Read a distortion table: float64 (2, height * width), x and y of the source of each pixel, row after row.
 
-    Raises BadInput where the file is none of this camera.
+    Raises BadInput if the file is none of this camera.
     """
     try:
         content = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Processed frames kept on disk: each says what it was made of, and is made anew where that is something else."""
+"""Processed frames kept on disk: each names its raw frame and calibration, and is made anew if they differ."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _COMPRESSION = 1  # the fastest
 class KeptFrames:
     """Raw frames of one calibration, processed when they are looked at, and kept.
 
-    What was kept is taken where it was made of the same frame with the same calibration, by the same code. Several
+    A kept frame is taken if it was made of the same raw frame with the same calibration, by the same code. Several
     threads and processes may read and write at once. A disk that refuses costs what would have been kept, never the
     frames: it is said once.
     """
@@ -44,7 +44,7 @@ class KeptFrames:
         self._refused = False
 
     def images(self, paths: Sequence[Path]) -> Images:
-        """Return images of files, of which those in a folder of raw frames are processed and the others as they are.
+        """Return images of files, the raw frames among them processed and the others as they are.
 
         Reading raises BadInput for a file that is no raw frame.
         """
@@ -99,7 +99,7 @@ class KeptFrames:
 
 
 def recorded_calibration(folder: Path) -> str | None:
-    """Return the hash of the calibration that our frames in a folder were last made with; None where none are ours."""
+    """Return the hash of the calibration that our frames in a folder were last made with; None if none are ours."""
     try:
         return str(json.loads((folder / RECORD).read_text("utf-8"))["calibration_sha256"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -116,7 +116,7 @@ def is_made_with(path: Path, calibration: str) -> bool:
 
 
 def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
-    """Return a frame that was kept; None where it is not there, damaged or made of something else."""
+    """Return a frame that was kept; None if it is missing, damaged or made of something else."""
     try:
         with open_image(path) as image:
             mark = _mark(image)

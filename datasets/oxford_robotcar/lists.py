@@ -28,7 +28,7 @@ def published_timestamps(traverse: str) -> list[int]:
 def lists_folder(given: str | None, roots: Sequence[Path]) -> Path:
     """Return the folder of VPRSNN's lists: `given`, or else the first of its name in `roots`.
 
-    Raises NotThere where there is none.
+    Raises NotThere if there is none.
     """
     candidates = [root / _FOLDER for root in roots] if given is None else [Path(given).expanduser()]
     found = next(filter(Path.is_dir, candidates), None)
@@ -43,8 +43,8 @@ def lists_folder(given: str | None, roots: Sequence[Path]) -> Path:
 def vprsnn_timestamps(folder: Path, traverse: str) -> list[int]:
     """Return the 3876 timestamps of a traverse in place order, as VPRSNN's authors list them (QVPR/VPRSNN d38f30c).
 
-    Of the file's columns the one with the cameras' own names counts, with or without `.png`; lines before the first
-    such name are its head. Raises NotThere where the file is missing, BadInput where it is another one.
+    Of the file's columns the column with the cameras' own names counts, with or without `.png`; lines before the first
+    such name are its head. Raises NotThere if the file is missing, BadInput for another list.
     """
     path = folder / f"ORC_{traverse.capitalize()}_timestamps.csv"
     try:

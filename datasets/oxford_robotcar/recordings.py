@@ -25,7 +25,7 @@ class Recording:
 
     folder: Path
     kept: Path | None = None  # of raw frames: where the processed ones go
-    remark: str = ""  # how they were processed, where that was done before
+    remark: str = ""  # how an earlier run or somebody else processed them
 
 
 class Recordings:
@@ -105,7 +105,7 @@ def _find(root: Path, traverse: str, names: Sequence[str], outside: Path | None)
 
 
 def _insist_on_one_table(folder: Path, made_with: str, names: Sequence[str], raw: Path) -> None:
-    """Raise BadInput where some of our frames were made in another way than the last ones of their folder."""
+    """Raise BadInput if some of our frames were made in another way than the last frames of their folder."""
     others = [name for name in names if not is_made_with(folder / name, made_with)]
     if others:
         raise BadInput(

@@ -40,7 +40,7 @@ def dataset_of_files(
 ) -> Dataset:
     """Return the dataset of these files, in their order; how queries without a right place are treated is noted.
 
-    Raises BadInput where `unmatched` is error and there are such queries, or drop and there are no others.
+    Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = matched if unmatched == "drop" else range(len(queries))

@@ -59,7 +59,7 @@ class _RefusedError(Exception):
 
 
 def _without_header(path: Path, content: bytes, advice: str) -> bytes:
-    """Return the pickle in a .npy file; raises BadInput where it holds plain numbers instead."""
+    """Return the pickle in a .npy file; raises BadInput if it holds plain numbers instead."""
     if not content.startswith(b"\x93NUMPY"):
         return content
     digits = 2 if content[6:7] == b"\x01" else 4

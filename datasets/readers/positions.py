@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
     east: float  # metres
     north: float  # metres
-    grid: str  # zone and hemisphere, as in "33 north"; empty where the name has none
+    grid: str  # zone and hemisphere, as in "33 north"; empty if the name has none
 
 
 def by_names(
@@ -101,7 +101,7 @@ def by_names(
 
 
 def position_in(path: Path) -> Position:
-    """Return the position that the base name of a file holds; raises BadInput with the name where it holds none."""
+    """Return the position that the base name of a file holds; raises BadInput with the name if it holds none."""
     parts = path.name.split("@")
     try:
         east, north = float(parts[1]), float(parts[2])

@@ -67,7 +67,7 @@ def split(
     tolerance: int,
     query_stride: int = 1,
 ) -> Split:
-    """Split the places 0 to `places` - 1 as the authors of VPRTempo or those of VPRSNN do.
+    """Split the places 0 to `places` - 1 as the authors of VPRTempo or of VPRSNN do.
 
     vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
     are queried, `query_stride` apart. vprsnn: as many places as `first_query_place` says are set aside; the others
@@ -167,7 +167,7 @@ def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Num
 
 
 def every(listed: Sequence[Listed], stride: int, places: int) -> list[Listed]:
-    """Return every `stride`-th entry of a list, one a place; raises BadInput where the list is too short."""
+    """Return every `stride`-th entry of a list, one a place; raises BadInput if the list is too short."""
     if min(stride, places) < 1:
         raise BadInput(f"dataset.stride={stride}, dataset.places={places}: both have to be at least 1")
     most = len(range(0, len(listed), stride))

@@ -25,7 +25,7 @@ _MOST = 0.5
 
 @dataclass(frozen=True)
 class _Part:
-    """Queries in a row, by their numbers among those compared, that show other places than they should."""
+    """Queries in a row, by their numbers among the compared queries, that show other places than they should."""
 
     first: int
     last: int
@@ -41,7 +41,7 @@ class _Part:
 class _Comparison:
     """The queries that have a right place, against one reference traverse."""
 
-    asked: Shifts  # (n,), the numbers of those queries
+    asked: Shifts  # (n,), the numbers of the queries
     middles: Shifts  # (n,), the place each should show
     queries: Descriptors  # (n, 512)
     places: Descriptors  # (n_places, 512)
@@ -61,19 +61,19 @@ class _Comparison:
 class _Verdict:
     """What a comparison says."""
 
-    parts: tuple[_Part, ...]  # shifted ones; one of all queries where the whole traverse is
+    parts: tuple[_Part, ...]  # shifted parts; a single part of all queries if the whole traverse is shifted
     backwards: bool
     sure: bool  # whether the traverses look more alike there than elsewhere
     won: int  # stretches of the traverse that speak for this
     stretches: int
-    before: float  # mean likeness at the ground truth; elsewhere, where nothing is shifted
-    after: float  # the same under the shift; at the ground truth, where nothing is shifted
+    before: float  # mean likeness at the ground truth; elsewhere, if nothing is shifted
+    after: float  # the same under the shift; at the ground truth, if nothing is shifted
 
 
 def alignment(dataset: Dataset, references: Sequence[Looks], query: Looks) -> list[Finding]:
     """Compare the query traverse with every reference traverse, by small pictures of their frames.
 
-    Only where the right place advances with the query: else nothing says what a shift would be.
+    Only if the right place advances with the query: else nothing says what a shift would be.
     """
     middles = middles_of(dataset)
     if not advances(middles):
@@ -170,7 +170,7 @@ def _part(queries: Traverse, compared: _Comparison, part: _Part, other: str) -> 
 
 
 def _pair(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _Verdict) -> str:
-    """Return the names of two frames that look alike where they should not, from amid the first part."""
+    """Return the names of two frames that look alike where they should not, from the middle of the first part."""
     part = verdict.parts[0]
     last_place = len(compared.places) - 1
     places = compared.middles[part.queries] + part.shift

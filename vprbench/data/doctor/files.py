@@ -53,7 +53,7 @@ class Contents:
 
 
 def contents(folder: FrameFolder) -> Contents | None:
-    """Return the files of a folder; None where it is no folder."""
+    """Return the files of a folder; None if it is no folder."""
     if not folder.path.is_dir():
         return None
     with os.scandir(folder.path) as entries:
@@ -68,7 +68,7 @@ def contents(folder: FrameFolder) -> Contents | None:
 def _unfit(path: Path, used: Mapping[str, int]) -> dict[str, list[str]]:
     """Return the names of used files that are no images, by what they are instead.
 
-    Looks into files of unusual size and some others first, and into all where one of these is no image.
+    Looks into files of unusual size and some others first, and into all files if one of these is no image.
     """
     kinds = {_EMPTY: empty} if (empty := [name for name, size in used.items() if not size]) else {}
     if any(_impostor(path / name) for name in _suspects(used)):
@@ -117,7 +117,7 @@ def _count(folder: FrameFolder, number: int) -> Iterator[Finding]:
 
 
 def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterator[Finding]:
-    """Tell how many images of the folder are not used, and how many of those `looked_at` are black."""
+    """Tell how many images of the folder are not used, and how many of the `looked_at` unused images are black."""
     unused = found.unused
     if not unused:
         return

@@ -22,7 +22,7 @@ class Finding:
     level: Level
     check: str  # which check found it
     text: str  # what is wrong, with numbers and names; one line
-    advice: str = ""  # what to do; one line, empty where there is nothing to do
+    advice: str = ""  # what to do; one line, empty if there is nothing to do
 
 
 def is_wrong(found: Sequence[Finding]) -> bool:

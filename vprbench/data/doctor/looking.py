@@ -39,8 +39,8 @@ class Looks:
     traverse: str
     names: tuple[str, ...]
     unreadable: Mapping[int, str]  # the complaint by the number of the frame
-    contents: tuple[bytes, ...]  # hash of the pixels; empty where unreadable
-    sizes: npt.NDArray[np.int64]  # (n, 2), height and width; 0 where unreadable
+    contents: tuple[bytes, ...]  # hash of the pixels; empty if unreadable
+    sizes: npt.NDArray[np.int64]  # (n, 2), height and width; 0 if unreadable
     grey: Which  # whether red, green and blue are the same
     mean: npt.NDArray[np.float64]  # (n,), of the grey values
     std: npt.NDArray[np.float64]  # (n,)

@@ -51,7 +51,7 @@ def order(traverses: Sequence[Traverse]) -> Iterator[Finding]:
 def names_of_places(references: Sequence[Traverse], query: Traverse) -> Iterator[Finding]:
     """Find images matched with one of another name, though that traverse holds one of the same name.
 
-    Only where every next image is said to show the next place: elsewhere equal names mean nothing.
+    Only if every next image is said to show the next place: elsewhere equal names mean nothing.
     """
     if not one_by_one(query.places):
         return

@@ -110,7 +110,7 @@ def between(looks: Sequence[Looks]) -> Iterator[Finding]:
 
 
 def shared(looks: Sequence[Looks]) -> Iterator[Finding]:
-    """Find traverses that hold the same frames, as where a folder was named twice; the queries are the last."""
+    """Find traverses that hold the same frames, as if a folder was named twice; the queries are the last."""
     for seen, other in combinations([looks[-1], *looks[:-1]], 2):
         known = {content: name for name, content in _telling(other)}
         asked = _telling(seen)
