@@ -92,26 +92,6 @@ def test_the_protocol_says_everything_that_was_selected_and_what_is_odd_about_it
     }
 
 
-def test_as_vprsnns_authors_evaluate_the_places_set_aside_are_neither_in_the_map_nor_queried(tiny_root):
-    # numpy's RandomState(42) draws place 1 first of four.
-    dataset = oxford_robotcar(root=str(tiny_root), protocol="vprsnn", **TINY)
-    assert (reds(dataset.references), reds(dataset.queries)) == ([10, 12, 13, 20, 22, 23], [30, 32, 33])
-    assert [right.tolist() for right in dataset.positives] == [[0], [1], [2]]
-    assert (reds(dataset.held_out.references), reds(dataset.held_out.queries)) == ([11, 21], [31])
-    assert not dataset.held_out.in_map
-    assert dataset.protocol["protocol"] == "vprsnn"
-    assert (dataset.protocol["reference_places"], dataset.protocol["held_out_places"]) == (3, 1)
-    assert dataset.protocol["steps_back_in_time"].keys() == {"sun", "rain", "queries"}
-
-
-def test_traverses_come_in_the_order_asked_for(tiny_root):
-    dataset = oxford_robotcar("mine", str(tiny_root), ["dusk", "sun"], "rain", **TINY)
-    assert dataset.name == "mine"
-    assert reds(dataset.references) == [30, 31, 32, 33, 10, 11, 12, 13]
-    assert reds(dataset.queries) == [21, 22, 23]
-    assert [right.tolist() for right in dataset.positives] == [[1], [2], [3]]
-
-
 def test_an_image_that_shows_two_places_is_read_for_both(tmp_path):
     # The published rain list names one image twice in a row.
     stamps = published_timestamps("rain")

@@ -107,17 +107,22 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, spoil, told: str) -> No
         read_calibration(path, SMALL)
 
 
-@pytest.mark.parametrize("folder", ["models", "robotcar-dataset-sdk/models"])
-def test_the_table_is_found_in_the_root(tmp_path: Path, folder: str) -> None:
+@pytest.mark.parametrize(
+    ("folder", "given"),
+    [
+        ("models", None),
+        ("robotcar-dataset-sdk/models", None),
+        ("elsewhere", "elsewhere"),
+        ("elsewhere", f"elsewhere/{TABLE}"),
+    ],
+)
+def test_the_table_is_found_in_the_root_or_where_the_option_says(
+    tmp_path: Path, folder: str, given: str | None
+) -> None:
+    if given:
+        write_table(tmp_path / "models", *grid())
     path = write_table(tmp_path / folder, *grid())
-    assert find_calibration(tmp_path, None) == path
-
-
-@pytest.mark.parametrize("named", ["", TABLE])
-def test_a_table_that_is_named_by_file_or_folder_comes_before_that_of_the_root(tmp_path: Path, named: str) -> None:
-    write_table(tmp_path / "models", *grid())
-    path = write_table(tmp_path / "elsewhere", *grid())
-    assert find_calibration(tmp_path, str(tmp_path / "elsewhere" / named)) == path
+    assert find_calibration(tmp_path, given and str(tmp_path / given)) == path
 
 
 @pytest.mark.parametrize("given", [None, "elsewhere"])

@@ -8,7 +8,7 @@ import yaml
 from image_folders import REAL, answer, fill, needs_real_frames, numbered, reds, rights
 
 from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
-from vprbench.errors import NotThere
+from vprbench.errors import BadInput, NotThere
 from vprbench.plugins import registry
 
 
@@ -98,15 +98,18 @@ def test_a_matrix_of_zeros_and_ones_is_one_of_yes_and_no(drives):
         ({"GTsoft": HARD}, "holds no GThard"),
         (0, "cannot be read"),
         (200, "cannot be read"),
+        (None, "get it from there"),
     ],
 )
 def test_a_file_without_such_a_matrix_is_refused(drives, matrices, told):
     file = drives / "GT.npz"
-    if isinstance(matrices, int):
+    if matrices is None:
+        file.unlink()
+    elif isinstance(matrices, int):
         file.write_bytes(file.read_bytes()[:matrices])
     else:
         np.savez_compressed(file, **matrices)
-    message = answer(read, drives)
+    message = answer(read, drives, source="get it from there", kind=NotThere if matrices is None else BadInput)
     assert str(file) in message
     assert told in message
 
@@ -120,11 +123,6 @@ def test_a_file_that_is_encrypted_or_compressed_in_an_unknown_way_is_refused(dri
             content[start + field + shift] = value
     file.write_bytes(content)
     assert f"{file} cannot be read" in answer(read, drives)
-
-
-def test_what_is_missing_is_named_with_the_source(drives):
-    (drives / "GT.npz").unlink()
-    assert "get it from there" in answer(read, drives, source="get it from there", kind=NotThere)
 
 
 def test_images_stand_in_the_order_of_their_paths_as_the_matrix_wants(tmp_path):
