@@ -11,7 +11,8 @@ from vprbench.api import BadInput, Dataset, NotThere
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .readers.image_files import images_in
-from .readers.utm_names import by_names
+from .readers.positions import by_names
+from .readers.traverses import right_places
 
 _ADVICE = "give a folder of images"
 
@@ -64,8 +65,6 @@ def folders(
 
 def _by_index(traverses: list[list[Path]], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
     """Return the place of every reference and the right places of every query, by their number in the traverse."""
-    if tolerance < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
     counts = {len(files) for files in traverses}
     if len(counts) > 1:
         listed = ", ".join(f"{name} {len(files)}" for name, files in zip(names, traverses, strict=True))
@@ -73,10 +72,6 @@ def _by_index(traverses: list[list[Path]], names: list[str], n_queries: int, tol
             f"dataset.references hold different numbers of images ({listed}): with ground_truth=index the i-th image "
             "of every folder has to show the same place"
         )
-    n_places = counts.pop()
-    positives = [
-        np.arange(max(0, query - tolerance), min(n_places, query + tolerance + 1)) for query in range(n_queries)
-    ]
-    return GroundTruth(
-        np.tile(np.arange(n_places), len(traverses)), positives, f"no reference within {tolerance} places"
-    )
+    places = np.arange(counts.pop())
+    positives = right_places(np.arange(n_queries), places, tolerance)
+    return GroundTruth(np.tile(places, len(traverses)), positives, f"no reference within {tolerance} places")

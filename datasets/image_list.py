@@ -15,7 +15,8 @@ from vprbench.api import BadInput, Dataset, NotThere
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
 from .readers.image_files import check_listed
-from .readers.positions import METRES_WANTED, are_metres, by_radius, earth_centred
+from .readers.positions import MOST_METRES, by_radius, earth_centred
+from .readers.traverses import right_places
 
 Kind = Literal["place", "east_north", "lat_lon"]
 
@@ -96,25 +97,18 @@ class _Table:
     def metres(self, kind: Kind) -> npt.NDArray[np.float64]:
         """Return the position of every row, (n, 2) or (n, 3)."""
         first, second = (self._numbers(column) for column in _COLUMNS[kind])
-        if kind == "east_north":
-            return np.stack([first, second], axis=1)
-        for column, degrees, most in (("lat", first, 90), ("lon", second, 180)):
-            if (np.abs(degrees) > most).any():
-                row = int(np.argmax(np.abs(degrees) > most))
-                raise BadInput(
-                    f"{column} {degrees[row]:g} in row {row + 1} of {self.file}: give degrees from -{most} to {most}"
-                )
-        return earth_centred(first, second)
+        return earth_centred(first, second) if kind == "lat_lon" else np.stack([first, second], axis=1)
 
     def _numbers(self, column: str) -> npt.NDArray[np.float64]:
+        most = {"lat": 90.0, "lon": 180.0}.get(column, MOST_METRES)
         numbers = np.empty(len(self.images))
         for row, word in enumerate(self._words(column)):
             try:
                 numbers[row] = float(word)
             except ValueError:
                 numbers[row] = np.nan
-            if not are_metres(numbers[row]):  # nor are they degrees
-                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: {METRES_WANTED}")
+            if not abs(numbers[row]) <= most:
+                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: wanted is -{most:g} to {most:g}")
         return numbers
 
     def _words(self, column: str) -> list[str]:
@@ -143,7 +137,7 @@ def _table(file: Path, root: str | None) -> _Table:
 
 
 def _kind_of_all(tables: Sequence[_Table]) -> Kind:
-    """Return the first kind of ground truth that all tables hold; raises BadInput where there is none."""
+    """Return the first kind of ground truth that all tables hold; raises BadInput if no kind is common to all."""
     for kind, columns in _COLUMNS.items():
         if all({*columns} <= {*table.cells} for table in tables):
             return kind
@@ -153,17 +147,11 @@ def _kind_of_all(tables: Sequence[_Table]) -> Kind:
 
 def _by_place(references: list[str | int], queries: list[str | int], tolerance: int) -> GroundTruth:
     """Number the places as the references first name them; right for a query are the places around its own."""
-    if tolerance < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
     numbers = {label: number for number, label in enumerate(dict.fromkeys(references))}
-    around = [
-        np.arange(max(0, number - tolerance), min(len(numbers), number + tolerance + 1))
-        if (number := numbers.get(label)) is not None
-        else np.arange(0)
-        for label in queries
-    ]
+    nowhere = -2 * len(numbers)  # further from every place than the tolerance can reach
+    asked = np.array([numbers.get(label, nowhere) for label in queries])
     return GroundTruth(
-        places=np.array([numbers[label] for label in references], dtype=np.int64),
-        positives=around,
+        places=np.array([numbers[label] for label in references]),
+        positives=right_places(asked, np.arange(len(numbers)), tolerance),
         lacking="a place that no reference shows",
     )

@@ -11,7 +11,7 @@ from vprbench.api import BadInput, Dataset, FrameFolder, Images
 
 from .readers.frame_folders import check_folders, root_folder
 from .readers.recipes import function_of
-from .readers.traverses import Evaluation, Split, Traverses, check_recorded, dataset_of, recorded_split
+from .readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, split
 
 SEASONS = ("spring", "summer", "fall", "winter")
 
@@ -38,7 +38,7 @@ class Nordland:
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
     `tolerance` places away. With the protocol of VPRSNN `first_query_place` places, chosen as its authors do, are in
     neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. A `root` of None is
-    `default_root` (relative to the checkout) where it exists, else the folder of the `download`; `source` says in
+    `default_root` (relative to the checkout) if it exists, else the folder of the `download`; `source` says in
     messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
     """
 
@@ -65,7 +65,9 @@ class Nordland:
         check_recorded("Nordland", "season", SEASONS, seasons, self.query)
         _check_protocol(self.protocol, self.stride, self.frame_multiple)
         names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix)
-        parts = self._split()
+        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
+        asked = (self.first_query_place, self.query_places, self.tolerance, self.query_stride)
+        parts = split(evaluation, self.places, *asked)
         used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
         folders = self._folders(used, seasons[0])
         return dataset_of(
@@ -88,13 +90,8 @@ class Nordland:
             [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
         )
 
-    def _split(self) -> Split:
-        evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
-        asked = (self.places, self.first_query_place, self.query_places, self.tolerance, self.query_stride)
-        return recorded_split(evaluation, *asked)
-
     def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
-        """Return the folder of each season, with the names used of it; raises NotThere where some are missing."""
+        """Return the folder of each season, with the names used of it; raises NotThere if some frames are missing."""
         layout = (
             f"get the frames from {self.source}, and set dataset.root so that <root>/{first}/{used[first][0]} is the "
             "first"
@@ -112,20 +109,11 @@ nordland = function_of(Nordland)
 
 
 def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:
-    """Return the file names of the places, in order; raises BadInput where the list does not hold that many."""
-    if min(stride, places, frame_multiple) < 1:
-        raise BadInput(
-            f"dataset.stride={stride}, dataset.places={places}, dataset.frame_multiple={frame_multiple}: "
-            "all have to be at least 1"
-        )
+    """Return the file names of the places, in order; raises BadInput if the list has fewer."""
+    if frame_multiple < 1:
+        raise BadInput(f"dataset.frame_multiple={frame_multiple}: give 1 or more")
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
-    most = len(range(0, len(names), stride))
-    if places > most:
-        raise BadInput(
-            f"dataset.places={places}: the list of {len(names)} names at stride {stride} has {most} places, "
-            "so set dataset.places and dataset.query_places to fit"
-        )
-    return names[: places * stride : stride]
+    return every(names, stride, places)
 
 
 def published_frames() -> list[int]:
@@ -136,7 +124,7 @@ def published_frames() -> list[int]:
 
 
 def _check_protocol(protocol: Protocol, stride: int, frame_multiple: int) -> None:
-    """Raise BadInput for an unknown protocol, and for places that one with all frames in its map does not have."""
+    """Raise BadInput for an unknown protocol, and for fewer frames than its map has to hold."""
     known = get_args(Protocol)
     if protocol not in known:
         raise BadInput(f"dataset.protocol={protocol}: choose {', '.join(known[:-1])} or {known[-1]}")

@@ -10,8 +10,8 @@ from vprbench.api import BadInput, Dataset, NotThere
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
 from .readers.image_files import check_listed, images_in
+from .readers.positions import Zones, by_names
 from .readers.recipes import function_of
-from .readers.utm_names import Zones, by_names
 
 _LAYOUT = (
     "github.com/gmberton/VPR-datasets-downloader makes such folders and says for which you have to register or to ask "
@@ -71,7 +71,7 @@ utm_folders = function_of(UtmFolders)
 
 
 def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:
-    """Return the split, None where the root is not divided, and the folder that holds both wanted folders."""
+    """Return the split, None if the root is not divided, and the folder that holds both wanted folders."""
     for found, folder in ((split, top / "images" / split), (split, top / split), (None, top)):
         if all((folder / part).is_dir() for part in wanted):
             return found, folder
@@ -82,7 +82,7 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
 
 
 def _images(folder: Path, layout: str) -> list[Path]:
-    """Return the images of a folder: those of the list beside it where there is one, else all, by their paths."""
+    """Return the images of a folder: the images of the list beside it, if there is a list, else all, by their paths."""
     beside = _list_beside(folder)
     if not beside.is_file():
         return images_in(folder, "dataset.root", layout, order="plain")

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from vprbench.api import BadInput, Dataset, NotThere
 
 from .readers.csv_tables import read_csv
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.file_dataset import Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
 from .readers.image_files import images_in
 from .readers.pickled_lists import read_lists
@@ -40,28 +38,23 @@ def vpr_bench(
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
     `clip`; how many queries that concerns is noted. `default_root` (relative to the checkout) stands in for a `root` of
-    None where it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
+    None if it exists. Raises NotThere for what is missing, BadInput for a ground truth that does not fit.
     """
     top = root_folder(name, root, "query/ and ref/", _LAYOUT, default_root=default_root)
     asked, references = (images_in(top / part, "dataset.root", _LAYOUT, deep=False) for part in ("query", "ref"))
     stored = _ground_truth_file(top, ground_truth)
     rows = _rows_of_csv(stored) if stored.suffix.lower() == ".csv" else _rows_of_pickle(stored)
     by_query, corrected = in_range(stored.name, rows, len(asked), len(references), out_of_range)
-    note = (
-        f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows (first: query "
-        f"{corrected[0]}); they are left out (dataset.out_of_range=clip)"
-        if corrected
-        else None
-    )
+    notes = [
+        f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows (first: query {query}); "
+        "they are left out (dataset.out_of_range=clip)"
+        for query in corrected[:1]
+    ]
     return dataset_of_files(
         name,
         references,
         asked,
-        GroundTruth(
-            places=np.arange(len(references)),
-            positives=[np.array(right, dtype=np.int64) for right in by_query],
-            lacking=f"no right reference in {stored.name}",
-        ),
+        each_a_place(len(references), by_query, f"no right reference in {stored.name}"),
         unmatched,
         {
             "protocol": "vpr_bench",
@@ -69,7 +62,7 @@ def vpr_bench(
             "out_of_range": out_of_range,
             "out_of_range_queries": len(corrected),
         },
-        [note] if note else [],
+        notes,
     )
 
 
@@ -86,24 +79,23 @@ def in_range(
     for query, right in rows:
         wrong = [reference for reference in right if not 0 <= reference < n_references]
         known = 0 <= query < n_queries
-        if (wrong or not known) and out_of_range == "error":
+        if known and query in by_query:
+            raise BadInput(f"{owner} has two rows for query {query}: leave one")
+        if known:
+            by_query[query] = sorted({*right} - {*wrong})
+        if known and not wrong:
+            continue
+        corrected.append(query)
+        if out_of_range == "error":
             told = (
-                f"names reference {wrong[0]} for query {query}, but ref/ holds {n_references} images, numbered 0 to "
-                f"{n_references - 1}"
+                f"names reference {wrong[0]} for query {query}, but ref/ holds {n_references}"
                 if known
-                else f"names query {query}, but query/ holds {n_queries} images, numbered 0 to {n_queries - 1}"
+                else f"names query {query}, but query/ holds {n_queries}"
             )
             raise BadInput(
-                f"{owner} {told}: check that no image is missing, or pass dataset.out_of_range=clip to leave such "
-                "numbers out"
+                f"{owner} {told} images, numbered from 0: check that no image is missing, or pass "
+                "dataset.out_of_range=clip to leave such numbers out"
             )
-        if wrong or not known:
-            corrected.append(query)
-        if not known:
-            continue
-        if query in by_query:
-            raise BadInput(f"{owner} has two rows for query {query}: leave one")
-        by_query[query] = sorted({*right} - {*wrong})
     without = [query for query in range(n_queries) if query not in by_query]
     if without:
         raise BadInput(
@@ -115,10 +107,10 @@ def in_range(
 
 def _ground_truth_file(top: Path, name: str | None) -> Path:
     wanted = [name] if name else GROUND_TRUTHS
-    for file in wanted:
-        if (top / file).is_file():
-            return top / file
-    raise NotThere(f"{top} holds no {' and no '.join(wanted)}: {_LAYOUT}")
+    found = next((top / file for file in wanted if (top / file).is_file()), None)
+    if found is None:
+        raise NotThere(f"{top} holds no {' and no '.join(wanted)}: {_LAYOUT}")
+    return found
 
 
 def _rows_of_pickle(path: Path) -> list[tuple[int, list[int]]]:

@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
 from .readers.image_files import images_in
+from .readers.traverses import check_references, right_places
 
 Strictness = Literal["hard", "soft"]
 
@@ -40,13 +41,12 @@ def gardens_point(
     the 8 to either side. A `tolerance` in places stands in for both. Raises NotThere for missing folders or images.
     """
     traverses = ["day_right"] if references is None else references
-    if not traverses or len({*traverses}) < len(traverses):
-        raise BadInput(f"dataset.references={traverses}: name at least one folder, each once")
+    check_references(traverses, "folder")
     if images < 1:
         raise BadInput(f"dataset.images={images}: give 1 or more")
     reach = (0 if ground_truth == "hard" else _SOFT_BAND) if tolerance is None else tolerance
-    if reach < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
+    places = np.arange(images)
+    right = right_places(places, places, reach)
     layout = (
         "run python -m vprbench fetch gardens_point, or get GardensPoint_Walking.zip from "
         "www.tu-chemnitz.de/etit/proaut/datasets (all frames: doi 10.5281/zenodo.4590133) and "
@@ -58,11 +58,7 @@ def gardens_point(
         name,
         mapped,
         _first(top / query, images, layout),
-        GroundTruth(
-            places=np.tile(np.arange(images), len(traverses)),
-            positives=[np.arange(max(0, i - reach), min(images, i + reach + 1)) for i in range(images)],
-            lacking="no reference",
-        ),
+        GroundTruth(np.tile(places, len(traverses)), right, "no reference"),
         "error",
         {
             "protocol": "vpr_tutorial",
@@ -86,7 +82,7 @@ def with_matrix(
 ) -> Dataset:
     """Return two folders of images, in the order of their paths, with the matrix GThard or GTsoft of GT.npz.
 
-    Every reference is a place. The matrix is (n_references, n_queries), true where they show the same place. Queries
+    Every reference is a place. The matrix is (n_references, n_queries), true if both show the same place. Queries
     without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
     messages where the data are to be had. Raises NotThere for what is missing, BadInput for a matrix that does not fit.
     """
@@ -100,18 +96,14 @@ def with_matrix(
         name,
         mapped,
         asked,
-        GroundTruth(
-            places=np.arange(len(mapped)),
-            positives=[np.flatnonzero(column) for column in right.T],
-            lacking=f"no right reference in {_MATRICES[ground_truth]}",
-        ),
+        each_a_place(len(mapped), map(np.flatnonzero, right.T), f"no right reference in {_MATRICES[ground_truth]}"),
         unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
     )
 
 
 def _first(folder: Path, count: int, layout: str) -> list[Path]:
-    """Return the first images of a folder; raises NotThere where there are fewer."""
+    """Return the first images of a folder; raises NotThere if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:
         raise NotThere(
@@ -135,13 +127,12 @@ def _matrix(file: Path, key: str, shape: tuple[int, int], layout: str) -> npt.ND
             )
         with np.load(file, allow_pickle=False) as stored:
             matrix = stored[key]
-    except KeyError as error:
-        raise BadInput(f"{file} holds no {key}: get it from its source again") from error
-    except (ValueError, OSError, EOFError, MemoryError, RuntimeError, *_ZIP_ERRORS) as error:
-        if isinstance(error, BadInput):
-            raise
+    except BadInput:
+        raise
+    except (KeyError, ValueError, OSError, EOFError, MemoryError, RuntimeError, *_ZIP_ERRORS) as error:
         reason = (str(error).splitlines() or [""])[0]
-        raise BadInput(f"{file} cannot be read ({reason}): get it from its source again") from error
+        told = f"holds no {key}" if isinstance(error, KeyError) else f"cannot be read ({reason})"
+        raise BadInput(f"{file} {told}: get it from its source again") from error
     if matrix.shape != shape:
         turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
         raise BadInput(

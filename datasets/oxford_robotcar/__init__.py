@@ -11,9 +11,9 @@ from vprbench.api import Dataset, Images, data_folder
 
 from ..readers.frame_folders import root_folder
 from ..readers.recipes import function_of
-from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, recorded_split, right_places
+from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, every, right_places, split
 from .calibration import STEREO_LEFT
-from .lists import RECORDINGS, every, lists_folder, published_timestamps, vprsnn_timestamps
+from .lists import RECORDINGS, lists_folder, published_timestamps, vprsnn_timestamps
 from .recordings import Recordings
 from .repeats import remarks, steps_back
 
@@ -61,8 +61,7 @@ class OxfordRobotcar:
         check_recorded("Oxford RobotCar", "traverse", RECORDINGS, chosen, self.query)
         traverses = [*dict.fromkeys([*chosen, self.query])]
         layout = _layout(traverses, chosen[0])
-        asked = (self.places, self.first_query_place, self.query_places, self.tolerance)
-        parts = recorded_split(self.protocol, *asked)
+        parts = split(self.protocol, self.places, self.first_query_place, self.query_places, self.tolerance)
         top, stamps = self._stamps(traverses, layout)
         names = {traverse: [f"{stamp}.png" for stamp in listed] for traverse, listed in stamps.items()}
         wanted = {**names, self.query: [names[self.query][place] for place in parts.needed_of_query()]}
@@ -96,15 +95,14 @@ class OxfordRobotcar:
 
     def _stamps(self, traverses: Sequence[str], layout: str) -> tuple[Path, dict[str, list[int]]]:
         """Return the root, and the timestamps of each traverse, one a place; raises NotThere and BadInput."""
+        published = {traverse: published_timestamps(traverse) for traverse in traverses}
         if self.image_list == "vprtempo":  # arguments that its lists do not fit are refused before a look at the root
-            stamps = {
-                traverse: every(published_timestamps(traverse), self.stride, self.places) for traverse in traverses
-            }
-            return root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD), stamps
+            every(published[traverses[0]], self.stride, self.places)
         top = root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD)
-        folder = lists_folder(self.lists, [top, data_folder(_DOWNLOAD)])
-        listed = {traverse: vprsnn_timestamps(folder, traverse) for traverse in traverses}
-        return top, {traverse: every(stamps, self.stride, self.places) for traverse, stamps in listed.items()}
+        if self.image_list == "vprsnn":
+            folder = lists_folder(self.lists, [top, data_folder(_DOWNLOAD)])
+            published = {traverse: vprsnn_timestamps(folder, traverse) for traverse in traverses}
+        return top, {traverse: every(stamps, self.stride, self.places) for traverse, stamps in published.items()}
 
 
 oxford_robotcar = function_of(OxfordRobotcar)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +27,7 @@ _EXACT = 4  # levels are demosaiced times this, so that means of two and of four
 
 @dataclass(frozen=True)
 class Camera:
-    """The size of a camera's frames, and of those without distortion focal lengths and principal point; in pixels."""
+    """The size of a camera's frames, and of its undistorted frames focal lengths and principal point; in pixels."""
 
     width: int
     height: int
@@ -48,29 +50,26 @@ class Calibration:
 
 
 def find_calibration(root: Path, given: str | None) -> Path:
-    """Return the file of the distortion table: `given`, a file or its folder, or else where a root has it.
+    """Return the file of the distortion table: `given`, a file or its folder, or else the file in a root.
 
-    Raises NotThere where there is none.
+    Raises NotThere if there is none.
     """
-    if given is None:
-        candidates = [root / folder / _TABLE for folder in _FOLDERS]
-    else:
-        path = Path(given).expanduser()
-        candidates = [path / _TABLE if path.is_dir() else path]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    looked = " and ".join(map(str, candidates))
-    raise NotThere(
-        f"raw frames are there, but {looked} {'is' if len(candidates) == 1 else 'are'} not: {_WHENCE} to "
-        f"{root / _FOLDERS[0]}, or set dataset.calibration to it"
-    )
+    path = Path(given or "").expanduser()
+    named = [path / _TABLE if path.is_dir() else path]
+    candidates = [root / folder / _TABLE for folder in _FOLDERS] if given is None else named
+    found = next(filter(Path.is_file, candidates), None)
+    if found is None:
+        raise NotThere(
+            f"raw frames are there, but the distortion table is not ({' and '.join(map(str, candidates))}): {_WHENCE} "
+            f"to {root / _FOLDERS[0]}, or set dataset.calibration to it"
+        )
+    return found
 
 
 def read_calibration(path: Path, camera: Camera) -> Calibration:
     """Read a distortion table: float64 (2, height * width), x and y of the source of each pixel, row after row.
 
-    Raises BadInput where the file is none of this camera.
+    Raises BadInput if the file is none of this camera.
     """
     try:
         content = path.read_bytes()
@@ -105,23 +104,31 @@ def read_calibration(path: Path, camera: Camera) -> Calibration:
     )
 
 
-def check_raw(path: Path, camera: Camera) -> None:
-    """Raise BadInput for a file that is no raw frame of the camera: grey, 8 bit, of its size."""
+@contextmanager
+def opened(path: Path) -> Iterator[PillowImage.Image]:
+    """Open a frame; raises BadInput, in the caller's reading too, for a file that is no image."""
     try:
         with open_image(path) as image:
-            _insist_on_raw(path, image, camera)
+            yield image
     except (OSError, SyntaxError) as error:
-        raise unreadable(path, error) from error
+        reason = str(error).replace(str(path), "it").splitlines()[0]
+        raise BadInput(f"{path} cannot be read as an image ({reason}): restore the file; none is skipped") from error
 
 
 def read_raw(path: Path, camera: Camera) -> npt.NDArray[np.uint8]:
     """Read a frame as the camera recorded it, (height, width), one colour a pixel; raises BadInput for any other."""
-    try:
-        with open_image(path) as image:
-            _insist_on_raw(path, image, camera)
-            return np.asarray(image)
-    except (OSError, SyntaxError) as error:
-        raise unreadable(path, error) from error
+    with opened(path) as image:
+        if image.mode != "L":
+            raise BadInput(
+                f"{path} is of mode {image.mode} among raw frames, which are grey with 8 bit (mode L): restore the "
+                "file as downloaded, or give processed frames a folder of their own"
+            )
+        if image.size != (camera.width, camera.height):
+            raise BadInput(
+                f"{path} is {image.width} x {image.height}; raw frames are {camera.width} x {camera.height}: restore "
+                "the file as downloaded"
+            )
+        return np.asarray(image)
 
 
 def processed(raw: npt.NDArray[np.uint8], calibration: Calibration) -> Image:
@@ -149,22 +156,3 @@ def _growth(values: npt.NDArray[np.float64]) -> float:
     """Return how much larger the right half of a table is than the left one, in the mean."""
     middle = values.shape[1] // 2
     return float(values[:, middle:].mean() - values[:, :middle].mean())
-
-
-def _insist_on_raw(path: Path, image: PillowImage.Image, camera: Camera) -> None:
-    if image.mode != "L":
-        raise BadInput(
-            f"{path} is of mode {image.mode} among raw frames, which are grey with 8 bit (mode L): restore the file as "
-            "downloaded, or give processed frames a folder of their own"
-        )
-    if image.size != (camera.width, camera.height):
-        raise BadInput(
-            f"{path} is {image.width} x {image.height}; raw frames are {camera.width} x {camera.height}: restore the "
-            "file as downloaded"
-        )
-
-
-def unreadable(path: Path, error: Exception) -> BadInput:
-    """Return what to raise for a frame that is no image."""
-    reason = str(error).replace(str(path), "it").splitlines()[0]
-    return BadInput(f"{path} cannot be read as an image ({reason}): restore the file; none is skipped")

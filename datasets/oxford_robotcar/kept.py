@@ -1,12 +1,12 @@
-"""Processed frames kept on disk: each says what it was made of, and is made anew where that is something else."""
+"""Processed frames kept on disk: each names its raw frame and calibration, and is made anew if they differ."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import logging
 import threading
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL.PngImagePlugin import PngInfo
 
-from vprbench.api import Image, Images, open_image
+from vprbench.api import Image, Images, open_image, replace_bytes
 
 from .calibration import VERSION, Calibration, processed, read_raw
 
@@ -30,7 +30,7 @@ _COMPRESSION = 1  # the fastest
 class KeptFrames:
     """Raw frames of one calibration, processed when they are looked at, and kept.
 
-    What was kept is taken where it was made of the same frame with the same calibration, by the same code. Several
+    A kept frame is taken if it was made of the same raw frame with the same calibration, by the same code. Several
     threads and processes may read and write at once. A disk that refuses costs what would have been kept, never the
     frames: it is said once.
     """
@@ -44,7 +44,7 @@ class KeptFrames:
         self._refused = False
 
     def images(self, paths: Sequence[Path]) -> Images:
-        """Return images of files, of which those in a folder of raw frames are processed and the others as they are.
+        """Return images of files, the raw frames among them processed and the others as they are.
 
         Reading raises BadInput for a file that is no raw frame.
         """
@@ -56,20 +56,17 @@ class KeptFrames:
             if folder is None:
                 return files[i]
             mark = {"raw": files[i : i + 1].content_hash(), "calibration": self._calibration.sha256, "version": VERSION}
-            return self._frame(paths[i], folder / paths[i].name, mark)
+            path = folder / paths[i].name
+            image = _read(path, mark)
+            if image is None:
+                image = processed(read_raw(paths[i], self._calibration.camera), self._calibration)
+                self._keep(path, image, mark)
+            return image
 
         def besides(i: int) -> bytes:
             return made_with if paths[i].parent in self._folders else b""
 
         return Images(read, files.names, files=paths, stamp=besides, content=besides)
-
-    def _frame(self, raw: Path, path: Path, mark: Mapping[str, Any]) -> Image:
-        """Return a raw frame processed: as `path` kept it under this mark, or made now and kept."""
-        image = _read(path, mark)
-        if image is None:
-            image = processed(read_raw(raw, self._calibration.camera), self._calibration)
-            self._keep(path, image, mark)
-        return image
 
     def _keep(self, path: Path, image: Image, mark: Mapping[str, Any]) -> None:
         if self._refused:
@@ -80,13 +77,10 @@ class KeptFrames:
         except OSError as error:
             with self._one_at_a_time:
                 told, self._refused = self._refused, True
+            advice = "each is processed whenever it is read; make room, or set dataset.processed to another folder"
             if not told:
-                logger.warning(
-                    "processed frames cannot be kept in %s (%s): each is processed whenever it is read; make room, or "
-                    "set dataset.processed to another folder",
-                    path.parent,
-                    error.strerror or error,
-                )
+                why = error.strerror or error
+                logger.warning("processed frames cannot be kept in %s (%s): %s", path.parent, why, advice)
 
     def _record(self, folder: Path) -> None:
         """Say beside the frames how they were made, before the first of them is there."""
@@ -100,17 +94,12 @@ class KeptFrames:
                 **asdict(self._calibration.camera),
             }
             folder.mkdir(parents=True, exist_ok=True)
-            partial = _partial(folder / RECORD)
-            try:
-                partial.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
-                partial.replace(folder / RECORD)
-            finally:
-                partial.unlink(missing_ok=True)
+            replace_bytes(folder / RECORD, f"{json.dumps(content, indent=1)}\n".encode())
             self._recorded.add(folder)
 
 
 def recorded_calibration(folder: Path) -> str | None:
-    """Return the hash of the calibration that our frames in a folder were last made with; None where none are ours."""
+    """Return the hash of the calibration that our frames in a folder were last made with; None if none are ours."""
     try:
         return str(json.loads((folder / RECORD).read_text("utf-8"))["calibration_sha256"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -127,7 +116,7 @@ def is_made_with(path: Path, calibration: str) -> bool:
 
 
 def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
-    """Return a frame that was kept; None where it is not there, damaged or made of something else."""
+    """Return a frame that was kept; None if it is missing, damaged or made of something else."""
     try:
         with open_image(path) as image:
             mark = _mark(image)
@@ -135,23 +124,17 @@ def _read(path: Path, wanted: Mapping[str, Any]) -> Image | None:
             if mark != wanted or image.mode != "RGB":
                 return None
             frame = np.asarray(image)
-    except FileNotFoundError:
-        return None
-    except Exception:  # a damaged file may upset its reader in any way, and is made anew
+    except Exception:  # there is none, or a damaged file upset its reader in any way: it is made anew
         return None
     return frame if _digest(frame) == pixels else None
 
 
 def _write(path: Path, image: Image, mark: Mapping[str, Any]) -> None:
     """Write a frame so that a reader sees all of it or none."""
-    text = PngInfo()
+    text, content = PngInfo(), io.BytesIO()
     text.add_text(_MARK, json.dumps({**mark, "pixels": _digest(image)}))
-    partial = _partial(path)
-    try:
-        PillowImage.fromarray(image).save(partial, "PNG", pnginfo=text, compress_level=_COMPRESSION)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    PillowImage.fromarray(image).save(content, "PNG", pnginfo=text, compress_level=_COMPRESSION)
+    replace_bytes(path, content.getvalue())
 
 
 def _mark(image: PillowImage.Image) -> dict[str, Any]:
@@ -160,7 +143,3 @@ def _mark(image: PillowImage.Image) -> dict[str, Any]:
 
 def _digest(image: Image) -> str:
     return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
-
-
-def _partial(path: Path) -> Path:
-    return path.with_name(f".partial-{path.name}-{uuid.uuid4().hex[:8]}")

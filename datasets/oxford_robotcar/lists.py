@@ -9,6 +9,8 @@ from pathlib import Path
 
 from vprbench.api import BadInput, NotThere
 
+from ..readers.traverses import every
+
 #: When each traverse was recorded: its name in the RobotCar dataset.
 RECORDINGS = {"sun": "2015-08-12-15-04-18", "rain": "2015-10-29-12-18-17", "dusk": "2014-11-21-16-07-03"}
 
@@ -23,37 +25,26 @@ def published_timestamps(traverse: str) -> list[int]:
     return [int(row) for row in Path(__file__).with_name(f"oxford_{traverse}.csv").read_text("ascii").split()]
 
 
-def every(stamps: Sequence[int], stride: int, places: int) -> list[int]:
-    """Return every `stride`-th of a traverse's timestamps, one a place; raises BadInput where the list is too short."""
-    if min(stride, places) < 1:
-        raise BadInput(f"dataset.stride={stride}, dataset.places={places}: both have to be at least 1")
-    most = len(range(0, len(stamps), stride))
-    if places > most:
-        raise BadInput(f"dataset.places={places}: the list of {len(stamps)} names at stride {stride} has {most} places")
-    return list(stamps[: places * stride : stride])
-
-
 def lists_folder(given: str | None, roots: Sequence[Path]) -> Path:
     """Return the folder of VPRSNN's lists: `given`, or else the first of its name in `roots`.
 
-    Raises NotThere where there is none.
+    Raises NotThere if there is none.
     """
     candidates = [root / _FOLDER for root in roots] if given is None else [Path(given).expanduser()]
-    for candidate in candidates:
-        if candidate.is_dir():
-            return candidate
-    looked = " and ".join(map(str, candidates))
-    raise NotThere(
-        f"VPRSNN's image lists are not there ({looked} {'is no folder' if len(candidates) == 1 else 'are no folders'}):"
-        f" {_WHENCE} to {candidates[0]}, or set dataset.lists to the folder that holds them"
-    )
+    found = next(filter(Path.is_dir, candidates), None)
+    if found is None:
+        raise NotThere(
+            f"VPRSNN's image lists are not there ({' and '.join(map(str, candidates))}): {_WHENCE} to {candidates[0]}, "
+            "or set dataset.lists to the folder that holds them"
+        )
+    return found
 
 
 def vprsnn_timestamps(folder: Path, traverse: str) -> list[int]:
     """Return the 3876 timestamps of a traverse in place order, as VPRSNN's authors list them (QVPR/VPRSNN d38f30c).
 
-    Of the file's columns the one with the cameras' own names counts, with or without `.png`; lines before the first
-    such name are its head. Raises NotThere where the file is missing, BadInput where it is another one.
+    Of the file's columns the column with the cameras' own names counts, with or without `.png`; lines before the first
+    such name are its head. Raises NotThere if the file is missing, BadInput for another list.
     """
     path = folder / f"ORC_{traverse.capitalize()}_timestamps.csv"
     try:

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vprbench.api import BadInput, FrameFolder, Images, open_image
+from vprbench.api import BadInput, FrameFolder, Images
 
 from ..readers.frame_folders import check_folders, files_in
-from .calibration import Camera, check_raw, find_calibration, read_calibration, unreadable
+from .calibration import Camera, find_calibration, opened, read_calibration, read_raw
 from .kept import KeptFrames, is_made_with, recorded_calibration
 from .lists import RECORDINGS
 
@@ -25,7 +25,7 @@ class Recording:
 
     folder: Path
     kept: Path | None = None  # of raw frames: where the processed ones go
-    remark: str = ""  # how they were processed, where that was done before
+    remark: str = ""  # how an earlier run or somebody else processed them
 
 
 class Recordings:
@@ -43,9 +43,9 @@ class Recordings:
         """Find the file names wanted of each traverse.
 
         `processed` is a folder for processed frames outside the root, `calibration` the distortion table or its
-        folder. Taken are those that somebody processed, where all are there, else the raw ones, else those that we
-        processed before. Raises NotThere, with `layout`, for missing frames and for raw ones without a distortion
-        table, BadInput where the first of a traverse is not what it should be.
+        folder. Preference: complete third-party frames, then raw frames, then frames processed by an earlier run.
+        Raises NotThere, with `layout`, for missing frames and for raw frames without a distortion table, BadInput if
+        the first frame of a traverse is not what it should be.
         """
         outside = None if processed is None else Path(processed).expanduser()
         self._wanted = {traverse: tuple(dict.fromkeys(names)) for traverse, names in wanted.items()}
@@ -55,7 +55,7 @@ class Recordings:
         for traverse, one in self._found.items():
             first = one.folder / self._wanted[traverse][0]
             if one.folder in raw:
-                check_raw(first, camera)
+                read_raw(first, camera)
             else:
                 _check_processed(first)
         self._calibration = read_calibration(find_calibration(root, calibration), camera) if raw else None
@@ -105,7 +105,7 @@ def _find(root: Path, traverse: str, names: Sequence[str], outside: Path | None)
 
 
 def _insist_on_one_table(folder: Path, made_with: str, names: Sequence[str], raw: Path) -> None:
-    """Raise BadInput where some of our frames were made in another way than the last ones of their folder."""
+    """Raise BadInput if some of our frames were made in another way than the last frames of their folder."""
     others = [name for name in names if not is_made_with(folder / name, made_with)]
     if others:
         raise BadInput(
@@ -131,11 +131,8 @@ def _is_somebody_elses(folder: Path) -> bool:
 
 def _check_processed(path: Path) -> None:
     """Raise BadInput for a frame that is no image, or grey, as the camera records it: one colour a pixel."""
-    try:
-        with open_image(path) as image:
-            mode = image.mode
-    except (OSError, SyntaxError) as error:
-        raise unreadable(path, error) from error
+    with opened(path) as image:
+        mode = image.mode
     if mode in _BAYER_MODES:
         raise BadInput(
             f"{path} is grey, as raw Bayer frames are, and not demosaiced: put raw frames at "

@@ -33,7 +33,7 @@ class CsvTable:
 
 
 def read_csv(file: Path, wanted: str) -> CsvTable:
-    """Read a CSV file in UTF-8 whose first row is its header; raises BadInput, with `wanted`, where it is none."""
+    """Read a CSV file in UTF-8 whose first row is its header; raises BadInput, with `wanted`, for any other file."""
     rows: list[list[str]] = []
     lines: list[int] = []
     try:

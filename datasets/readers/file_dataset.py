@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +24,11 @@ class GroundTruth:
     lacking: str  # what a query without any lacks, as in "no reference within 25 m"
 
 
+def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str) -> GroundTruth:
+    """Return the ground truth of references that are a place each, with the right ones of every query, ascending."""
+    return GroundTruth(np.arange(n_references), [np.array(found, dtype=np.int64) for found in right], lacking)
+
+
 def dataset_of_files(
     name: str,
     references: Sequence[Path],
@@ -35,7 +40,7 @@ def dataset_of_files(
 ) -> Dataset:
     """Return the dataset of these files, in their order; how queries without a right place are treated is noted.
 
-    Raises BadInput where `unmatched` is error and there are such queries, or drop and there are no others.
+    Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = matched if unmatched == "drop" else range(len(queries))

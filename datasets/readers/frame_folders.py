@@ -22,8 +22,8 @@ def root_folder(
 ) -> Path:
     """Return the folder of dataset `name` that holds what `holding` says; raises NotThere with `layout`, what to do.
 
-    A `root` of None is the folder that downloads of the dataset lie in, where it holds anything, else `default_root`
-    (relative to the checkout) where that exists; `download` names the first where several datasets share one.
+    A `root` of None is the folder that downloads of the dataset lie in, if it holds anything, else `default_root`
+    (relative to the checkout) if it exists; `download` names the download folder if several datasets share one.
     """
     if root is None:
         kept = data_folder(download or name)

@@ -20,12 +20,12 @@ def images_in(
     order: Literal["natural", "plain"] = "natural",
     deep: bool = True,
 ) -> list[Path]:
-    """Return the image files of a folder, those of its sub-folders too where `deep`, links followed.
+    """Return the image files of a folder, with `deep` those of its sub-folders too, links followed.
 
     Left out are lists and what systems put beside frames, such as names that begin with a dot (._1.jpg). A link to a
     file that is gone is returned, so that nothing moves up in its place. In natural order 2.jpg stands before 10.jpg,
     in plain order (that of Python's `sorted` on whole paths) after it. Raises NotThere, with the `option` that named
-    the folder and `advice`, where it is none or holds no images, and for a folder that cannot be read; BadInput for
+    the folder and `advice`, if it is none or holds no images, and for a folder that cannot be read; BadInput for
     anything else that may stand for a frame, and for a folder that links lead to a second time.
     """
     top = Path(folder).expanduser()
@@ -47,7 +47,7 @@ def images_in(
 
 
 def check_listed(files: list[Path], listed_in: str, advice: str) -> None:
-    """Raise NotThere, with the first of them and `advice`, where some of the files that a list names are missing."""
+    """Raise NotThere, with the first of them and `advice`, if files that a list names are missing."""
     missing = [path for path in files if not path.is_file()]
     if missing:
         raise NotThere(
@@ -71,9 +71,9 @@ def _stranger(option: str, first: Path, count: int) -> BadInput:
 
 
 def _entries(top: Path, deep: bool) -> Iterator[Path]:
-    """Yield what a folder holds but for sub-folders and what is known to lie beside frames; theirs too where `deep`.
+    """Yield the files of a folder, with `deep` of its sub-folders too, but for what is known to lie beside frames.
 
-    A sub-folder under the name of an image is yielded in place of what it holds. Raises BadInput where links lead to
+    A sub-folder under the name of an image is yielded in place of what it holds. Raises BadInput if links lead to
     one folder twice; a link to a folder that it lies in, by other links too, ends there.
     """
     real: dict[Path, Path] = {}  # of every folder met, by its path here
@@ -94,7 +94,7 @@ def _entries(top: Path, deep: bool) -> Iterator[Path]:
 
 
 def _leads_back(folder: Path, around: list[Path]) -> bool:
-    """Tell whether a folder is a link to one that it lies in; `around` are the real paths of those on the way to it."""
+    """Tell whether a folder is a link to one that it lies in; `around` are the real paths on the way to it."""
     return folder.is_symlink() and any(above.is_relative_to(folder.resolve()) for above in around)
 
 

@@ -10,7 +10,6 @@ import io
 import pickle
 import pickletools
 import re
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -60,7 +59,7 @@ class _RefusedError(Exception):
 
 
 def _without_header(path: Path, content: bytes, advice: str) -> bytes:
-    """Return the pickle in a .npy file; raises BadInput where it holds plain numbers instead."""
+    """Return the pickle in a .npy file; raises BadInput if it holds plain numbers instead."""
     if not content.startswith(b"\x93NUMPY"):
         return content
     digits = 2 if content[6:7] == b"\x01" else 4
@@ -82,61 +81,43 @@ def _check_steps(content: bytes) -> None:
             raise _RefusedError(f"asks for {step.name} {argument}, beyond its own size")
 
 
-@dataclass
-class _Kind:
-    """Stands for numpy.dtype: its code, as in i8, and byte order."""
+class _Made:
+    """Stands for an array or its dtype: keeps what it is made of, and the state that it is told afterwards."""
 
-    code: Any
-    align: Any = None
-    copy: Any = None
-    order: str = "<"
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
+        self.state: tuple[Any, ...] = ()
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.order = ">" if state[1] == ">" else "<"
+        self.state = state
 
-
-@dataclass
-class _Array:
-    """Stands for an array, which may be made empty and told its content afterwards; a number has the shape ()."""
-
-    shape: Any = None
-    kind: Any = None
-    columns_first: bool = False
-    content: Any = None  # bytes, text of such bytes, or a list of objects
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.shape, self.kind, self.columns_first, self.content = state[-4:]
-
-    def check(self) -> int:
-        """Return how many elements there are; raises ValueError for an impossible number, or another content."""
-        shape, code = self.shape, self.kind.code
+    def content(self) -> Any:
+        """Return an array of numbers, or of objects the list or the list of rows; raises ValueError for another."""
+        shape, kind, columns_first, stored = self.state[-4:]  # stored: bytes, text of such bytes, or a list of objects
+        code, order = kind.arguments[0], ">" if kind.state[1] == ">" else "<"
+        objects = str(code).startswith("O")
         if not (isinstance(shape, tuple) and len(shape) <= 2 and all(isinstance(n, int) for n in shape)):
             raise ValueError("it holds an array that is neither a list nor a table")
         count = prod(shape)
         if shape and not 0 <= min(shape) <= max(shape) <= min(count, _MOST_STEPS):
             raise ValueError("it holds an array of an impossible shape")
-        if not isinstance(code, str) or not (self.of_objects or _NUMBER.fullmatch(code)):
+        if not objects and not _NUMBER.fullmatch(code):
             raise ValueError(f"it holds elements of type {str(code)[:20]}")
-        size = 1 if self.of_objects else np.dtype(code).itemsize
-        if not isinstance(self.content, list if self.of_objects else str | bytes | bytearray) or (
-            len(self.content) != count * size
+        if not isinstance(stored, list if objects else str | bytes | bytearray) or (
+            len(stored) != count * (1 if objects else np.dtype(code).itemsize)
         ):
             raise ValueError(f"it holds an array of shape {shape} with other content")
-        return count
+        if objects:
+            width = shape[-1]
+            return [stored[at : at + width] for at in range(0, count, width)] if len(shape) == 2 else stored
+        encoded = stored.encode("latin1") if isinstance(stored, str) else bytes(stored)
+        return np.frombuffer(encoded, order + code).reshape(shape, order="F" if columns_first else "C")
 
-    @property
-    def of_objects(self) -> bool:
-        return isinstance(self.kind.code, str) and self.kind.code.startswith("O")
 
-    def lists(self) -> Any:
-        """Return the elements as a number, a list or a list of rows."""
-        if self.of_objects:
-            width = self.shape[-1]
-            rows = [self.content[start : start + width] for start in range(0, len(self.content), width)]
-            return rows if len(self.shape) == 2 else self.content
-        encoded = self.content.encode("latin1") if isinstance(self.content, str) else self.content
-        numbers = np.frombuffer(encoded, self.kind.order + self.kind.code)
-        return numbers.reshape(self.shape, order="F" if self.columns_first else "C").tolist()
+def _told(shape: Any, kind: Any, columns_first: bool, stored: Any) -> _Made:
+    array = _Made()
+    array.state = shape, kind, columns_first, stored
+    return array
 
 
 def _text(text: Any, encoding: Any) -> Any:
@@ -147,11 +128,11 @@ def _text(text: Any, encoding: Any) -> Any:
 
 
 _STAND_INS: dict[str, Any] = {
-    "numpy.ndarray": _Array,
-    "numpy.dtype": _Kind,
-    "numpy.core.multiarray._reconstruct": lambda *_: _Array(),
-    "numpy.core.multiarray.scalar": lambda kind, content: _Array((), kind, False, content),
-    "numpy.core.numeric._frombuffer": lambda content, kind, shape, order: _Array(shape, kind, order == "F", content),
+    "numpy.ndarray": _Made,
+    "numpy.dtype": _Made,
+    "numpy.core.multiarray._reconstruct": _Made,
+    "numpy.core.multiarray.scalar": lambda kind, stored: _told((), kind, False, stored),
+    "numpy.core.numeric._frombuffer": lambda stored, kind, shape, order: _told(shape, kind, order == "F", stored),
     "_codecs.encode": _text,
     "builtins.bytes": lambda: b"",
     "__builtin__.bytes": lambda: b"",
@@ -175,17 +156,17 @@ class _Plain:
         self._left = _MOST_STEPS
 
     def of(self, made: Any, depth: int) -> Any:
-        self._left -= made.check() if isinstance(made, _Array) and not made.of_objects else 1
+        if isinstance(made, _Made):
+            made = made.content()
+        self._left -= made.size if isinstance(made, np.ndarray) else 1
         if self._left < 0:
             raise _RefusedError(f"makes lists of more than {_MOST_STEPS} numbers")
+        if isinstance(made, np.ndarray) and (depth or not made.ndim):
+            return made.tolist()
         if isinstance(made, int | float):
             if not abs(made) < 2**63:
                 raise ValueError("it holds a number that is no index")
             return made
-        if isinstance(made, _Array) and (depth or made.shape == ()):
-            made.check()
-            return self.of(made.lists(), depth) if made.of_objects else made.lists()
         if depth == 0 or not isinstance(made, list | tuple):
-            kind = "list" if isinstance(made, list | tuple | _Array) else type(made).__name__
-            raise ValueError(f"a {kind} stands where a number {'was' if depth == 0 else 'or a list was'} expected")
+            raise ValueError(f"it holds a {type(made).__name__} where a number or a list of numbers was expected")
         return [self.of(element, depth - 1) for element in made]

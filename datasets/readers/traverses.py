@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from vprbench.api import BadInput, Dataset, FrameFolder, HeldOut, Images
 
 Evaluation = Literal["vprtempo", "vprsnn"]  # whose way to split places
+Listed = TypeVar("Listed")
 Numbers = npt.NDArray[np.int64]  # (n,), of places along the journey, ascending
 
 _SET_ASIDE_SEED = 42  # QVPR/VPRSNN d38f30c
@@ -66,22 +67,42 @@ def split(
     tolerance: int,
     query_stride: int = 1,
 ) -> Split:
-    """Split the places 0 to `places` - 1 as the authors of VPRTempo or those of VPRSNN do; raises BadInput for others.
+    """Split the places 0 to `places` - 1 as the authors of VPRTempo or of VPRSNN do.
 
     vprtempo: all places are in the map, those before `first_query_place` are held out and `query_places` from there on
     are queried, `query_stride` apart. vprsnn: as many places as `first_query_place` says are set aside; the others
-    alone are in the map, and `query_places` from the first of them on are queried.
+    alone are in the map, and `query_places` from the first of them on are queried. Raises BadInput for another
+    protocol, for queries that do not fit, and for a negative tolerance.
     """
     if protocol not in get_args(Evaluation):
         raise BadInput(f"dataset.protocol={protocol}: choose {' or '.join(get_args(Evaluation))}")
-    numbers = np.arange(places, dtype=np.int64)
+    if query_stride < 1 or (query_stride > 1 and protocol == "vprsnn"):
+        raise BadInput(
+            f"dataset.query_stride={query_stride} with dataset.protocol={protocol}: give 1 or more places from one "
+            "query to the next, and 1 with vprsnn"
+        )
+    last = first_query_place + (query_places - 1) * query_stride
+    if query_places < 1 or first_query_place < 0 or last >= places:
+        raise BadInput(
+            f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places} "
+            f"(dataset.query_stride={query_stride}, dataset.protocol={protocol}) need {last + 1} places, and there are "
+            f"{places}: give 0 or more before the first query, or to set aside, and 1 or more queries, so that both fit"
+        )
+    check_tolerance(tolerance)
+    numbers, first = np.arange(places, dtype=np.int64), first_query_place
     if protocol == "vprtempo":
-        mapped, first = numbers, first_query_place
-        held_out = numbers[:first]
-    else:
-        held_out, first = set_aside(places, first_query_place), 0
-        mapped = np.setdiff1d(numbers, held_out)
-    return Split(protocol, mapped, mapped[first::query_stride][:query_places], held_out, tolerance, query_stride)
+        return Split(
+            protocol, numbers, numbers[first::query_stride][:query_places], numbers[:first], tolerance, query_stride
+        )
+    held_out = set_aside(places, first)
+    mapped = np.setdiff1d(numbers, held_out)
+    return Split(protocol, mapped, mapped[:query_places], held_out, tolerance)
+
+
+def check_tolerance(tolerance: int) -> None:
+    """Raise BadInput for a negative tolerance."""
+    if tolerance < 0:
+        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
 
 
 def set_aside(places: int, count: int) -> Numbers:
@@ -111,7 +132,7 @@ def dataset_of(
     held_out = (
         HeldOut(
             references=shown(references, parts.held_out),
-            places=places_of(len(parts.held_out), len(references)),
+            places=np.tile(np.arange(len(parts.held_out)), len(references)),
             queries=shown([query], parts.held_out),
             right=np.arange(len(parts.held_out), dtype=np.int64),
             in_map=parts.held_out_in_map,
@@ -122,7 +143,7 @@ def dataset_of(
     return Dataset(
         name=name,
         references=shown(references, parts.mapped),
-        places=places_of(len(parts.mapped), len(references)),
+        places=np.tile(np.arange(len(parts.mapped)), len(references)),
         queries=shown([query], parts.queried),
         positives=right_places(parts.queried, parts.mapped, parts.tolerance),
         protocol=protocol,
@@ -134,16 +155,28 @@ def dataset_of(
 
 
 def right_places(queried: Numbers, mapped: Numbers, tolerance: int) -> tuple[Numbers, ...]:
-    """Return for each query which of the mapped places lie at most `tolerance` places away, by their places in it."""
+    """Return for each query which of the mapped places lie at most `tolerance` places away, by their places in it.
+
+    Raises BadInput for a negative tolerance.
+    """
+    check_tolerance(tolerance)
     reach = min(tolerance, int(max(queried.max(), mapped.max())))  # further than any place; sums stay 64-bit numbers
     first = np.searchsorted(mapped, queried - reach, side="left").tolist()
     last = np.searchsorted(mapped, queried + reach, side="right").tolist()
     return tuple(np.arange(low, high, dtype=np.int64) for low, high in zip(first, last, strict=True))
 
 
-def places_of(places: int, traverses: int) -> Numbers:
-    """Return the place of every reference image of so many traverses, one after the other."""
-    return np.tile(np.arange(places, dtype=np.int64), traverses)
+def every(listed: Sequence[Listed], stride: int, places: int) -> list[Listed]:
+    """Return every `stride`-th entry of a list, one a place; raises BadInput if the list is too short."""
+    if min(stride, places) < 1:
+        raise BadInput(f"dataset.stride={stride}, dataset.places={places}: both have to be at least 1")
+    most = len(range(0, len(listed), stride))
+    if places > most:
+        raise BadInput(
+            f"dataset.places={places}: the list of {len(listed)} names at stride {stride} has {most} places, so set "
+            "dataset.places and dataset.query_places to fit"
+        )
+    return list(listed[: places * stride : stride])
 
 
 def check_recorded(owner: str, kind: str, known: Collection[str], references: Sequence[str], query: str) -> None:
@@ -151,40 +184,13 @@ def check_recorded(owner: str, kind: str, known: Collection[str], references: Se
 
     `kind` is what a traverse is called there, as in "season".
     """
+    check_references(references, kind)
     for option, traverse in [*(("references", traverse) for traverse in references), ("query", query)]:
         if traverse not in known:
             raise BadInput(f"dataset.{option}={traverse}: {owner} has {', '.join(known)}")
-    if not references or len(set(references)) < len(references):
-        raise BadInput(f"dataset.references={[*references]}: name at least one {kind}, each once")
 
 
-def recorded_split(
-    protocol: Evaluation,
-    places: int,
-    first_query_place: int,
-    query_places: int,
-    tolerance: int,
-    query_stride: int = 1,
-) -> Split:
-    """Split the places of a recording; raises BadInput where the queries do not fit, and for a negative tolerance."""
-    if query_stride < 1 or (query_stride > 1 and protocol == "vprsnn"):
-        raise BadInput(
-            f"dataset.query_stride={query_stride} with dataset.protocol={protocol}: give 1 or more places from one "
-            "query to the next, and 1 with vprsnn"
-        )
-    last = first_query_place + (query_places - 1) * query_stride
-    if query_places < 1 or first_query_place < 0 or last >= places:
-        asked = f"dataset.first_query_place={first_query_place} and dataset.query_places={query_places}"
-        if protocol == "vprsnn":
-            raise BadInput(
-                f"{asked} with dataset.protocol=vprsnn: of {places} places the first number is set aside and the "
-                f"second queried; wanted are 0 or more and 1 or more, together at most {places}"
-            )
-        apart = "" if query_stride == 1 else f", dataset.query_stride={query_stride} apart,"
-        raise BadInput(
-            f"{asked}{apart} ask for places {first_query_place} to {last}; "
-            f"wanted are one or more of the places 0 to {places - 1}, so set both to fit"
-        )
-    if tolerance < 0:
-        raise BadInput(f"dataset.tolerance={tolerance}: give 0 or more places")
-    return split(protocol, places, first_query_place, query_places, tolerance, query_stride)
+def check_references(references: Sequence[str], kind: str) -> None:
+    """Raise BadInput for references that are no list, empty, or named twice; `kind` is as in "season"."""
+    if isinstance(references, str) or not references or len(set(references)) < len(references):
+        raise BadInput(f"dataset.references={references!r}: name at least one {kind}, each once, as a list")

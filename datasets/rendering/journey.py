@@ -11,7 +11,7 @@ import numpy as np
 
 from vprbench.api import BadInput, Dataset, Image, Images
 
-from ..readers.traverses import Evaluation, Traverses, dataset_of, split
+from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, split
 from .film import HEIGHT, WIDTH
 
 _BEYOND = 100  # places between the last one of the map and the first that has no right answer
@@ -31,19 +31,24 @@ class World:
     journey: str  # as in "the synthetic journey"
     kind: str  # what a traverse is called, as in "season"
     known: tuple[str, ...]
-    fewest_places: int
-    most_places: int
     skipped: tuple[int, int]  # without a first query place, this share of the places is not queried
     painter: Callable[[int], Painter]  # of a seed
     version: int  # of what the painter paints
+    fewest_places: int = 10
+    most_places: int = 27_000
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """The options of a rendered dataset.
+    """The options of a rendered dataset: traverses of one journey, as RGB frames of 160 x 90.
 
-    Each query shows the place `query_shift` further on than its ground truth says, and `unanswerable` more queries
-    show places that the map lacks and that have no right answer: damage on purpose, whose effect is known.
+    Place k of a seed looks the same however many places are asked for: more places are a longer journey. Without
+    `first_query_place` a share of the places (that of the world) is not queried; without `query_places` the queries run
+    to the last place. A query's right places are those within `tolerance` places of its own. With the protocol of
+    VPRSNN as many places, chosen as its authors do, are in neither map nor queries instead.
+
+    Damage on purpose, whose effect is known, tests harnesses and methods: each query shows the place `query_shift`
+    further on than its ground truth says, and `unanswerable` more queries show places beyond the map.
     """
 
     name: str
@@ -61,9 +66,17 @@ class Rendered:
 
     def build(self) -> Dataset:
         """Return the dataset of these options; raises BadInput for what cannot be rendered."""
-        first, count = self._checked()
-        painter = self.world.painter(self.seed)
+        self._check()
+        world, (part, whole) = self.world, self.world.skipped
+        first = round(self.places * part / whole) if self.first_query_place is None else self.first_query_place
+        count = self.places - first if self.query_places is None else self.query_places
         parts = split(self.protocol, self.places, first, count, self.tolerance)
+        if first + self.query_shift < 0:
+            raise BadInput(
+                f"dataset.query_shift={self.query_shift}: the first query, of place {first}, has no such frame"
+            )
+        painter = world.painter(self.seed)
+        damage = {"query_shift": self.query_shift, "unanswerable": self.unanswerable}
         dataset = dataset_of(
             self.name,
             parts,
@@ -76,64 +89,27 @@ class Rendered:
                 "seed": self.seed,
                 "width": WIDTH,
                 "height": HEIGHT,
-                "renderer": self.world.version,
-                **({"query_shift": self.query_shift} if self.query_shift else {}),
-                **({"unanswerable": self.unanswerable} if self.unanswerable else {}),
+                "renderer": world.version,
+                **{name: amount for name, amount in damage.items() if amount},
             },
         )
-        if not self.query_shift and not self.unanswerable:
+        if not any(damage.values()):
             return dataset
         beyond = np.arange(self.unanswerable) + self.places + _BEYOND + abs(self.query_shift)
         shown = [(self.query, place) for place in (*(parts.queried + self.query_shift).tolist(), *beyond.tolist())]
         none = [np.array([], dtype=np.int64)] * self.unanswerable
         return replace(dataset, queries=_frames(painter, shown), positives=(*dataset.positives, *none))
 
-    def _checked(self) -> tuple[int, int]:
-        """Return the first query place and the number of queries; raises BadInput for what cannot be rendered."""
+    def _check(self) -> None:
+        """Raise BadInput for traverses and numbers that nobody can render."""
         world = self.world
         if not world.fewest_places <= self.places <= world.most_places:
-            raise BadInput(
-                f"dataset.places={self.places} came; {world.journey} has {world.fewest_places} to {world.most_places} "
-                "places"
-            )
-        first, count = self._queries()
-        if self.tolerance < 0:
-            raise BadInput(f"dataset.tolerance={self.tolerance} came; a number of places, 0 or more, was wanted")
-        if self.seed < 0:
-            raise BadInput(f"dataset.seed={self.seed} came; a whole number, 0 or more, was wanted")
-        self._check_traverses()
-        if first + self.query_shift < 0:
-            raise BadInput(
-                f"dataset.query_shift={self.query_shift} came; the first query, of place {first}, has no such frame"
-            )
-        if self.unanswerable < 0:
-            raise BadInput(f"dataset.unanswerable={self.unanswerable} came; a number of queries, 0 or more, was wanted")
-        return first, count
-
-    def _queries(self) -> tuple[int, int]:
-        places, (part, whole) = self.places, self.world.skipped
-        first = round(places * part / whole) if self.first_query_place is None else self.first_query_place
-        if not 0 <= first < places:
-            raise BadInput(
-                f"dataset.first_query_place={first} came, but the places run from 0 to {places - 1}: choose one"
-            )
-        count = places - first if self.query_places is None else self.query_places
-        if not 1 <= count <= places - first:
-            left = f"from place {first} to the last of {places}"
-            if self.protocol == "vprsnn":
-                left = f"of {places} places, {first} of them set aside (dataset.first_query_place),"
-            raise BadInput(f"dataset.query_places={count} came, but {left} there are 1 to {places - first} to query")
-        return first, count
-
-    def _check_traverses(self) -> None:
-        references, known, listed = self.references, self.world.known, ", ".join(self.world.known)
-        if isinstance(references, str) or not references:
-            raise BadInput(f"dataset.references={references!r} came; wanted at least one of {listed}, as a list")
-        if len(set(references)) < len(references):
-            raise BadInput(f"dataset.references={list(references)} came; name each {self.world.kind} once")
-        for option, traverse in [("references", traverse) for traverse in references] + [("query", self.query)]:
-            if traverse not in known:
-                raise BadInput(f"dataset.{option}={traverse} came; the {self.world.kind}s are {listed}")
+            least, most = world.fewest_places, world.most_places
+            raise BadInput(f"dataset.places={self.places}: {world.journey} has {least} to {most} places")
+        check_recorded(world.journey, world.kind, world.known, self.references, self.query)
+        for option, number in (("seed", self.seed), ("unanswerable", self.unanswerable)):
+            if number < 0:
+                raise BadInput(f"dataset.{option}={number}: give 0 or more")
 
 
 def _frames(painter: Painter, shown: Sequence[tuple[str, int]]) -> Images:

@@ -91,20 +91,13 @@ class Scenery:
     def __init__(self, chance: Chance) -> None:
         """Lay out the slots ahead of any camera, so that a view has to look up its dice only once."""
         self._chance = chance
-        self._parts: dict[str, slice] = {}
-        ahead: list[Ints] = []
-        spacing: list[Ints] = []
-        channel: list[Ints] = []
-        first = 0
-        for kind, (number, metres, reach) in _KINDS.items():
-            count = 2 * (reach // metres)
-            self._parts[kind] = slice(first, first + count)
-            ahead.append(1 + np.arange(count) // 2)
-            spacing.append(np.full(count, metres * METRE))
-            channel.append(number + np.arange(count) % 2)
-            first += count
-        self._ahead, self._spacing = np.concatenate(ahead), np.concatenate(spacing)
-        channels = np.concatenate(channel)
+        number, metres, reach = np.array([*_KINDS.values()]).T
+        counts = 2 * (reach // metres)
+        firsts = np.cumsum(counts) - counts
+        within = np.arange(counts.sum()) - np.repeat(firsts, counts)
+        self._parts = {kind: slice(a, a + n) for kind, a, n in zip(_KINDS, firsts, counts, strict=True)}
+        self._ahead, self._spacing = 1 + within // 2, np.repeat(metres * METRE, counts)
+        channels = np.repeat(number, counts) + within % 2
         self._side = channels % 2
         coming_and_going = channels >= _KINDS["visitors"][0]
         self._channels = {name: channels + 10 * season.number * coming_and_going for name, season in SEASONS.items()}

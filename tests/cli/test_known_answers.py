@@ -70,8 +70,8 @@ def test_the_protocol_says_what_was_damaged():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"query_shift": -1, "first_query_place": 0}, "dataset.query_shift=-1 came"),
-        ({"unanswerable": -1}, "dataset.unanswerable=-1 came"),
+        ({"query_shift": -1, "first_query_place": 0}, "dataset.query_shift=-1"),
+        ({"unanswerable": -1}, "dataset.unanswerable=-1"),
     ],
 )
 def test_damage_that_cannot_be_rendered_is_refused(arguments, message):

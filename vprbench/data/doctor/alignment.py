@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -26,18 +25,23 @@ _MOST = 0.5
 
 @dataclass(frozen=True)
 class _Part:
-    """Queries in a row, by their numbers among those compared, that show other places than they should."""
+    """Queries in a row, by their numbers among the compared queries, that show other places than they should."""
 
     first: int
     last: int
     shift: int  # places
+
+    @property
+    def queries(self) -> Shifts:
+        """The numbers of its queries."""
+        return np.arange(self.first, self.last + 1)
 
 
 @dataclass(frozen=True)
 class _Comparison:
     """The queries that have a right place, against one reference traverse."""
 
-    asked: Shifts  # (n,), the numbers of those queries
+    asked: Shifts  # (n,), the numbers of the queries
     middles: Shifts  # (n,), the place each should show
     queries: Descriptors  # (n, 512)
     places: Descriptors  # (n_places, 512)
@@ -45,8 +49,8 @@ class _Comparison:
 
     def wrong(self, part: _Part) -> int:
         """Return how many queries of a part show a place of the map that does not count as right."""
-        shown = {number: self.middles[number] + part.shift for number in range(part.first, part.last + 1)}
-        return sum(0 <= place < len(self.places) and place not in self.right[number] for number, place in shown.items())
+        shown = zip(part.queries, self.middles[part.queries] + part.shift, strict=True)
+        return sum(0 <= place < len(self.places) and place not in self.right[number] for number, place in shown)
 
     def under(self, shifts: Shifts | int) -> Descriptors:
         """Return how alike queries and places are under some shifts, (n,)."""
@@ -57,34 +61,37 @@ class _Comparison:
 class _Verdict:
     """What a comparison says."""
 
-    parts: tuple[_Part, ...]  # shifted ones; one of all queries where the whole traverse is
+    parts: tuple[_Part, ...]  # shifted parts; a single part of all queries if the whole traverse is shifted
     backwards: bool
     sure: bool  # whether the traverses look more alike there than elsewhere
     won: int  # stretches of the traverse that speak for this
     stretches: int
-    before: float  # mean likeness at the ground truth; elsewhere, where nothing is shifted
-    after: float  # the same under the shift; at the ground truth, where nothing is shifted
+    before: float  # mean likeness at the ground truth; elsewhere, if nothing is shifted
+    after: float  # the same under the shift; at the ground truth, if nothing is shifted
 
 
 def alignment(dataset: Dataset, references: Sequence[Looks], query: Looks) -> list[Finding]:
     """Compare the query traverse with every reference traverse, by small pictures of their frames.
 
-    Only where the right place advances with the query: else nothing says what a shift would be.
+    Only if the right place advances with the query: else nothing says what a shift would be.
     """
     middles = middles_of(dataset)
     if not advances(middles):
-        return [_not_checked("the right place does not advance from query to query")]
+        return [_note("not checked: the right place does not advance from query to query")]
     asked = np.flatnonzero((middles >= 0) & query.readable)
     fewest = min(len(asked), *(int(looks.readable.sum()) for looks in references))
     if fewest < _LEAST:
-        return [_not_checked(f"a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed")]
+        told = f"a traverse has {plural(fewest, 'frame')} to compare, and {_LEAST} are needed"
+        return [_note(f"not checked: {told}")]
     traverses, queries = traverses_of(dataset)
     right = [dataset.positives[query] for query in asked]
     described = offsets.described(query.small[asked])
-    compared = [
-        _Comparison(asked, middles[asked], described, _places(traverse, looks, dataset.n_places), right)
-        for traverse, looks in zip(traverses, references, strict=True)
-    ]
+    compared = []
+    for traverse, looks in zip(traverses, references, strict=True):
+        there = looks.readable
+        shown = offsets.described(looks.small[there])
+        places = offsets.of_places(shown, traverse.places[there], dataset.n_places)
+        compared.append(_Comparison(asked, middles[asked], described, places, right))
     verdicts = [_verdict(comparison) for comparison in compared]
     moves = {(verdict.backwards, *(part.shift for part in verdict.parts)) for verdict in verdicts}
     if len(verdicts) > 1 and len(moves) == 1 and moves != {(False,)}:  # then the queries are what differs
@@ -96,11 +103,6 @@ def alignment(dataset: Dataset, references: Sequence[Looks], query: Looks) -> li
     ]
 
 
-def _places(traverse: Traverse, looks: Looks, n_places: int) -> Descriptors:
-    there = looks.readable
-    return offsets.of_places(offsets.described(looks.small[there]), traverse.places[there], n_places)
-
-
 def _verdict(compared: _Comparison) -> _Verdict:
     path = offsets.shifts_along(offsets.around(compared.queries, compared.middles, compared.places))
     along = compared.under(path)
@@ -110,9 +112,11 @@ def _verdict(compared: _Comparison) -> _Verdict:
     if sure and (peak.backwards or abs(peak.shift) > offsets.REACH):
         whole = _Part(0, len(path) - 1, peak.shift)
         return _Verdict((whole,), peak.backwards, True, won, stretches, _mean(at_truth), _mean(peak.likeness))
-    parts = tuple(part for part in _shifted(path) if _surely(along, at_truth, part))
+    parts = tuple(
+        part for part in _shifted(path) if offsets.stretches_won(along[part.queries], at_truth[part.queries])[2]
+    )
     if parts:
-        inside = np.concatenate([np.arange(part.first, part.last + 1) for part in parts])
+        inside = np.concatenate([part.queries for part in parts])
         won, stretches, _ = offsets.stretches_won(along[inside], at_truth[inside])
         return _Verdict(parts, False, True, won, stretches, _mean(at_truth[inside]), _mean(along[inside]))
     elsewhere = compared.queries @ compared.places.mean(0)
@@ -123,19 +127,10 @@ def _verdict(compared: _Comparison) -> _Verdict:
 
 
 def _shifted(path: Shifts) -> list[_Part]:
-    parts = []
-    first = 0
-    for shift, group in groupby(path.tolist()):
-        last = first + len(list(group)) - 1
-        if shift:
-            parts.append(_Part(first, last, shift))
-        first = last + 1
-    return parts
-
-
-def _surely(along: Descriptors, at_truth: Descriptors, part: _Part) -> bool:
-    inside = slice(part.first, part.last + 1)
-    return offsets.stretches_won(along[inside], at_truth[inside])[2]
+    """Return the stretches of a path that are shifted by one number of places other than 0."""
+    ends = np.append(np.flatnonzero(np.diff(path)), len(path) - 1).tolist()
+    firsts = [0, *(end + 1 for end in ends[:-1])]
+    return [_Part(first, last, int(path[first])) for first, last in zip(firsts, ends, strict=True) if path[first]]
 
 
 def _finding(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _Verdict, other: str) -> Finding:
@@ -145,9 +140,9 @@ def _finding(queries: Traverse, shown: Traverse, compared: _Comparison, verdict:
     if not verdict.parts:
         text = f"likeness {after} at the ground truth, {before} elsewhere; {agree}"
         if verdict.sure:
-            return Finding("note", "alignment", f"{queries.name} and {other} are aligned: {text}", "")
+            return _note(f"{queries.name} and {other} are aligned: {text}")
         text = f"{queries.name} and {other} look too different to tell whether they are aligned: {text}"
-        return Finding("note", "alignment", text, "compare some frames by eye")
+        return _note(text, "compare some frames by eye")
     evidence = f"likeness {after} there, {before} at the ground truth; {agree}"
     compare = f"compare {_pair(queries, shown, compared, verdict)} by eye"
     if verdict.backwards:
@@ -175,23 +170,20 @@ def _part(queries: Traverse, compared: _Comparison, part: _Part, other: str) -> 
 
 
 def _pair(queries: Traverse, shown: Traverse, compared: _Comparison, verdict: _Verdict) -> str:
-    """Return the names of two frames that look alike where they should not, from amid the first part."""
+    """Return the names of two frames that look alike where they should not, from the middle of the first part."""
     part = verdict.parts[0]
     last_place = len(compared.places) - 1
-    numbers = np.arange(part.first, part.last + 1)
-    places = compared.middles[numbers] + part.shift
+    places = compared.middles[part.queries] + part.shift
     there = np.flatnonzero((places >= 0) & (places <= last_place))
     amid = there[len(there) // 2]
     place = last_place - places[amid] if verdict.backwards else places[amid]
-    image = int(np.abs(shown.places - place).argmin())
-    return (
-        f"{queries.images.names[compared.asked[numbers[amid]]]} of {queries.name} with {shown.images.names[image]} "
-        f"of {shown.name}"
-    )
+    query = queries.images.names[compared.asked[part.first + amid]]
+    image = shown.images.names[int(np.abs(shown.places - place).argmin())]
+    return f"{query} of {queries.name} with {image} of {shown.name}"
 
 
-def _not_checked(reason: str) -> Finding:
-    return Finding("note", "alignment", f"not checked: {reason}", "")
+def _note(text: str, advice: str = "") -> Finding:
+    return Finding("note", "alignment", text, advice)
 
 
 def _mean(likeness: Descriptors) -> float:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Literal
 
 import numpy as np
 
@@ -10,23 +13,21 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 
-from . import files, ground_truth, names, pictures, repeats
+from . import files, ground_truth, names, pictures
 from .alignment import alignment
 from .files import Contents
-from .finding import Finding
+from .finding import LEVELS, Finding, as_text, is_wrong
 from .looking import look_at
-from .pictures import Seen
 from .traverse import traverses_of
 
 _UNUSED_LOOKED_AT = 1000  # images of a folder
-_LEVELS = ("error", "warning", "note")
 
 
 def quick(dataset: Dataset) -> tuple[Finding, ...]:
     """Run the checks that decode nothing: names, files and ground truth; the worst findings come first."""
     known = [files.contents(folder) for folder in dataset.folders]
     unused = (finding for found in known if found for finding in files.unused_images(found))
-    return _sorted([*_of_lists(dataset), *_of_files(dataset, known), *unused])
+    return _sorted([*_cheap(dataset, known), *unused])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -36,21 +37,17 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
     """
     known = [files.contents(folder) for folder in dataset.folders]
     references, query = traverses_of(dataset)
-    seen = [Seen(one.name, look_at(one.images, f"looking at {one.name}")) for one in (*references, query)]
-    looks = [one.looks for one in seen]
-    broken = {path for one in known if one for path in one.broken}
-    found = [
-        *_of_lists(dataset),
-        *_of_files(dataset, known),
-        *(finding for one in known if one for finding in _unused(one)),
-        *(finding for one in seen for finding in pictures.unreadable(one, broken)),
-        *(finding for one in seen for finding in _of_traverse(one)),
-        *pictures.size_between(seen),
-        *pictures.colour_between(seen),
-        *repeats.shared_between(seen[:-1], seen[-1]),
+    looks = [look_at(traverse.images, traverse.name) for traverse in (*references, query)]
+    broken = {path for found in known if found for path in found.broken}
+    return _sorted([
+        *_cheap(dataset, known),
+        *(finding for found in known if found for finding in _unused(found)),
+        *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
+        *(finding for seen in looks for finding in pictures.of_traverse(seen)),
+        *pictures.between(looks),
+        *pictures.shared(looks),
         *alignment(dataset, looks[:-1], looks[-1]),
-    ]
-    return _sorted(found)
+    ])  # fmt: skip
 
 
 def insist(dataset: Dataset) -> tuple[str, ...]:
@@ -63,32 +60,39 @@ def insist(dataset: Dataset) -> tuple[str, ...]:
     return tuple(finding.text for finding in found if finding.level == "warning")
 
 
-def _of_lists(dataset: Dataset) -> Iterator[Finding]:
-    """Check what needs neither files nor frames."""
+def command(
+    name: str,
+    build: Callable[[], Dataset],
+    write: Callable[[str], None],
+    output: Literal["text", "json"] = "text",
+) -> int:
+    """Examine the dataset that `build` makes and write what was found; returns 1 for errors or warnings, 0 for none.
+
+    A dataset that cannot be built is a finding too.
+    """
+    title = name
+    try:
+        dataset = build()
+        folders = ", ".join(dict.fromkeys(str(folder.path) for folder in dataset.folders))
+        title = f"{name}: {folders}" if folders else name
+        found = examine(dataset)
+    except BadInput as error:
+        found = (Finding("error", "dataset", str(error)),)
+    write(json.dumps([asdict(finding) for finding in found]) if output == "json" else as_text(title, found))
+    return int(is_wrong(found))
+
+
+def _cheap(dataset: Dataset, known: Sequence[Contents | None]) -> Iterator[Finding]:
+    """Check the lists of the dataset, and its folders by the names and sizes of their files."""
     references, query = traverses_of(dataset)
-    yield from (Finding("note", "dataset", note, "") for note in dataset.notes)
-    for traverse in (*references, query):
-        yield from names.repeated_names(traverse)
-    yield from names.order(references, query)
+    yield from (Finding("note", "dataset", note) for note in dataset.notes)
+    yield from names.repeated_names([*references, query])
+    yield from names.order([*references, query])
     yield from names.names_of_places(references, query)
-    for check in (
-        ground_truth.unanswerable,
-        ground_truth.too_easy,
-        ground_truth.never_right,
-        ground_truth.wider_than_told,
-        ground_truth.course,
-    ):
-        yield from check(dataset)
-
-
-def _of_files(dataset: Dataset, known: Sequence[Contents | None]) -> Iterator[Finding]:
-    """Check the folders by the names and sizes of their files."""
+    yield from ground_truth.right_places(dataset)
+    yield from ground_truth.course(dataset)
     for folder, found in zip(dataset.folders, known, strict=True):
-        if found is None:
-            yield files.no_folder(folder)
-            continue
-        for check in (files.missing_files, files.count, files.empty_files, files.impostors, files.strangers):
-            yield from check(found)
+        yield from files.of_folder(folder, found)
 
 
 def _unused(found: Contents) -> Iterator[Finding]:
@@ -98,14 +102,9 @@ def _unused(found: Contents) -> Iterator[Finding]:
         return
     chosen = np.linspace(0, len(unused) - 1, min(len(unused), _UNUSED_LOOKED_AT)).astype(int)
     images = Images.from_files([found.folder.path / unused[number] for number in chosen])
-    looks = look_at(images, f"looking at what {found.folder.path.name} holds beside")
+    looks = look_at(images, f"what {found.folder.path.name} holds beside")
     yield from files.unused_images(found, len(images), int(looks.black.sum()))
 
 
-def _of_traverse(seen: Seen) -> Iterator[Finding]:
-    for check in (pictures.size_within, pictures.black, repeats.repeated_within):
-        yield from check(seen)
-
-
 def _sorted(found: Iterable[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(found, key=lambda finding: _LEVELS.index(finding.level)))
+    return tuple(sorted(found, key=lambda finding: LEVELS.index(finding.level)))

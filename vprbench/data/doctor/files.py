@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,16 @@ from vprbench.api.dataset import FrameFolder
 from vprbench.api.image_formats import is_beside, is_image_name
 from vprbench.text import be, plural, some
 
-from .finding import Finding
+from .finding import Finding, Level
 
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
 _HEAD_BYTES = 64
+_EMPTY, _STRANGE = "empty (0 bytes)", "no image that can be read, and not used"
+_ADVICE = {
+    _EMPTY: "copy or download them again; the disk may have been full",
+    _STRANGE: "if it is a frame, save it as PNG or JPEG and list it; else move it away",
+}
 #: How files begin that stand in for an image after a download has failed.
 _IMPOSTORS = {
     b"<": "a web page",
@@ -35,142 +40,84 @@ class Contents:
 
     folder: FrameFolder
     sizes: Mapping[str, int]  # bytes by file name
-
-    @cached_property
-    def images(self) -> list[str]:
-        """The names of files that are images by their suffix, sorted."""
-        return sorted(name for name in self.sizes if is_image_name(name))
-
-    @cached_property
-    def unused(self) -> list[str]:
-        """The names of the images that the dataset does not use, sorted."""
-        return sorted(set(self.images) - set(self.folder.used))
-
-    @cached_property
-    def strangers(self) -> list[str]:
-        """The names of files that are not used, no images by their suffix, and of no kind that lies beside frames."""
-        names = set(self.sizes) - set(self.folder.used)
-        return sorted(name for name in names if not is_image_name(name) and not is_beside(name))
-
-    @cached_property
-    def used(self) -> dict[str, int]:
-        """The sizes in bytes of the files that are used and there."""
-        return {name: self.sizes[name] for name in dict.fromkeys(self.folder.used) if name in self.sizes}
-
-    @cached_property
-    def missing(self) -> list[str]:
-        """The names of files that the dataset wants and the folder lacks."""
-        return [name for name in dict.fromkeys(self.folder.used) if name not in self.sizes]
-
-    @cached_property
-    def empty(self) -> list[str]:
-        """The names of used files without a single byte."""
-        return [name for name, size in self.used.items() if not size]
-
-    @cached_property
-    def impostors(self) -> dict[str, list[str]]:
-        """The names of used files that are no images, by what they are instead.
-
-        Looks into files of unusual size and some others first, and into all where one of these is no image.
-        """
-        path = self.folder.path
-        kinds: dict[str, list[str]] = {}
-        if any(_impostor(path / name) for name in _suspects(self.used)):
-            for name in self.used:
-                if kind := _impostor(path / name):
-                    kinds.setdefault(kind, []).append(name)
-        return kinds
+    images: list[str]  # by their suffix, sorted
+    unused: list[str]  # images that the dataset does not use, sorted
+    used: Mapping[str, int]  # bytes of the files that are used and there
+    missing: list[str]  # what the dataset wants and the folder lacks
+    unfit: Mapping[str, list[str]]  # used files that are no images, by what they are instead
 
     @property
     def broken(self) -> set[Path]:
         """The paths of files that are known to be unreadable without decoding them."""
-        names = [*self.missing, *self.empty, *(name for names in self.impostors.values() for name in names)]
-        return {self.folder.path / name for name in names}
+        return {self.folder.path / name for name in (*self.missing, *chain(*self.unfit.values()))}
 
 
 def contents(folder: FrameFolder) -> Contents | None:
-    """Return the files of a folder; None where it is no folder."""
+    """Return the files of a folder; None if it is no folder."""
     if not folder.path.is_dir():
         return None
     with os.scandir(folder.path) as entries:
-        return Contents(folder, {entry.name: entry.stat().st_size for entry in entries if entry.is_file()})
+        sizes = {entry.name: entry.stat().st_size for entry in entries if entry.is_file()}
+    images = sorted(filter(is_image_name, sizes))
+    wanted = dict.fromkeys(folder.used)
+    used = {name: sizes[name] for name in wanted if name in sizes}
+    missing = [name for name in wanted if name not in sizes]
+    return Contents(folder, sizes, images, sorted({*images} - {*wanted}), used, missing, _unfit(folder.path, used))
 
 
-def no_folder(folder: FrameFolder) -> Finding:
-    """Return what is said of a folder that is not there."""
-    return Finding("error", "files", f"{folder.path} is no folder", "put the frames there, or name the right folder")
+def _unfit(path: Path, used: Mapping[str, int]) -> dict[str, list[str]]:
+    """Return the names of used files that are no images, by what they are instead.
+
+    Looks into files of unusual size and some others first, and into all files if one of these is no image.
+    """
+    kinds = {_EMPTY: empty} if (empty := [name for name, size in used.items() if not size]) else {}
+    if any(_impostor(path / name) for name in _suspects(used)):
+        for name in used:
+            if kind := _impostor(path / name):
+                kinds.setdefault(kind, []).append(name)
+    return kinds
 
 
-def missing_files(found: Contents) -> Iterator[Finding]:
-    """Find files that the dataset wants and the folder lacks."""
-    if not found.missing:
+def of_folder(folder: FrameFolder, found: Contents | None) -> Iterator[Finding]:
+    """Find a folder that is not there, files that are missing or no images, and a number that no right copy has."""
+    if found is None:
+        advice = "put the frames there, or name the right folder"
+        yield Finding("error", "files", f"{folder.path} is no folder", advice)
         return
-    wanted = plural(len(set(found.folder.used)), "frame")
-    yield Finding(
-        "error",
-        "files",
-        f"{len(found.missing):,} of {wanted} are missing from {found.folder.path}: {some(found.missing)}",
-        "put them back: a frame that is skipped shifts all that follow against the ground truth",
-    )
-
-
-def empty_files(found: Contents) -> Iterator[Finding]:
-    """Find used files without a single byte."""
-    if not found.empty:
-        return
-    yield Finding(
-        "error",
-        "files",
-        f"{plural(len(found.empty), 'file')} of {found.folder.path} {be(found.empty)} empty (0 bytes): "
-        f"{some(found.empty)}",
-        "copy or download them again; the disk may have been full",
-    )
-
-
-def impostors(found: Contents) -> Iterator[Finding]:
-    """Find used files that are something else under the name of an image."""
-    for kind, names in found.impostors.items():
+    if found.missing:
         yield Finding(
             "error",
             "files",
-            f"{plural(len(names), 'file')} of {found.folder.path} {be(names)} {kind}: {some(names)}",
-            "download them again, and look at how the download answers",
+            f"{len(found.missing):,} of {plural(len(set(folder.used)), 'frame')} are missing from {folder.path}: "
+            f"{some(found.missing)}",
+            "put them back: a frame that is skipped shifts all that follow against the ground truth",
         )
+    yield from _count(folder, len(found.images))
+    others = found.sizes.keys() - {*folder.used}
+    strangers = sorted(name for name in others if not is_image_name(name) and not is_beside(name))
+    for kind, names in {**found.unfit, _STRANGE: strangers}.items():
+        if names:
+            text = f"{plural(len(names), 'file')} of {folder.path} {be(names)} {kind}: {some(names)}"
+            level: Level = "note" if kind == _STRANGE else "error"
+            advice = _ADVICE.get(kind, "download them again, and look at how the download answers")
+            yield Finding(level, "files", text, advice)
 
 
-def count(found: Contents) -> Iterator[Finding]:
+def _count(folder: FrameFolder, number: int) -> Iterator[Finding]:
     """Find a number of images that is not that of the right copy."""
-    number, folder = len(found.images), found.folder
+    holds = f"{folder.path} holds {plural(number, 'image')}"
     if meaning := folder.wrong_counts.get(number):
         advice = "get the copy that the dataset's description names: the same file names show other places in this one"
-        yield Finding("error", "count", f"{folder.path} holds {plural(number, 'image')}: {meaning}", advice)
-        return
-    if not folder.counts or number in folder.counts:
-        return
-    right = " or ".join(f"{known:,}" for known in folder.counts)
-    yield Finding(
-        "warning" if number > max(folder.counts) else "note",
-        "count",
-        f"{folder.path} holds {plural(number, 'image')}; a whole copy has {right}",
-        "make sure that it is the copy that the dataset's description names",
-    )
-
-
-def strangers(found: Contents) -> Iterator[Finding]:
-    """Tell of files that are neither images that can be read nor of a kind that lies beside frames."""
-    if not found.strangers:
-        return
-    yield Finding(
-        "note",
-        "files",
-        f"{plural(len(found.strangers), 'file')} of {found.folder.path} {be(found.strangers)} no image that can be "
-        f"read, and not used: {some(found.strangers)}",
-        "if it is a frame, save it as PNG or JPEG and list it; else move it away",
-    )
+        yield Finding("error", "count", f"{holds}: {meaning}", advice)
+    elif folder.counts and number not in folder.counts:
+        level: Level = "warning" if number > max(folder.counts) else "note"
+        right = " or ".join(f"{known:,}" for known in folder.counts)
+        advice = "make sure that it is the copy that the dataset's description names"
+        yield Finding(level, "count", f"{holds}; a whole copy has {right}", advice)
 
 
 def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterator[Finding]:
-    """Tell how many images of the folder are not used, and how many of those `looked_at` are black."""
+    """Tell how many images of the folder are not used, and how many of the `looked_at` unused images are black."""
     unused = found.unused
     if not unused:
         return
@@ -181,7 +128,6 @@ def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterat
         "unused",
         f"{found.folder.path.name} holds {plural(len(found.images), 'image')}, of which the dataset uses "
         f"{len(found.used):,} and leaves {len(unused):,} out{dark}",
-        "",
     )
 
 

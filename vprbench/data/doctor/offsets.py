@@ -10,7 +10,7 @@ import scipy.fft
 import scipy.stats
 
 Small = npt.NDArray[np.uint8]  # (n_images, 16, 32), grey
-Descriptors = npt.NDArray[np.float32]  # (n, 512), unit rows; a row of zeros where there is no picture
+Descriptors = npt.NDArray[np.float32]  # (n, 512), unit rows; a row of zeros if there is no picture
 Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each
 Likeness = npt.NDArray[np.float32]  # (n_queries, 2 REACH + 1), of the places around the middle; nan: no such place
 Shifts = npt.NDArray[np.int64]  # (n_queries,), numbers of places
@@ -35,7 +35,7 @@ class Peak:
 
     shift: int  # places
     backwards: bool  # the places of the references count from the last to the first
-    likeness: Descriptors  # (n_queries,), under that shift; nan where it leads to no place
+    likeness: Descriptors  # (n_queries,), under that shift; nan if it leads to no place
 
 
 def described(small: Small) -> Descriptors:
@@ -49,7 +49,7 @@ def described(small: Small) -> Descriptors:
 
 
 def of_places(descriptors: Descriptors, places: npt.NDArray[np.int64], n_places: int) -> Descriptors:
-    """Return one descriptor per place, (n_places, 512), from those of the images that show it."""
+    """Return one descriptor per place, (n_places, 512), from the descriptors of the images that show it."""
     summed = np.zeros((n_places, descriptors.shape[1]), np.float32)
     np.add.at(summed, places, descriptors)
     return _unit(summed)
@@ -57,14 +57,11 @@ def of_places(descriptors: Descriptors, places: npt.NDArray[np.int64], n_places:
 
 def around(queries: Descriptors, middles: Middles, places: Descriptors) -> Likeness:
     """Return how alike each query is to the places up to REACH before and behind its right one."""
-    likeness = np.full((len(queries), 2 * REACH + 1), np.nan, np.float32)
-    for column, shift in enumerate(range(-REACH, REACH + 1)):
-        likeness[:, column] = under(queries, middles + shift, places)
-    return likeness
+    return np.stack([under(queries, middles + shift, places) for shift in range(-REACH, REACH + 1)], axis=1)
 
 
 def under(queries: Descriptors, shown: Middles, places: Descriptors) -> Descriptors:
-    """Return how alike each query is to the place it is said to show; nan where there is no such place."""
+    """Return how alike each query is to the place it is said to show; nan if there is no such place."""
     there = (shown >= 0) & (shown < len(places))
     likeness = np.full(len(queries), np.nan, np.float32)
     likeness[there] = np.einsum("ij,ij->i", queries[there], places[shown[there]])
@@ -72,7 +69,7 @@ def under(queries: Descriptors, shown: Middles, places: Descriptors) -> Descript
 
 
 def shifts_along(likeness: Likeness) -> Shifts:
-    """Return the most likely shift of every query, where a shift seldom changes along the traverse.
+    """Return the most likely shift of every query, given that a shift seldom changes along the traverse.
 
     The best path through a hidden Markov model (Viterbi 1967) whose states are the shifts; likeness is taken as normal
     around one mean for the right place and another for the others, both estimated here.

@@ -1,14 +1,13 @@
-"""Checks of what the frames of a traverse are like: unreadable, of another size, in colour or grey, black."""
+"""Checks of frames: unreadable, of another size, in colour or grey, black, or the same pixel by pixel."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.text import be, plural, some
 
@@ -16,40 +15,47 @@ from .finding import Finding
 from .looking import BLACK_MEAN, UNIFORM_STD, Looks
 
 _USUAL = 0.9  # share of the frames whose size counts as that of the traverse
+_WRONG_FOLDER = 0.5  # share of frames that are those of another traverse
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A traverse by name, and what was seen of its frames."""
-
-    name: str
-    looks: Looks
-
-    def names(self, which: npt.NDArray[np.bool_]) -> list[str]:
-        """Return the names of some of the frames."""
-        return [self.looks.names[number] for number in np.flatnonzero(which)]
-
-
-def unreadable(seen: Seen, known: Collection[Path]) -> Iterator[Finding]:
+def unreadable(seen: Looks, known: Collection[Path]) -> Iterator[Finding]:
     """Find frames that cannot be decoded, all of them and by reason, but for files `known` to be broken."""
     known_paths: dict[str, list[str]] = {}
     for path in known:
         known_paths.setdefault(path.name, []).append(str(path))
     reasons: dict[str, list[str]] = {}
-    for number, complaint in seen.looks.unreadable.items():
-        name = seen.looks.names[number]
+    for number, complaint in seen.unreadable.items():
+        name = seen.names[number]
         if not any(path in complaint for path in known_paths.get(name, ())):
             reasons.setdefault(_reason(complaint, name), []).append(name)
     for reason, names in reasons.items():
         yield Finding(
             "error",
             "decoding",
-            f"{len(names):,} of {plural(len(seen.looks.names), 'frame')} of {seen.name} {reason}: {some(names)}",
+            f"{_share(names, seen)} {reason}: {some(names)}",
             "copy or download them again; none is skipped, for that would shift all that follow",
         )
 
 
-def size_within(seen: Seen) -> Iterator[Finding]:
+def of_traverse(seen: Looks) -> Iterator[Finding]:
+    """Find frames of a traverse of another size, black ones, ones of one grey value, and ones that are the same."""
+    yield from _size(seen)
+    for which, what in (
+        (seen.black, f"black (mean below {BLACK_MEAN:g} of 255)"),
+        (seen.uniform & ~seen.black, f"of one grey value (standard deviation below {UNIFORM_STD:g} of 255)"),
+    ):
+        if names := seen.named(which):
+            yield Finding(
+                "warning",
+                "black frames",
+                f"{_share(names, seen)} {be(names)} {what}: {some(names)}",
+                "leave such places out of the list: gamma and patch normalisation are undefined there, and every "
+                "method guesses",
+            )
+    yield from _repeated(seen)
+
+
+def _size(seen: Looks) -> Iterator[Finding]:
     """Find frames of another size than most of their traverse."""
     sizes = _sizes(seen)
     if len(sizes) < 2:
@@ -57,59 +63,76 @@ def size_within(seen: Seen) -> Iterator[Finding]:
     usual, times = sizes.most_common(1)[0]
     if times < _USUAL * sizes.total():
         listed = [f"{_as_text(size)} ({number:,})" for size, number in sizes.most_common()]
-        yield Finding("note", "size", f"frames of {seen.name} have {len(sizes)} sizes: {some(listed)}", "")
+        yield Finding("note", "size", f"frames of {seen.traverse} have {len(sizes)} sizes: {some(listed)}")
         return
-    others = seen.names(seen.looks.readable & (seen.looks.sizes != usual).any(1))
+    others = seen.named(seen.readable & (seen.sizes != usual).any(1))
     yield Finding(
         "warning",
         "size",
-        f"{plural(len(others), 'frame')} of {seen.name} {be(others)} not {_as_text(usual)}, as the other "
+        f"{plural(len(others), 'frame')} of {seen.traverse} {be(others)} not {_as_text(usual)}, as the other "
         f"{times:,} are: {some(others)}",
         "look at them: they may be of another camera, thumbnails, or what a server sends in place of an image",
     )
 
 
-def size_between(all_seen: Sequence[Seen]) -> Iterator[Finding]:
-    """Tell where traverses differ in the size of their frames."""
-    usual = {seen.name: sizes.most_common(1)[0][0] for seen in all_seen if (sizes := _sizes(seen))}
-    if len(set(usual.values())) < 2:
-        return
-    listed = ", ".join(f"{name} {_as_text(size)}" for name, size in usual.items())
-    yield Finding("note", "size", f"traverses differ in the size of their frames: {listed}", "methods that resize cope")
+def _repeated(seen: Looks) -> Iterator[Finding]:
+    """Find frames that are the same under different names; black and uniform ones do not count."""
+    names_of: dict[bytes, dict[str, None]] = {}
+    for name, content in _telling(seen):
+        names_of.setdefault(content, {})[name] = None
+    groups = [[*names] for names in names_of.values() if len(names) > 1]
+    if groups:
+        extra = sum(len(group) - 1 for group in groups)
+        yield Finding(
+            "warning",
+            "repeated frames",
+            f"{plural(extra, 'frame')} of {seen.traverse} {'is a copy' if extra == 1 else 'are copies'} of another "
+            f"frame of {seen.traverse}, pixel by pixel: {some([' = '.join(group[:3]) for group in groups])}",
+            "copy the right frames there; where the camera stood still, leave the repeats out of the list",
+        )
 
 
-def colour_between(all_seen: Sequence[Seen]) -> Iterator[Finding]:
-    """Tell where some frames are grey and others in colour."""
+def between(looks: Sequence[Looks]) -> Iterator[Finding]:
+    """Tell where traverses differ in the size of their frames, and where some frames are grey and others in colour."""
+    usual = {seen.traverse: _as_text(sizes.most_common(1)[0][0]) for seen in looks if (sizes := _sizes(seen))}
+    if len(set(usual.values())) > 1:
+        text = f"traverses differ in the size of their frames: {_listed(usual)}"
+        yield Finding("note", "size", text, "methods that resize cope")
     kinds = {}
-    for seen in all_seen:
-        grey = int((seen.looks.grey & seen.looks.readable).sum())
-        coloured = int(seen.looks.readable.sum()) - grey
+    for seen in looks:
+        grey, coloured = int((seen.grey & seen.readable).sum()), int((~seen.grey & seen.readable).sum())
         if grey + coloured:
             mixed = f"{grey:,} grey and {coloured:,} in colour"
-            kinds[seen.name] = "grey" if not coloured else "in colour" if not grey else mixed
-    if set(kinds.values()) in ({"grey"}, {"in colour"}):
-        return
-    listed = ", ".join(f"{name} {kind}" for name, kind in kinds.items())
-    yield Finding(
-        "note", "colour", f"some frames are grey, others in colour: {listed}", "methods that use colour suffer"
-    )
+            kinds[seen.traverse] = "grey" if not coloured else "in colour" if not grey else mixed
+    if set(kinds.values()) not in ({"grey"}, {"in colour"}):
+        text = f"some frames are grey, others in colour: {_listed(kinds)}"
+        yield Finding("note", "colour", text, "methods that use colour suffer")
 
 
-def black(seen: Seen) -> Iterator[Finding]:
-    """Find black frames and frames of one grey value: their gamma or patch normalisation is undefined."""
-    looks = seen.looks
-    for which, what in (
-        (looks.black, f"black (mean below {BLACK_MEAN:g} of 255)"),
-        (looks.uniform & ~looks.black, f"of one grey value (standard deviation below {UNIFORM_STD:g} of 255)"),
-    ):
-        if names := seen.names(which):
-            frames = plural(len(looks.names), "frame")
-            text = f"{len(names):,} of {frames} of {seen.name} {be(names)} {what}: {some(names)}"
-            advice = (
-                "leave such places out of the list: gamma and patch normalisation are undefined there, and every "
-                "method guesses"
+def shared(looks: Sequence[Looks]) -> Iterator[Finding]:
+    """Find traverses that hold the same frames, as if a folder was named twice; the queries are the last."""
+    for seen, other in combinations([looks[-1], *looks[:-1]], 2):
+        known = {content: name for name, content in _telling(other)}
+        asked = _telling(seen)
+        pairs = [f"{name} = {known[content]}" for name, content in asked if content in known]
+        most = len(pairs) > _WRONG_FOLDER * len(asked)
+        if pairs:
+            yield Finding(
+                "error" if most else "warning",
+                "shared frames",
+                f"{_share(pairs, seen)} {be(pairs)} also in {other.traverse}, pixel by pixel: {some(pairs)}",
+                "one of the two folders holds the wrong traverse: compare a frame of each by eye"
+                if most
+                else "copy the right frames there: a query that is also a reference is no test",
             )
-            yield Finding("warning", "black frames", text, advice)
+
+
+def _share(names: Sequence[str], seen: Looks) -> str:
+    return f"{len(names):,} of {plural(len(seen.names), 'frame')} of {seen.traverse}"
+
+
+def _listed(values: dict[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def _reason(complaint: str, name: str) -> str:
@@ -119,10 +142,16 @@ def _reason(complaint: str, name: str) -> str:
     return f"{what} ({why.partition(' (')[0].rstrip(')')})" if bracket else said
 
 
-def _sizes(seen: Seen) -> Counter[tuple[int, int]]:
+def _sizes(seen: Looks) -> Counter[tuple[int, int]]:
     """Return how many frames have each height and width."""
-    return Counter((height, width) for height, width in seen.looks.sizes.tolist() if height)
+    return Counter((height, width) for height, width in seen.sizes.tolist() if height)
 
 
 def _as_text(size: tuple[int, int]) -> str:
     return f"{size[1]}x{size[0]}"
+
+
+def _telling(seen: Looks) -> list[tuple[str, bytes]]:
+    """Return name and content of the frames that can be told from others."""
+    numbers = np.flatnonzero(seen.readable & ~seen.black & ~seen.uniform)
+    return [(seen.names[number], seen.contents[number]) for number in numbers]

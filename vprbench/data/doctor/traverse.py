@@ -13,7 +13,7 @@ from vprbench.api.arrays import Places
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 
-Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 where there is none
+Middles = npt.NDArray[np.int64]  # (n_queries,), the middle right place of each; -1 if there is none
 
 _MOSTLY = 0.9  # of the steps from query to query
 
@@ -28,7 +28,7 @@ class Traverse:
 
 
 def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
-    """Return the reference traverses of a dataset, and the one of its queries.
+    """Return the reference traverses of a dataset, and the traverse of its queries.
 
     References that show the places 0 to n - 1 in this order, again and again, are several traverses; all others are
     one.
@@ -51,7 +51,7 @@ def traverses_of(dataset: Dataset) -> tuple[tuple[Traverse, ...], Traverse]:
 
 
 def middles_of(dataset: Dataset) -> Middles:
-    """Return the middle right place of every query; -1 where there is none.
+    """Return the middle right place of every query; -1 if there is none.
 
     Right places that the first or the last place cuts off are completed to the usual number.
     """
