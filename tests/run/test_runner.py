@@ -21,7 +21,6 @@ from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, outcome
 from vprbench.run import answers, runner
-from vprbench.run.descriptors import DescriptorCache
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -184,8 +183,7 @@ class Reading(DescriptorMethod):
 def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
-    cache = DescriptorCache(tmp_path) if cached else None
-    runner.run(asked_for(method, dataset, cache=cache), "key")
+    runner.run(asked_for(method, dataset, cache=tmp_path if cached else None), "key")
     assert len(method.names) > 3 * 6
     assert all(name.startswith("image ") for name in method.names)
 

@@ -22,7 +22,6 @@ from vprbench.api.images import Images
 from vprbench.api.search import Audit
 from vprbench.api.search_indexes import Kind
 from vprbench.run import rows, runner
-from vprbench.run.descriptors import DescriptorCache
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 
@@ -155,7 +154,7 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
             return kept
 
     queries = journey(n_queries, 300)
-    runner.run(asked_for(Watched(index="hnsw"), queries, cache=DescriptorCache(tmp_path)), "key")
+    runner.run(asked_for(Watched(index="hnsw"), queries, cache=tmp_path), "key")
     assert any(tmp_path.iterdir()) is kept
     every = Angles().encode(queries.queries)
     (codes,) = seen

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from vprbench.run.rates import StageRates
 from vprbench.run.rows import markdown
-from vprbench.run.summary import StageRates
 from vprbench.speed.cells import Failed
 from vprbench.storage.atomic import replace_text
 
