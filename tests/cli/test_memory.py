@@ -32,7 +32,7 @@ def peak_bytes(n_blocks: int) -> int:
     scores = np.random.default_rng(0).random((BLOCK, N_PLACES), np.float32)
     tracemalloc.start()
     for _ in range(n_blocks):
-        answers.add(BLOCK, scores, 0.0)
+        answers.add(BLOCK, scores)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert answers.scores is None

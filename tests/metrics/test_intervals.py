@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import product
 from math import comb
 from statistics import NormalDist
@@ -45,30 +47,6 @@ def test_wilson_of_expected_hits_solves_its_defining_equation() -> None:
         assert abs(successes / n - end) == pytest.approx(z * (end * (1 - end) / n) ** 0.5, abs=1e-12)
 
 
-@pytest.mark.parametrize(("n", "half_width"), [(360, 0.050), (2700, 0.019)])
-def test_wilson_is_as_wide_as_stated_for_oxford_and_nordland(n: int, half_width: float) -> None:
-    found = interval_of(wilson(n / 2, n))
-    assert (found.high - found.low) / 2 == pytest.approx(half_width, abs=1.5e-3)
-
-
-def test_wilson_without_trials_is_undefined() -> None:
-    assert wilson(0, 0) is None
-
-
-@pytest.mark.parametrize(("successes", "n"), [(-1, 5), (6, 5), (float("nan"), 5), (0, -1)])
-def test_wilson_refuses_impossible_counts(successes: float, n: int) -> None:
-    with pytest.raises(ValueError, match="impossible"):
-        wilson(successes, n)
-
-
-@pytest.mark.parametrize("confidence", [0, 1, 95])
-def test_a_confidence_that_is_no_share_is_refused(confidence: float) -> None:
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        wilson(1, 2, confidence)
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        block_bootstrap([0, 1], 1, confidence)
-
-
 @pytest.mark.parametrize(("n", "block"), [(4, 2), (5, 2), (7, 3), (5, 1)])
 @pytest.mark.parametrize("unit", [1, 1 / 4, -1 / 3])
 def test_the_bootstrap_has_the_quantiles_of_all_choices_of_circular_blocks(n: int, block: int, unit: float) -> None:
@@ -93,37 +71,6 @@ def test_the_bootstrap_of_any_numbers_has_the_quantiles_of_many_draws() -> None:
     ends = np.quantile((drawn + rest) / 200, [0.025, 0.975])
     found = interval_of(block_bootstrap(values, 24))
     assert (found.low, found.high) == pytest.approx(ends, abs=0.002)
-
-
-def test_blocks_widen_the_interval_of_hits_that_come_in_runs() -> None:
-    runs = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
-    single, blocks = interval_of(block_bootstrap(runs, 1)), interval_of(block_bootstrap(runs, 20))
-    assert blocks.high - blocks.low > 2 * (single.high - single.low)
-
-
-def test_single_blocks_give_the_normal_interval_of_many_independent_values() -> None:
-    hits = np.random.default_rng(5).random(4000) < 0.3
-    half = 1.96 * (hits.mean() * (1 - hits.mean()) / 4000) ** 0.5
-    found = interval_of(block_bootstrap(hits, 1))
-    assert (found.low, found.high) == pytest.approx((hits.mean() - half, hits.mean() + half), abs=0.002)
-
-
-def test_equal_values_leave_no_width() -> None:
-    assert block_bootstrap(np.ones(45), 10) == Interval(1, 1)
-
-
-@pytest.mark.parametrize("n", [0, 1, 19])
-def test_fewer_values_than_two_blocks_leave_the_bootstrap_undefined(n: int) -> None:
-    assert block_bootstrap(np.ones(n), 10) is None
-
-
-def test_the_bootstrap_refuses_what_it_cannot_resample() -> None:
-    with pytest.raises(ValueError, match="at least 1"):
-        block_bootstrap([0, 1], 0)
-    with pytest.raises(ValueError, match="finite"):
-        block_bootstrap([0, np.nan], 1)
-    with pytest.raises(ValueError, match="finite"):
-        block_bootstrap(np.ones((4, 4)), 1)
 
 
 def in_runs(n: int, share: float, kept: float, random: np.random.Generator) -> Values:
@@ -198,12 +145,6 @@ def test_a_difference_without_runs_has_the_interval_of_agresti_and_min() -> None
     assert (found.low, found.high) == pytest.approx((8 / 402 - half, 8 / 402 + half), abs=1e-6)
 
 
-def test_a_difference_on_other_or_too_few_queries_has_no_interval() -> None:
-    assert difference_interval(np.ones(19), np.zeros(19)) is None
-    with pytest.raises(ValueError, match="the same queries"):
-        difference_interval(np.ones(30), np.zeros(31))
-
-
 def hits(both: int, first: int, second: int, none: int) -> tuple[list[int], list[int]]:
     return [1] * (both + first) + [0] * (second + none), [1] * both + [0] * first + [1] * second + [0] * none
 
@@ -215,21 +156,31 @@ def test_mcnemar_follows_its_formula_and_the_exact_binomial_test(b: int, c: int)
     formula = min(1, 2 * sum(comb(b + c, i) for i in range(min(b, c) + 1)) / 2 ** (b + c))
     assert found.p_value == pytest.approx(formula, rel=1e-9)
     assert found.p_value == pytest.approx(binomtest(b, b + c).pvalue, rel=1e-9)
+    swapped = mcnemar_exact(*reversed(hits(4, b, c, 6)))
+    assert (swapped.b, swapped.c, swapped.p_value) == (c, b, found.p_value)
 
 
-def test_methods_that_never_disagree_are_not_told_apart() -> None:
-    assert mcnemar_exact(*hits(3, 0, 0, 2)) == McNemar(0, 0, 1.0)
-    assert mcnemar_exact([], []) == McNemar(0, 0, 1.0)
+def test_what_is_undefined_and_what_has_no_width() -> None:
+    assert wilson(0, 0) is None
+    assert difference_interval(np.ones(19), np.zeros(19)) is None  # too few
+    assert [block_bootstrap(np.ones(n), 10) for n in (0, 1, 19)] == [None] * 3  # less than two blocks
+    assert block_bootstrap(np.ones(45), 10) == Interval(1, 1)
+    assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == McNemar(0, 0, 1.0)
 
 
-def test_swapping_the_methods_swaps_the_counts_and_keeps_the_p_value() -> None:
-    first, second = hits(1, 7, 2, 1)
-    found, swapped = mcnemar_exact(first, second), mcnemar_exact(second, first)
-    assert (found.b, found.c, found.p_value) == (swapped.c, swapped.b, swapped.p_value)
-
-
-def test_a_paired_test_refuses_chances_and_different_queries() -> None:
-    with pytest.raises(ValueError, match="hits of 0 or 1"):
-        mcnemar_exact([0.5, 1], [0, 1])
-    with pytest.raises(ValueError, match="the same queries"):
-        mcnemar_exact([1, 0], [1, 0, 1])
+@pytest.mark.parametrize(
+    ("refused", "named"),
+    [
+        *((partial(wilson, hits, n), "successes") for hits, n in ((-1, 5), (6, 5), (float("nan"), 5), (0, -1))),
+        *((partial(wilson, 1, 2, confidence), "confidence=") for confidence in (0, 1, 95)),
+        *((partial(block_bootstrap, [0, 1], 1, confidence), "confidence=") for confidence in (0, 1, 95)),
+        (partial(block_bootstrap, [0, 1], 0), "block=0"),
+        *((partial(block_bootstrap, values, 1), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
+        (partial(difference_interval, np.ones(30), np.zeros(31)), "same queries"),
+        (partial(mcnemar_exact, [0.5, 1], [0, 1]), "hits of 0 or 1"),
+        (partial(mcnemar_exact, [1, 0], [1, 0, 1]), "same queries"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(refused: Callable[[], object], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        refused()

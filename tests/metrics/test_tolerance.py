@@ -18,7 +18,6 @@ from vprbench.metrics.tolerance import hits_within
 from vprbench.run import rows
 from vprbench.run.record import Run
 from vprbench.run.store import Store
-from vprbench.run.summary import summarise
 
 
 def top(*places: int) -> np.ndarray:
@@ -138,28 +137,28 @@ def sweep(*also: int, **changes: Any) -> Run:
 
 
 def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for() -> None:
-    assert summarise(sweep(1, 4, 7)).recall_at_1_within == {1: 0.5, 4: 0.75, 7: 1.0}
+    assert rows.recall_at_1_within(sweep(1, 4, 7)) == {1: 0.5, 4: 0.75, 7: 1.0}
     assert rows.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
     assert rows.numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
-    assert set(summarise(sweep(1, 2, 3, own=2)).recall_at_1_within) == {3}
+    assert set(rows.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
 
 
 def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own() -> None:
     # Under a tolerance of 1 the right places of the last two queries are 1 to 3 and 2 to 4, so the best of the last one
     # lies 3 places beyond those and 4 from the middle.
     positives = (np.array([0, 1]), np.array([0, 1, 2]), np.array([1, 2, 3]), np.array([2, 3, 4]))
-    assert summarise(sweep(3, 4, own=1, positives=positives)).recall_at_1_within == {3: 0.5, 4: 0.75}
+    assert rows.recall_at_1_within(sweep(3, 4, own=1, positives=positives)) == {3: 0.5, 4: 0.75}
 
 
 def test_a_dataset_that_asks_for_none_and_a_record_from_before_there_were_any_have_none() -> None:
-    assert summarise(a_run()).recall_at_1_within == {}
+    assert rows.recall_at_1_within(a_run()) == {}
     assert rows.tolerance_line(a_run()) is None
     assert not [name for name in rows.numbers(a_run()) if "within" in name]
 
 
 def test_without_a_right_place_they_are_undefined_and_not_zero() -> None:
     run = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)
-    assert summarise(run).recall_at_1_within == {1: None, 2: None}
+    assert rows.recall_at_1_within(run) == {1: None, 2: None}
     assert rows.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
 
 
@@ -170,10 +169,10 @@ def test_the_numbers_of_places_are_stored_too(tmp_path: Path) -> None:
     (read,) = store.runs()
     assert read.place_numbers is not None
     assert read.place_numbers.tolist() == [0, 3, 6, 9, 12, 15, 18, 21, 24, 27]
-    assert summarise(read).recall_at_1_within == {4: 0.5}  # along the map the third query is within 4
+    assert rows.recall_at_1_within(read) == {4: 0.5}  # along the map the third query is within 4
 
 
 def test_a_ground_truth_wider_than_one_place_of_a_map_with_gaps_has_no_wider_ones() -> None:
     run = replace(sweep(4), protocol={"tolerance_places": 1, "also_tolerance_places": [2]})
-    assert [*summarise(run).recall_at_1_within] == [2]
-    assert summarise(replace(run, place_numbers=np.arange(10))).recall_at_1_within == {}
+    assert [*rows.recall_at_1_within(run)] == [2]
+    assert rows.recall_at_1_within(replace(run, place_numbers=np.arange(10))) == {}

@@ -19,9 +19,8 @@ from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.run import descriptors, runner
-from vprbench.run.descriptors import DescriptorCache
+from vprbench.run.identity import Request
 from vprbench.run.record import Run
-from vprbench.run.request import Request
 from vprbench.run.stopwatch import Protocol, Stopwatch
 
 N_QUERIES, N_PLACES = 70, 80
@@ -73,8 +72,7 @@ def run(method: DescriptorMethod, dataset: Dataset, folder: Path | None, **chang
         **changes.pop("arguments", {}),
     }
     config = {"method": arguments, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
-    cache = None if folder is None else DescriptorCache(folder)
-    return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=cache), "key")
+    return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
 
 
 def encoded_for_answers(method: Counting, run: Run) -> int:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 
-import assembled
 import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
-from little_runs import asked_for, kinds, quiet_surroundings, run_of, table
-from stopped_clock import Clock, ReadersThatWait
+from little_runs import asked_for, kinds, run_of, table
+from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.api import checkpoints, images
+from vprbench.api import checkpoints
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.images import Images
@@ -28,19 +26,7 @@ from vprbench.run import runner
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 
-
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    clock.replaces_those_of([runner, images], monkeypatch)
-    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    return clock
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 def held_out(**changes: Any) -> HeldOut:
@@ -83,39 +69,15 @@ class Choosing(Lookup):
 # What held-out places are
 
 
-def refusal(**changes: Any) -> str:
-    with pytest.raises(BadInput) as error:
-        held_out(**changes)
-    return str(error.value)
-
-
 def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query_and_its_run_says_so() -> None:
     method = Choosing(table(6, 4))
-    run = run_of(method, with_held_out())
+    stages: list[str] = []
+    with progress.listening(lambda stage, _: stages.append(stage)):
+        run = run_of(method, with_held_out())
+    assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
     assert method.calls[:3] == ["fit", "calibrate", "encode"]
     assert method.calls.count("calibrate") == 1
     assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
-
-
-@pytest.mark.parametrize(("kind", "held"), [(Choosing, None), (Lookup, held_out())])
-def test_without_held_out_places_or_a_choice_nothing_is_calibrated(kind: type[Lookup], held: HeldOut | None) -> None:
-    method = kind(table(6, 4))
-    run = run_of(method, replace(journey(6, 4), held_out=held))
-    assert getattr(method, "given", []) == []
-    assert "calibrated" not in kinds(run)
-
-
-def test_held_out_parts_that_do_not_fit_one_another_are_refused() -> None:
-    assert "6 reference images but 2 place ids" in refusal(places=np.array([0, 1]))
-    assert "held-out places: place ids must run from 0 to 3 without a gap" in refusal(
-        places=np.array([0, 1, 3, 0, 1, 3])
-    )
-    assert refusal(right=np.array([0])) == (
-        "held-out places: 3 queries but 1 right places; wanted one for each of at least one query"
-    )
-    assert "0 queries but 0 right places" in refusal(queries=pictures([]), right=np.array([], np.int64))
-    for wrong in (3, -1):
-        assert "the places from 0 to 2" in refusal(right=np.array([0, 1, wrong]))
 
 
 @pytest.mark.parametrize(
@@ -130,6 +92,21 @@ def test_held_out_parts_that_do_not_fit_one_another_are_refused() -> None:
 )
 def test_other_held_out_places_have_another_fingerprint(changes: dict[str, Any]) -> None:
     assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"places": np.array([0, 1])}, "6 reference images but 2 place ids"),
+        ({"places": np.array([0, 1, 3, 0, 1, 3])}, "from 0 to 3"),
+        ({"right": np.array([0])}, "3 queries but 1 right places"),
+        ({"queries": pictures([]), "right": np.array([], np.int64)}, "0 queries but 0 right places"),
+        *(({"right": np.array([0, 1, wrong])}, "from 0 to 2") for wrong in (3, -1)),
+    ],
+)
+def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(BadInput, match=named):
+        held_out(**changes)
 
 
 # What a run does with them
@@ -153,7 +130,6 @@ def test_a_method_sees_the_held_out_images_without_their_names_their_places_and_
 
 @pytest.mark.parametrize("part", ["places", "right"])
 def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
-    @dataclass
     class Writing(Choosing):
         def calibrate(self, held_out: HeldOut) -> Self:
             getattr(held_out, part)[0] = 1
@@ -163,7 +139,11 @@ def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
         run_of(Writing(table(6, 4)), with_held_out())
 
 
-def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
+def test_a_method_that_was_given_its_settings_or_no_places_or_chooses_nothing_is_not_calibrated() -> None:
+    for plain, dataset in ((Choosing(table(6, 4)), journey(6, 4)), (Lookup(table(6, 4)), with_held_out())):
+        assert "calibrated" not in kinds(run_of(plain, dataset))
+        assert getattr(plain, "given", []) == []
+
     @dataclass
     class Settled(Choosing):
         threshold: float | None = None
@@ -179,13 +159,6 @@ def test_a_method_that_was_given_its_settings_is_not_calibrated() -> None:
         calls.append((method.calls.count("calibrate"), "calibrated" in kinds(run)))
     assert calls == [(1, True), (0, False)]
     assert key(Settled(table(6, 4), threshold=0.5), held_out()) == key(Settled(table(6, 4), threshold=0.5), None)
-
-
-def test_calibrating_is_a_stage_of_its_own() -> None:
-    stages: list[str] = []
-    with progress.listening(lambda stage, _: stages.append(stage)):
-        run_of(Choosing(table(6, 4)), with_held_out())
-    assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
 
 
 @dataclass
@@ -231,14 +204,6 @@ def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_al
     assert len({key(Lookup(table(6, 4)), held) for held in different}) == 1
 
 
-def test_what_a_method_notes_stands_in_the_record_of_its_run() -> None:
-    class Noting(Lookup):
-        def notes(self) -> list[str]:
-            return ["three neurons are silenced"]
-
-    assert Note("method", "three neurons are silenced") in run_of(Noting(table(6, 4)), journey(6, 4)).notes
-
-
 # Stored networks
 
 
@@ -266,33 +231,17 @@ def stored(path: Path, method: Method, dataset: Dataset, load: bool = False) -> 
 def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path: Path) -> None:
     path = tmp_path / "network.safetensors"
     trained = stored(path, Sharpened(), with_held_out())
-    method = Sharpened()
-    loaded = stored(path, method, with_held_out(), load=True)
-    assert method.contrast == 3.0
-    assert np.array_equal(loaded.top_scores, trained.top_scores)
-    assert "calibrated" not in kinds(loaded)
-
-
-def test_a_network_whose_settings_were_chosen_by_other_places_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "network.safetensors"
-    stored(path, Sharpened(), with_held_out())
-    other = held_out(queries=pictures([72, 71, 73]))
-    with pytest.raises(BadInput, match="its settings were chosen by other held-out places"):
-        stored(path, Sharpened(), replace(journey(6, 4), held_out=other), load=True)
-
-
-def test_a_network_whose_settings_were_chosen_may_be_used_where_nothing_is_held_out(tmp_path: Path) -> None:
-    path = tmp_path / "network.safetensors"
-    stored(path, Sharpened(), with_held_out())
-    method = Sharpened()
-    stored(path, method, journey(6, 4), load=True)
-    assert method.contrast == 3.0
-
-
-def test_held_out_places_are_no_difference_to_a_method_that_chooses_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "network.safetensors"
-    stored(path, Prototypes(), with_held_out())
-    assert stored(path, Prototypes(), journey(6, 4), load=True).load_seconds is not None
+    for dataset in (with_held_out(), journey(6, 4)):
+        method = Sharpened()
+        loaded = stored(path, method, dataset, load=True)
+        assert method.contrast == 3.0
+        assert np.array_equal(loaded.top_scores, trained.top_scores)
+        assert "calibrated" not in kinds(loaded)
+    other = with_held_out(held_out(queries=pictures([72, 71, 73])))
+    with pytest.raises(BadInput, match="other held-out places"):
+        stored(path, Sharpened(), other, load=True)
+    stored(tmp_path / "plain.safetensors", Prototypes(), with_held_out())  # chooses nothing, so any places will do
+    assert stored(tmp_path / "plain.safetensors", Prototypes(), other, load=True).load_seconds is not None
 
 
 # Trainings that are resumed
@@ -349,12 +298,8 @@ def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_
     assert RESUMED in [note.text for note in run.notes]
     assert run.method_seconds == pytest.approx(60 + 1 + 6)  # the first query is asked once before
     assert run.harness_seconds == pytest.approx(0)
-
-
-def test_a_fit_in_one_go_is_not_said_to_be_resumed(resuming: Resuming) -> None:
-    run = run_of(resuming, journey(6, 4))
-    assert run.fit_seconds == pytest.approx(572)
-    assert "resumed" not in kinds(run)
+    at_once = run_of(resuming, journey(6, 4))
+    assert (at_once.fit_seconds, "resumed" in kinds(at_once)) == (pytest.approx(572), False)
 
 
 def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -> None:
@@ -363,15 +308,3 @@ def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -
     run = run_of(resuming, journey(6, 4))
     assert RESUMED in [note.text for note in run.notes]
     assert not kept_files(resuming)
-
-
-def test_the_table_tells_of_a_resumed_fit_beside_its_minutes_and_of_calibrating_beside_r_at_1() -> None:
-    calibrated = "calibrated on 3 held-out queries of 3 places"
-    notes = (Note("resumed", RESUMED), Note("calibrated", calibrated))
-    made = assembled.table([assembled.tempo(seed, notes=notes) for seed in range(3)])
-    told = {
-        quantity: [reason.text for reason in assembled.reasons(made, "VPRTempo", quantity)]
-        for quantity in ("train_cpu", "recall_at_1", "query_cpu")
-    }
-    assert [quantity for quantity, texts in told.items() if RESUMED in texts] == ["train_cpu"]
-    assert [quantity for quantity, texts in told.items() if calibrated in texts] == ["recall_at_1"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -10,29 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in
-from little_runs import QUICK, quiet_surroundings, run_of, table
+from little_runs import QUICK, kinds, run_of, table
 from stopped_clock import Clock
 
-from vprbench.api import images
 from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
-from vprbench.run import runner
 from vprbench.run.stopwatch import Protocol
 
-
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    clock.replaces_those_of([runner, images], monkeypatch)
-    return clock
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 def notes_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK) -> str:
@@ -96,7 +82,6 @@ def test_rates_are_called_invalid_without_their_minima_alone_and_work_for_each_i
     assert not any(word in good for word in ("invalid", "caching"))
 
 
-@dataclass
 class BatchDependent(Lookup):
     """Answers with the next place when it is asked for a single image."""
 
@@ -105,64 +90,60 @@ class BatchDependent(Lookup):
         return np.roll(scores, 1, axis=1) if len(codes) == 1 else scores
 
 
-def test_a_method_whose_answer_depends_on_the_batch_fails_the_audit() -> None:
-    assert "audit failed" in notes_of(BatchDependent(table(12, 4)), journey(12, 4))
+class Lazy(Lookup):
+    """Answers nothing once all queries were scored."""
+
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        scored = sum(map(len, self.asked)) <= 1 + len(self.table)  # the first query is asked before
+        return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
 
 
-def test_a_method_that_answers_differently_when_timed_fails_the_audit() -> None:
-    @dataclass
-    class Lazy(Lookup):
-        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
-            scored = sum(map(len, self.asked)) <= 1 + len(self.table)  # the first query is asked before
-            return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
+class Unreliable(Lookup):
+    """Answers one timed query in sixteen otherwise."""
 
-    scores = np.eye(12, 4, k=-1, dtype=np.float32)  # query 1 shows place 0
-    assert "audit failed" in notes_of(Lazy(scores), journey(12, 4))
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        return -self.table[codes] if codes.tolist() == [299] else self.table[codes]
 
 
-def test_a_method_that_fails_on_one_timed_query_in_sixteen_fails_the_audit() -> None:
-    @dataclass
-    class Unreliable(Lookup):
-        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
-            scores = self.table[codes].copy()
-            if codes.tolist() == [299]:
-                scores[0] = -scores[0]
-            return scores
+class Rounding(Lookup):
+    """Has another last digit in a batch."""
 
-    assert "audit failed" in notes_of(Unreliable(table(300, 4, 100_000)), journey(300, 4))
+    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        scores = self.table[codes].copy()
+        scores[:, len(codes) % 2] *= 1 + 1e-6
+        return scores
 
 
-def test_a_method_that_answers_the_same_passes_the_audit() -> None:
-    assert "audit" not in notes_of(Lookup(table(300, 40)), journey(300, 40))
+@pytest.mark.parametrize(
+    ("method", "fails"),
+    [
+        (BatchDependent(table(12, 4)), True),
+        (Lazy(np.eye(12, 4, k=-1, dtype=np.float32)), True),  # query 1 shows place 0
+        (Unreliable(table(300, 4, 100_000)), True),
+        (Lookup(table(300, 40)), False),
+        (Lookup(np.ones((12, 200), np.float32)), False),  # all places tie
+        (Rounding(np.ones((12, 3), np.float32)), False),
+    ],
+)
+def test_a_method_that_answers_otherwise_when_it_is_timed_fails_the_audit(method: Lookup, fails: bool) -> None:
+    assert ("audit" in kinds(run_of(method, journey(*method.table.shape)))) is fails
 
 
-def test_a_method_whose_best_places_tie_passes_the_audit() -> None:
-    assert "audit" not in notes_of(Lookup(np.ones((12, 200), np.float32)), journey(12, 200))
-
-
-def test_a_difference_in_the_last_digit_passes_the_audit() -> None:
-    @dataclass
-    class Rounding(Lookup):
-        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
-            scores = self.table[codes].copy()
-            scores[:, len(codes) % 2] *= 1 + 1e-6
-            return scores
-
-    assert "audit" not in notes_of(Rounding(np.ones((12, 3), np.float32)), journey(12, 3))
-
-
-@pytest.mark.parametrize(("pressure", "noisy"), [(None, False), (15.0, False), (15.1, True)])
-def test_a_run_is_noisy_where_processes_waited_for_a_core(
-    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, pressure: float | None, noisy: bool
-) -> None:
-    monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
-    assert ("noisy: processes waited" in notes_of(Lookup(table(12, 4)), journey(12, 4))) is noisy
-
-
-@pytest.mark.parametrize(("after", "noisy"), [(1.04, False), (1.06, True), (0.94, True), (0.96, False)])
-def test_a_run_is_noisy_where_a_fixed_computation_drifts_by_more_than_five_percent(
-    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, after: float, noisy: bool
+@pytest.mark.parametrize(
+    ("pressure", "after", "noisy"),
+    [
+        *((None, 1.0, False), (15.0, 1.0, False), (15.1, 1.0, True)),
+        *((0.0, 1.04, False), (0.0, 1.06, True), (0.0, 0.94, True), (0.0, 0.96, False)),
+    ],
+)
+def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_drifts_by_more_than_five_percent(
+    monkeypatch: pytest.MonkeyPatch,
+    surroundings: SimpleNamespace,
+    pressure: float | None,
+    after: float,
+    noisy: bool,
 ) -> None:
     canaries = iter([1.0, after])
+    monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
-    assert ("noisy" in notes_of(Lookup(table(12, 4)), journey(12, 4))) is noisy
+    assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy

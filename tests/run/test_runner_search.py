@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in
-from little_runs import QUICK, asked_for, kinds, quiet_surroundings, run_of, table
+from little_runs import QUICK, asked_for, kinds, run_of, table
 
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
@@ -22,15 +20,10 @@ from vprbench.api.images import Images
 from vprbench.api.search import Audit
 from vprbench.api.search_indexes import Kind
 from vprbench.run import rows, runner
-from vprbench.run.descriptors import DescriptorCache
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 
-
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 # Places that are no candidates, and the search of descriptors
@@ -118,17 +111,7 @@ def test_what_an_index_misses_is_recorded_and_said() -> None:
     )
 
 
-def test_exact_search_finds_everything_and_goes_without_saying() -> None:
-    run = searching("exact")
-    assert run.search == {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
-    assert "index" not in kinds(run)
-
-
-def test_a_method_that_searches_no_descriptors_records_no_search() -> None:
-    assert run_of(Lookup(table(6, 4)), journey(6, 4)).search is None
-
-
-def test_a_descriptor_method_that_matches_in_its_own_way_records_no_search() -> None:
+def test_exact_search_goes_without_saying_and_a_method_that_matches_in_its_own_way_records_none() -> None:
     class OwnWay(Angles):
         def fit(self, references: Images, places: Places) -> Self:
             return self
@@ -136,13 +119,19 @@ def test_a_descriptor_method_that_matches_in_its_own_way_records_no_search() -> 
         def match(self, codes: npt.NDArray[np.float32]) -> Scores:
             return codes[:, :4]
 
-    assert run_of(OwnWay(), journey(6, 4)).search is None
+    assert [run_of(method, journey(6, 4)).search for method in (OwnWay(), Lookup(table(6, 4)))] == [None, None]
+    run = searching("exact")
+    assert run.search == {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
+    assert "index" not in kinds(run)
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["encoded", "descriptors kept"])
-@pytest.mark.parametrize(("n_queries", "n_audited"), [(3, 3), (700, 256)])
+@pytest.mark.parametrize(
+    ("n_queries", "code_bytes", "n_audited"),
+    [(3, 64, 3), (700, 64, 256), (30, 200 << 20, 5)],  # five codes of 200 MB are less than 1 GiB
+)
 def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
-    n_queries: int, n_audited: int, kept: bool, tmp_path: Path
+    n_queries: int, code_bytes: int, n_audited: int, kept: bool, tmp_path: Path
 ) -> None:
     seen: list[npt.NDArray[np.float32]] = []
 
@@ -154,32 +143,21 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
         def keeps_descriptors(self) -> bool:
             return kept
 
+    Watched.code_bytes = code_bytes
     queries = journey(n_queries, 300)
-    runner.run(asked_for(Watched(index="hnsw"), queries, cache=DescriptorCache(tmp_path)), "key")
+    runner.run(asked_for(Watched(index="hnsw"), queries, cache=tmp_path), "key")
     assert any(tmp_path.iterdir()) is kept
     every = Angles().encode(queries.queries)
     (codes,) = seen
     assert len(codes) == n_audited
     assert np.array_equal(codes[[0, -1]], every[[0, -1]])
     spread = [int(np.flatnonzero((every == code).all(1))[0]) for code in codes]
-    assert set(np.diff(spread)) <= {1, 2, 3}
-
-
-def test_few_large_codes_are_kept_for_an_audit() -> None:
-    class Large(Angles):
-        code_bytes = 200 << 20  # five are less than 1 GiB
-
-        def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
-            assert len(codes) == 5
-            return super().audit(codes)
-
-    assert run_of(Large(index="hnsw"), journey(30, 300)).search is not None
+    assert np.ptp(np.diff(spread)) <= 1
 
 
 def test_an_audit_shows_the_method_no_image_again() -> None:
-    shown = []
-    for index in ("exact", "hnsw"):
-        method = Angles(index=index)
-        run_of(method, journey(30, 300), replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1]))
-        shown.append(sum(method.shown))
-    assert shown[0] == shown[1]
+    quick = replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1])
+    methods = [Angles(index="exact"), Angles(index="hnsw")]
+    for method in methods:
+        run_of(method, journey(30, 300), quick)
+    assert len({sum(method.shown) for method in methods}) == 1

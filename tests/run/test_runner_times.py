@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, Self
@@ -11,30 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey, slow_pictures
-from little_runs import kinds, quiet_surroundings, run_of, table
-from stopped_clock import Clock, ReadersThatWait
+from little_runs import kinds, run_of, table
+from stopped_clock import Clock
 
 from vprbench import progress
-from vprbench.api import images
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.run import rows, runner
+from vprbench.run import rows
 from vprbench.run.record import Run
 
-
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    clock.replaces_those_of([runner, images], monkeypatch)
-    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    return clock
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 @dataclass

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from little import Lookup, journey
-from little_runs import quiet_surroundings, run_of
+from little_runs import run_of
 from stopped_clock import Clock
 
-from vprbench.api import images
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
@@ -25,7 +23,6 @@ from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
-from vprbench.run import runner
 from vprbench.run.note import Note
 from vprbench.run.spikes import summary
 from vprbench.run.store import Store
@@ -33,42 +30,35 @@ from vprbench.run.store import Store
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 # What is kept
 
 
-def only(layer: LayerSpikes) -> dict[str, Any]:
-    found = summary([layer])
-    assert found is not None
-    (values,) = found["layers"]
-    return dict(values)
-
-
-def test_counts_are_added_up_for_each_query() -> None:
-    layer = only(LayerSpikes("hidden", np.array([[2, 0, 1], [0, 0, 4]])))
-    assert layer == {
-        "name": "hidden",
-        "neurons": 3,
-        "spikes_per_query": [3.0, 4.0],
-        "active_share": pytest.approx(2 / 3),
-        "amplitude_mean": None,
-    }
-
-
 @pytest.mark.parametrize(
-    ("values", "per_query", "active", "amplitude"),
-    [([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]], [2.0, 1.0], 0.5, 0.5), (np.zeros((2, 3)), [0.0, 0.0], 0.0, None)],
+    ("layer", "per_query", "active", "amplitude"),
+    [
+        (LayerSpikes("hidden", np.array([[2, 0, 1], [0, 0, 4]])), [3.0, 4.0], 2 / 3, None),
+        (LayerSpikes("hidden", np.array([[0.5, 0, 0.25, 0], [0, 0, 0.75, 0]]), "amplitude"), [2.0, 1.0], 0.5, 0.5),
+        (LayerSpikes("hidden", np.zeros((2, 3)), "amplitude"), [0.0, 0.0], 0.0, None),
+    ],
 )
-def test_an_amplitude_is_one_spike_and_a_silent_layer_has_none(
-    values: Any, per_query: list[float], active: float, amplitude: float | None
+def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(
+    layer: LayerSpikes, per_query: list[float], active: float, amplitude: float | None
 ) -> None:
-    layer = only(LayerSpikes("input", np.array(values), "amplitude"))
-    assert (layer["spikes_per_query"], layer["active_share"], layer["amplitude_mean"]) == (per_query, active, amplitude)
+    assert summary([layer]) == {
+        "queries": 2,
+        "layers": [
+            {
+                "name": "hidden",
+                "neurons": layer.values.shape[1],
+                "spikes_per_query": per_query,
+                "active_share": pytest.approx(active),
+                "amplitude_mean": amplitude,
+            }
+        ],
+    }
 
 
 def test_what_is_kept_is_plain_in_the_order_of_the_layers_with_the_number_of_queries() -> None:
@@ -143,22 +133,12 @@ def test_of_many_queries_256_are_asked_for_from_the_first_to_the_last() -> None:
     assert run.spikes is not None
     assert (run.spikes["queries"], method.counted[0], method.counted[-1]) == (256, 0, 999)
     assert set(np.diff(method.counted)) == {3, 4}
+    silent, spiking = Lookup(np.zeros((6, 4), np.float32)), Ticking(np.zeros((6, 4), np.float32))
+    assert [run_of(each, journey(6, 4)).spikes is None for each in (silent, spiking)] == [True, False]
+    assert len(spiking.asked) == len(silent.asked) + 1
 
 
-def test_a_method_without_spikes_is_not_asked_again() -> None:
-    method = Lookup(np.eye(6, dtype=np.float32))
-    run = run_of(method, journey(6, 6))
-    assert run.spikes is None
-    asked = len(method.asked)
-    again = Ticking(np.eye(6, dtype=np.float32))
-    run_of(again, journey(6, 6))
-    assert len(again.asked) == asked + 1
-
-
-def test_counting_takes_no_part_in_what_a_run_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock()
-    clock.replaces_those_of([runner, images], monkeypatch)
-
+def test_counting_takes_no_part_in_what_a_run_times(clock: Clock) -> None:
     class Slow(Ticking):
         def encode(self, images: Images) -> npt.NDArray[np.int64]:
             clock.spend(0.001 * len(images))
@@ -185,26 +165,25 @@ def fitted(kind: type[VPRTempo], **arguments: Any) -> tuple[VPRTempo, npt.NDArra
 
 def by_eq_1(state: dict[str, npt.NDArray[Any]], codes: npt.NDArray[Any]) -> tuple[list[Any], list[Any]]:
     """Return the feature and output spikes of a stored network, query by query and neuron by neuron, in float64."""
+
+    def spikes(rows: Any, inputs: Any, constants: Any, thresholds: Any) -> list[float]:
+        above = [
+            float(np.dot(row.astype(np.float64), inputs)) + float(constant) - float(threshold)
+            for row, constant, threshold in zip(rows, constants, thresholds, strict=True)
+        ]
+        return [min(max(value, 0.0), 0.9) for value in above]
+
     feature_rows, output_rows = [], []
     for x in codes.astype(np.float64):
         features: list[float] = []
         outputs: list[float] = []
-        for module in range(len(state["features"])):
-            own = []
-            for weights, constant, threshold in zip(
-                state["features"][module],
-                state["constant"][module],
-                state["feature_thresholds"][module],
-                strict=True,
-            ):
-                above = float(np.dot(weights.astype(np.float64), x)) + float(constant) - float(threshold)
-                own.append(min(max(above, 0.0), 0.9))
+        for module, (weights, constants, thresholds) in enumerate(
+            zip(state["features"], state["constant"], state["feature_thresholds"], strict=True)
+        ):
+            own = spikes(weights, x, constants, thresholds)
             features += own
-            for weights, threshold in zip(
-                state[f"outputs_{module}"], state[f"output_thresholds_{module}"], strict=True
-            ):
-                above = float(np.dot(weights.astype(np.float64), own)) - float(threshold)
-                outputs.append(min(max(above, 0.0), 0.9))
+            rows = state[f"outputs_{module}"]
+            outputs += spikes(rows, own, np.zeros(len(rows)), state[f"output_thresholds_{module}"])
         feature_rows.append(features)
         output_rows.append(outputs)
     return feature_rows, output_rows
@@ -220,29 +199,24 @@ def test_the_spikes_of_vprtempo_are_those_of_eq_1() -> None:
     assert features.values == pytest.approx(np.array(right_features), abs=1e-5)
     assert outputs.values == pytest.approx(np.array(right_outputs), abs=1e-5)
     assert 0 < np.count_nonzero(features.values) < features.values.size
+    assert outputs.values == pytest.approx(method.match(codes), abs=1e-5)  # of one plain network they are its scores
+    restored = VPRTempo(**SMALL).restore(method.state())
+    assert all(
+        np.array_equal(layer.values, own.values)
+        for layer, own in zip(restored.spikes(codes), (shown, features, outputs), strict=True)
+    )
 
 
-def test_the_output_spikes_of_one_plain_network_are_its_scores() -> None:
-    method, codes = fitted(VPRTempo)
-    assert method.spikes(codes)[2].values == pytest.approx(method.match(codes), abs=1e-5)
-
-
-def test_calibration_shows_in_scores_and_not_in_spikes() -> None:
-    method, codes = fitted(VPRTempo, calibrated_scores=True)
-    plain, _ = fitted(VPRTempo)
-    assert np.array_equal(method.spikes(codes)[2].values, plain.spikes(codes)[2].values)
-
-
-def test_of_an_ensemble_the_first_network_is_shown() -> None:
-    ensemble, codes = fitted(VPRTempoEnsemble, members=2, seed=4)
+def test_what_acts_on_scores_alone_shows_in_no_spikes_and_of_an_ensemble_the_first_network_is_shown() -> None:
     single, _ = fitted(VPRTempo, seed=4)
-    for layer, own in zip(ensemble.spikes(codes), single.spikes(codes), strict=True):
-        assert layer.values == pytest.approx(own.values, abs=1e-5)
-
-
-def test_a_linear_query_has_spikes_at_its_input_alone() -> None:
-    method, codes = fitted(VPRTempo, query_rule="linear")
-    assert [layer.name for layer in method.spikes(codes)] == ["input"]
+    for kind, arguments in ((VPRTempo, {"calibrated_scores": True}), (VPRTempoEnsemble, {"members": 2})):
+        method, codes = fitted(kind, seed=4, **arguments)
+        for layer, own in zip(method.spikes(codes), single.spikes(codes), strict=True):
+            assert layer.values == pytest.approx(own.values, abs=1e-5)
+    linear, codes = fitted(VPRTempo, query_rule="linear")
+    assert [layer.name for layer in linear.spikes(codes)] == ["input"]
+    with pytest.raises(NotFittedError):
+        VPRTempo(**SMALL).spikes(np.zeros((1, 144), np.float32))
 
 
 def test_in_8_bits_the_spikes_are_the_quantised_ones() -> None:
@@ -252,18 +226,6 @@ def test_in_8_bits_the_spikes_are_the_quantised_ones() -> None:
     assert steps == pytest.approx(np.rint(steps), abs=1e-3)
     assert outputs == pytest.approx(method.match(codes), abs=1e-5)
     assert features == pytest.approx(np.array(by_eq_1(dict(method.state()), codes)[0]), abs=0.03)
-
-
-def test_a_network_that_was_never_trained_has_no_spikes() -> None:
-    with pytest.raises(NotFittedError):
-        VPRTempo(**SMALL).spikes(np.zeros((1, 144), np.float32))
-
-
-def test_a_restored_network_spikes_as_the_trained_one() -> None:
-    method, codes = fitted(VPRTempo)
-    restored = VPRTempo(**SMALL).restore(method.state())
-    for layer, own in zip(restored.spikes(codes), method.spikes(codes), strict=True):
-        assert np.array_equal(layer.values, own.values)
 
 
 def test_a_run_of_vprtempo_keeps_three_layers() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,9 +17,8 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.plugins.networks import Files
 from vprbench.run import machine, runner
-from vprbench.run.descriptors import DescriptorCache
+from vprbench.run.identity import Request
 from vprbench.run.record import Run
-from vprbench.run.request import Request
 from vprbench.run.stopwatch import Protocol
 
 CONFIG: dict[str, Any] = {
@@ -43,7 +43,7 @@ def asked_for(
     protocol: Protocol = QUICK,
     threads: int = 1,
     files: Files = Files(),  # noqa: B008 - it is frozen
-    cache: DescriptorCache | None = None,
+    cache: Path | None = None,
     **changes: Any,
 ) -> Request:
     """Return the request of a little run; `changes` are made to its configuration."""

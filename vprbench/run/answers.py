@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,17 +17,14 @@ from vprbench.api.method import Method, held_together
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
-from vprbench.run.descriptors import Described, Descriptors
-from vprbench.run.stopwatch import Stopwatch, Timing
+from vprbench.run.descriptors import Described
+from vprbench.run.stopwatch import Stopwatch
 
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
 _RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
-_SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
-
-Answer = TypeVar("Answer")
 
 
 class Answers:
@@ -47,7 +42,7 @@ class Answers:
         self._top_scores: list[Scores] = []
         self._kept: list[Scores] = []
 
-    def add(self, n_queries: int, scores: Scores, seconds: float) -> None:
+    def add(self, n_queries: int, scores: Scores) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
         wanted = (n_queries, self._shape[1])
         if np.shape(scores) != wanted:
@@ -64,7 +59,6 @@ class Answers:
         if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
             self._kept.append(scores.copy())  # a method may use its array again
         self.done += len(scores)
-        self.method_seconds += seconds
 
     @property
     def outcome(self) -> Outcome:
@@ -85,15 +79,6 @@ class Answers:
     def scores(self) -> Scores | None:
         """All scores, (n_queries, n_places); None if they are too many to keep."""
         return np.concatenate(self._kept) if self._kept else None
-
-    def agree_with(self, timing: Timing) -> bool:
-        """Tell whether the places named in the timed run score best in these answers too."""
-        queries = timing.sample[timing.answers >= 0]
-        named = timing.answers[timing.answers >= 0]
-        places, scores = self.top_places[queries], self.top_scores[queries]
-        largest = np.abs(scores).max(1, initial=0, where=scores > -np.inf, keepdims=True)
-        close = scores >= scores[:, :1] - _SAME_SCORE * largest
-        return bool(((places == named[:, None]) & close).any(axis=1).all())
 
 
 class Audited:
@@ -141,40 +126,36 @@ class Scoring:
         if described is not None:
             return self._score_descriptors(described, size)
         for block in self._queries.blocks(size):
-            self.answers.add(len(block), *self._query(block))
+            self.answers.add(len(block), self._match(self._encode(block)))  # the codes, which may be large, are gone
             progress.report("query", self.answers.done / len(self._queries))
             del block  # or it would be held while the next one is decoded
         return False
 
-    def _query(self, block: Images) -> tuple[Scores, float]:
-        """Score the next images; their codes, which may be large, are not kept."""
-        codes, encoding = self._timed(partial(self._method.encode, block))
+    def _encode(self, block: Images) -> npt.NDArray[Any]:
+        with self._stopwatch.lap() as lap:
+            codes = self._method.encode(block)
+        self.answers.method_seconds += lap[0]
+        return codes
+
+    def _match(self, codes: npt.NDArray[Any]) -> Scores:
         self.audited.take(self.answers.done, codes)
-        scores, matching = self._timed(partial(self._method.match, codes))
-        return scores, encoding + matching
+        with self._stopwatch.lap() as lap:
+            scores = self._method.match(codes)
+        self.answers.method_seconds += lap[0]
+        return scores
 
     def _score_descriptors(self, described: Described, size: int) -> bool:
         total = len(self._queries)
-
-        def encode(block: Images) -> Descriptors:
-            codes, seconds = self._timed(partial(self._method.encode, block))
-            self.answers.method_seconds += seconds
-            return np.asarray(codes)
-
         descriptors, from_cache = described.descriptors(
-            self._queries, encode, lambda done: progress.report("query", done / total)
+            self._queries,
+            lambda block: np.asarray(self._encode(block)),
+            lambda done: progress.report("query", done / total),
         )
         for start in range(0, total, size):
             codes = descriptors[start : start + size]
-            self.audited.take(start, codes)
-            self.answers.add(len(codes), *self._timed(partial(self._method.match, codes)))
+            self.answers.add(len(codes), self._match(codes))
             progress.report("search", self.answers.done / total)
         return from_cache
-
-    def _timed(self, call: Callable[[], Answer]) -> tuple[Answer, float]:
-        with self._stopwatch.lap() as lap:
-            answer = call()
-        return answer, lap[0]
 
 
 def block_size(method: Method, n_places: int) -> int:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,88 +21,58 @@ from vprbench.storage.arrays import ArrayCache
 Descriptors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 
 
-@dataclass(frozen=True)
-class DescriptorCache:
-    """A folder of descriptors, those of one traverse under each key; used as `ArrayCache` says."""
-
-    folder: Path
-
-    def find(self, key: str, n_images: int) -> Descriptors | None:
-        """Return the descriptors under a key, memory-mapped and read-only; None where there are none for `n_images`."""
-        return self._arrays.find(key, (n_images, None), np.float32)
-
-    def keep(self, key: str, n_images: int, blocks: Iterator[Descriptors], origin: Mapping[str, Any]) -> Descriptors:
-        """Write descriptors block by block as they come and return them all; `origin` says what they are of.
-
-        Where writing fails they are returned all the same, in memory. An error of `blocks` leaves nothing behind.
-        """
-        first = next(blocks)
-        shape = (n_images, first.shape[1])
-
-        def fill(descriptors: Descriptors) -> None:
-            descriptors[: len(first)] = first
-            done = len(first)
-            for block in blocks:
-                descriptors[done : done + len(block)] = block
-                done += len(block)
-
-        about = {**origin, "n_images": n_images, "n_dimensions": first.shape[1]}
-        return self._arrays.keep(key, shape, np.float32, fill, lambda: about)
-
-    @property
-    def _arrays(self) -> ArrayCache:
-        return ArrayCache(self.folder, "descriptors")
-
-
 class Described:
     """Gives the descriptors of whole traverses; a method whose descriptors are not worth keeping has none."""
 
-    def __init__(self, cache: DescriptorCache, method: DescriptorMethod, origin: Mapping[str, Any]) -> None:
-        """Take `origin`, all but the images that a descriptor comes from."""
-        self._cache = cache
-        self._method = method
+    def __init__(self, folder: Path, origin: Mapping[str, Any]) -> None:
+        """Keep descriptors in a folder; `origin` is all but the images that a descriptor comes from."""
+        self._kept = ArrayCache(folder, "descriptors")
         self._origin = origin
 
     @classmethod
-    def of(cls, cache: DescriptorCache | None, method: Method, config: Mapping[str, Any]) -> Described | None:
-        """Return what gives the descriptors of a run's method; None where none are kept.
+    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any]) -> Described | None:
+        """Return what gives the descriptors of a run's method; None if none are kept.
 
-        Where a file of weights lies and what it is called does not count, for its content does.
+        The path and the name of a file of weights do not count, for its content does.
         """
-        if cache is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
+        if folder is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
             return None
         apart = {"_target_", "device", *method.query_arguments, *method.search_arguments}
         apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}
-        return cls(
-            cache,
-            method,
-            {
-                "arguments": {name: value for name, value in config["method"].items() if name not in apart},
-                "code": source_hash(type(method)),
-                "files": [sha256 for _, sha256 in config.get("files", [])],
-                "device": machine.device_class(config["device"]),
-                "libraries": machine.library_versions(),
-            },
-        )
+        origin = {
+            "arguments": {name: value for name, value in config["method"].items() if name not in apart},
+            "code": source_hash(type(method)),
+            "files": [sha256 for _, sha256 in config.get("files", [])],
+            "device": machine.device_class(config["device"]),
+            "libraries": machine.library_versions(),
+        }
+        return cls(folder, origin)
 
     def descriptors(
         self, images: Images, encode: Callable[[Images], Descriptors], done: Callable[[int], None]
     ) -> tuple[Descriptors, bool]:
         """Return the descriptors of a traverse, (n_images, n_dimensions), and whether they were kept already.
 
-        `encode` describes a block of images, `done` is told how many are.
+        `encode` describes a block of images, `done` is told how many are described. Descriptors that the disk refuses
+        are returned all the same, in memory.
         """
         origin = {**self._origin, "images": images.content_hash()}
         key = content_key(origin)
-        kept = self._cache.find(key, len(images))
+        kept = self._kept.find(key, (len(images), None), np.float32)
         if kept is not None:
             return kept, True
+        blocks = encoded_blocks(images)
+        first = encode(next(blocks))
+        shape = (len(images), first.shape[1])
 
-        def blocks() -> Iterator[Descriptors]:
-            count = 0
-            for block in encoded_blocks(images):
-                yield encode(block)
+        def fill(descriptors: Descriptors) -> None:
+            count = len(first)
+            descriptors[:count] = first
+            done(count)
+            for block in blocks:
+                descriptors[count : count + len(block)] = encode(block)
                 count += len(block)
                 done(count)
 
-        return self._cache.keep(key, len(images), blocks(), origin), False
+        about = {**origin, "n_images": shape[0], "n_dimensions": shape[1]}
+        return self._kept.keep(key, shape, np.float32, fill, lambda: about), False

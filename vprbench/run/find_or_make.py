@@ -19,10 +19,8 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
-from vprbench.run.descriptors import DescriptorCache
-from vprbench.run.identity import fingerprint
+from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
-from vprbench.run.request import Request
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
@@ -87,7 +85,7 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
-    cache = DescriptorCache(store.root.absolute() / "descriptors") if settings.cache else None
+    cache = store.root.absolute() / "descriptors" if settings.cache else None
     return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache)
 
 

@@ -16,8 +16,8 @@ from vprbench.api.method import Method, calibration
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run.descriptors import Described
+from vprbench.run.identity import Request
 from vprbench.run.note import Note, noted
-from vprbench.run.request import Request
 from vprbench.run.stopwatch import Stopwatch
 
 

@@ -1,17 +1,21 @@
-"""What identifies a run: the key of all that can change its outcome, and the hashes of its code and its frames."""
+"""A run that is asked for and what identifies it: the key of all that can change it, hashes of its code and frames."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.method import Method
+from vprbench.api.method import Method, calibration
+from vprbench.plugins import networks
 from vprbench.run import harness, machine, sources
 from vprbench.run.record import content_key
 from vprbench.run.stopwatch import Protocol
+
+_NO_FILES = networks.Files()
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,36 @@ class Identity:
                 "network": self.network,
             }
         )
+
+
+@dataclass(frozen=True)
+class Request:
+    """One run that is asked for."""
+
+    name: str  # of the method
+    method: Method
+    dataset: Dataset
+    config: Mapping[str, Any]  # method, dataset, seed, device, depth and what else was asked for, resolved
+    fingerprint: str  # of the dataset
+    protocol: Protocol
+    threads: int
+    files: networks.Files = _NO_FILES  # networks to load or to store
+    cache: Path | None = None  # a folder for descriptors worth keeping
+
+    def key(self) -> str:
+        """Return the hash of all that can change the outcome of the run or the times it measures."""
+        held_out = calibration(self.method, self.dataset)
+        return Identity(
+            method_class=type(self.method).__qualname__,
+            code=code_hash(type(self.method)),
+            config=self.config,
+            dataset=self.dataset,
+            images=self.fingerprint,
+            held_out=None if held_out is None else held_out.fingerprint(),
+            timing=self.protocol,
+            threads=self.threads,
+            network=self.files.sha256,
+        ).key()
 
 
 def code_hash(method: type[Method]) -> str:

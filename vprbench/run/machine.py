@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import psutil
 
+from vprbench.storage.cores import core_count
+from vprbench.storage.cores import cores as cores  # callers ask the machine
 from vprbench.storage.folders import checkout_folder
 
 _LIBRARIES = (
@@ -37,7 +39,7 @@ def capture(device: str, threads: int) -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": processor(),
-        "cores": len(cores()),
+        "cores": core_count(),
         "governor": _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
         "memory_bytes": psutil.virtual_memory().total,
         "threads": threads,
@@ -84,11 +86,6 @@ class Machine:
 def library_versions() -> dict[str, str | None]:
     """Return the versions of the libraries that compute, None for those that are not installed."""
     return {name: _version(name) for name in _LIBRARIES}
-
-
-def cores() -> list[int]:
-    """Return the processor cores that this process may use."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
 def pin_threads(threads: int) -> None:

@@ -35,6 +35,25 @@ def offline_rate(seconds: Seconds, images_per_call: int) -> float:
     return images_per_call * len(seconds) / float(seconds.sum())
 
 
+@dataclass(frozen=True)
+class StageRates:
+    """Images per second of each stage, and of both together."""
+
+    encode: float
+    match: float
+    total: float
+
+    @classmethod
+    def streaming(cls, laps: Laps) -> StageRates:
+        """Return 1 / median of single queries."""
+        return cls(*(streaming_rate(seconds).hz for seconds in laps.by_stage))
+
+    @classmethod
+    def offline(cls, laps: Laps) -> StageRates:
+        """Return images per second over all calls."""
+        return cls(*(offline_rate(seconds, laps.images_per_call) for seconds in laps.by_stage))
+
+
 def best_batch(offline: Sequence[Laps]) -> Laps:
     """Return the laps of the batch size with the highest total rate."""
     return max(offline, key=lambda laps: offline_rate(laps.total_seconds, laps.images_per_call))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 import pandas as pd
 
+from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
+from vprbench.metrics.tolerance import hits_within
+from vprbench.run.rates import StageRates, best_batch, streaming_rate
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
-from vprbench.run.summary import StageRates, Summary, recall_at_1_within, summarise
 from vprbench.run.tuned import tuned_note
 
 NOTHING = "-"
@@ -24,15 +27,15 @@ def label(run: Run | Failure) -> str:
 
 def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
     """Return one run as a row of text, with more `metrics` by their names."""
-    summary = summarise(run)
+    batch = best_batch(run.timing.offline)
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
     return {
         "method": label(run),
-        "R@1 % [95 %]": _recall_with_interval(run, summary),
+        "R@1 % [95 %]": _recall_with_interval(run),
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
-        "streaming Hz enc/match/total": _rates(summary.streaming),
-        "offline Hz enc/match/total": f"{_rates(summary.offline)} (batch {summary.offline_batch})",
+        "streaming Hz enc/match/total": _rates(StageRates.streaming(run.timing.streaming)),
+        "offline Hz enc/match/total": f"{_rates(StageRates.offline(batch))} (batch {batch.images_per_call})",
         "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
     }
 
@@ -59,8 +62,10 @@ def plain_row(row: dict[str, str]) -> str:
 
 def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
-    summary = summarise(run)
-    interval = summary.recall_at_1_interval
+    first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
+    interval = recall_interval([run])
+    streaming, batch = run.timing.streaming, best_batch(run.timing.offline)
+    percentiles = streaming_rate(streaming.total_seconds)
     search = run.search or {}
     return {
         **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
@@ -68,10 +73,10 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "recall_at_1_high": interval.high if interval else None,
         "recall_at_1_interval": interval.kind if interval else None,
         "recall_at_1_block": interval.block if interval else None,
-        "recall_at_1_answerable": summary.recall_at_1_answerable,
-        "recall_at_1_pessimistic": summary.recall_at_1_pessimistic,
-        "recall_at_1_optimistic": summary.recall_at_1_optimistic,
-        **{f"recall_at_1_within_{k}_places": share for k, share in summary.recall_at_1_within.items()},
+        "recall_at_1_answerable": answerable.expected if answerable else None,
+        "recall_at_1_pessimistic": first.pessimistic if first else None,
+        "recall_at_1_optimistic": first.optimistic if first else None,
+        **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
         **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
@@ -79,15 +84,15 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "training_seconds": run.training_seconds,
         "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
-        **_named_rates("streaming", summary.streaming),
-        "streaming_p90_seconds": summary.streaming_p90_seconds,
-        "streaming_p99_seconds": summary.streaming_p99_seconds,
-        **_named_rates("offline", summary.offline),
-        "offline_batch": summary.offline_batch,
+        **_named_rates("streaming", StageRates.streaming(streaming)),
+        "streaming_p90_seconds": percentiles.p90_seconds,
+        "streaming_p99_seconds": percentiles.p99_seconds,
+        **_named_rates("offline", StageRates.offline(batch)),
+        "offline_batch": batch.images_per_call,
         "index_recall_at_1": search.get("recall_at_1"),
         "index_recall_at_10": search.get("recall_at_10"),
         "index_bytes_per_place": search.get("bytes_per_place"),
-        "peak_memory_bytes": summary.peak_memory_bytes,
+        "peak_memory_bytes": run.peak_memory_bytes,
         "harness_seconds": run.harness_seconds,
         "method_seconds": run.method_seconds,
         "queries": len(run.outcome),
@@ -119,7 +124,7 @@ def protocol_line(run: Run) -> str:
 
 
 def interval_line(run: Run) -> str | None:
-    """Return in one line how long the blocks are that the interval of R@1 comes from; None where it is Wilson's."""
+    """Return in one line how long the blocks behind the interval of R@1 are; None for Wilson's interval."""
     interval = recall_interval([run])
     if interval is None or interval.kind == "independent":
         return None
@@ -135,27 +140,33 @@ def tolerance_line(run: Run) -> str | None:
     return f"R@1 within {', '.join(map(str, wider))} places: {shares} %"
 
 
-def machine_line(run: Run) -> str:
-    """Return in one line what the times were measured on."""
-    surroundings = run.environment
-    accelerator = f", {surroundings['accelerator']}" if "accelerator" in surroundings else ""
-    return (
-        f"{surroundings['processor']}, {surroundings['threads']} of {surroundings['cores']} cores{accelerator}, "
-        f"torch {surroundings['libraries']['torch']}, {surroundings['time_utc'][:10]}"
-    )
+def recall_at_1_within(run: Run) -> dict[int, float | None]:
+    """Return R@1 within the places that a protocol names in `also_tolerance_places`, if it is not that wide itself.
+
+    They count from the right place along the whole journey, as `tolerance_places` does. Empty if the dataset has a
+    tolerance of its own and its map has gaps: the centre of each match is not stored.
+    """
+    own = int(run.protocol.get("tolerance_places", 0))
+    wider = [int(k) for k in run.protocol.get("also_tolerance_places", ()) if k > own]
+    if not wider or (own and run.place_numbers is not None):
+        return {}
+    if not run.outcome.answerable.any():
+        return dict.fromkeys(wider)
+    more = [k - own for k in wider]
+    hits = hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
+    return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
 
 
 def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:
     return {name: METRICS[name].of(run) for name in metrics}
 
 
-def _recall_with_interval(run: Run, summary: Summary) -> str:
-    interval = summary.recall_at_1_interval
-    if interval is None:
+def _recall_with_interval(run: Run) -> str:
+    first, interval = recall_at(run.outcome, 1), recall_interval([run])
+    if first is None or interval is None:
         return "undefined (no query has a right place)"
     ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-    first = METRICS["recall_at_1"]
-    return f"{first.text(first.of(run))} {ends}{' ties!' if summary.hangs_on_ties else ''}"
+    return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}"
 
 
 def _rates(rates: StageRates) -> str:
@@ -167,11 +178,7 @@ def _hz(rate: float) -> str:
 
 
 def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:
-    return {
-        f"{scenario}_encode_hz": rates.encode,
-        f"{scenario}_match_hz": rates.match,
-        f"{scenario}_total_hz": rates.total,
-    }
+    return {f"{scenario}_{stage}_hz": rate for stage, rate in asdict(rates).items()}
 
 
 def _plain(value: object) -> str:

@@ -16,15 +16,15 @@ from vprbench.run import machine, spikes
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import Learnt, learn
-from vprbench.run.identity import code_hash, data_record
+from vprbench.run.identity import Request, code_hash, data_record
 from vprbench.run.note import Note, noted
 from vprbench.run.record import Run
-from vprbench.run.request import Request
-from vprbench.run.stopwatch import Stopwatch, Timing, synchroniser
+from vprbench.run.stopwatch import Stopwatch, synchroniser
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
 _CACHING = 0.9  # known images that need less than this share of the time of new ones are suspicious
+_SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
 def run(request: Request, key: str) -> Run:
@@ -57,30 +57,27 @@ def run(request: Request, key: str) -> Run:
     with stopwatch.lap() as measuring:
         timing = stopwatch.measure(method, queries, first_query)
     progress.report("timing", 1.0)
-    environment |= _disturbance(canary) | {"device_memory_bytes": machine.peak_device_memory_bytes(device)}
-    peak_memory_bytes = machine.peak_memory_bytes()
+    environment |= {
+        "canary_slowdown": machine.canary_seconds() / canary,
+        "cpu_pressure_avg10_after": machine.cpu_pressure(),
+        "device_memory_bytes": machine.peak_device_memory_bytes(device),
+    }
+    measured = {"data": data, "environment": environment, "timing": timing}
+    measured["peak_memory_bytes"] = machine.peak_memory_bytes()
     with stopwatch.lap() as auditing:
-        search = scoring.audited.search()
-        spiked, spike_notes = spikes.counted(method, queries)
-    notes = (
-        *noted("dataset", dataset.notes),
-        *learnt.notes,
-        *noted("method", method.notes()),
-        *_cache_notes(dataset, learnt.from_cache, from_cache),
-        *_late_notes(timing, learnt.fit_seconds is not None),
-        *_disturbance_notes(environment),
-        *_timing_notes(timing, answers),
-        *_search_notes(search),
-        *spike_notes,
-    )
-    measured: dict[str, Any] = {"search": search, "spikes": spiked, "peak_memory_bytes": peak_memory_bytes}
-    measured |= {"timing": timing, "environment": environment, "notes": notes, "data": data}
+        measured["search"] = scoring.audited.search()
+        measured["spikes"], spike_notes = spikes.counted(method, queries)
+    told = (*learnt.notes, *noted("method", method.notes()), *_cache_notes(dataset, learnt.from_cache, from_cache))
     finished = _finished(request, key, learnt, answers, measured)
-    return replace(finished, harness_seconds=time.perf_counter() - started - elsewhere - measuring[0] - auditing[0])
+    return replace(
+        finished,
+        notes=(*noted("dataset", dataset.notes), *told, *_notes_on(finished), *spike_notes),
+        harness_seconds=time.perf_counter() - started - elsewhere - measuring[0] - auditing[0],
+    )
 
 
 def _finished(request: Request, key: str, learnt: Learnt, answers: Answers, measured: Mapping[str, Any]) -> Run:
-    """Return the record of a run but for `harness_seconds`; `measured` holds what comes from no other argument."""
+    """Return the record of a run but for its notes and `harness_seconds`."""
     dataset, protocol = request.dataset, asdict(request.protocol)
     return Run(
         method=request.name,
@@ -89,6 +86,7 @@ def _finished(request: Request, key: str, learnt: Learnt, answers: Answers, meas
         config={**request.config, "code": code_hash(type(request.method)), "timing": protocol},
         protocol=dataset.protocol,
         fingerprint=request.fingerprint,
+        notes=(),
         n_references=len(dataset.references),
         fit_seconds=learnt.fit_seconds,
         fit_compute_seconds=learnt.fit_compute_seconds,
@@ -106,59 +104,50 @@ def _finished(request: Request, key: str, learnt: Learnt, answers: Answers, meas
     )
 
 
-def _disturbance(canary_seconds: float) -> dict[str, float | None]:
-    """Return how much else the machine did: a fixed computation against before the run, and waiting for a core."""
-    pressure = machine.cpu_pressure()
-    return {"canary_slowdown": machine.canary_seconds() / canary_seconds, "cpu_pressure_avg10_after": pressure}
-
-
 def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[Note]:
-    """Yield what was not encoded because its descriptors were kept."""
+    """Yield which descriptors were not encoded because they were kept."""
     kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
     if kept:
         nothing = "nothing was encoded" if references and queries else "none of these was encoded"
-        yield Note(
-            "described",
-            f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample",
-        )
+        text = f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
+        yield Note("described", text)
 
 
-def _late_notes(timing: Timing, trained: bool) -> Iterator[Note]:
-    """Yield what the first query did that later ones do not."""
+def _notes_on(run: Run) -> Iterator[Note]:
+    """Yield what a reader of a run's times and answers has to know."""
+    timing, search = run.timing, run.search
     if timing.first_query_excess_seconds:
+        trained = run.fit_seconds is not None
         use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
         seconds = timing.first_query_seconds
         times = seconds / float(np.median(timing.streaming.total_seconds))
         yield Note("late", f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}")
-
-
-def _disturbance_notes(environment: Mapping[str, Any]) -> Iterator[Note]:
-    """Yield what else the machine did, beyond a usual measure."""
-    slowdown, pressure = environment["canary_slowdown"], environment["cpu_pressure_avg10_after"]
+    slowdown, pressure = run.environment["canary_slowdown"], run.environment["cpu_pressure_avg10_after"]
     if abs(slowdown - 1) > _NOISE:
         yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
     if pressure is not None and pressure > _BUSY:
         yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing")
-
-
-def _timing_notes(timing: Timing, answers: Answers) -> Iterator[Note]:
-    """Yield why a reader should not trust the rates."""
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
-        yield Note(
-            "invalid", "invalid rates: a minimum of the timing protocol was not met within timing.maximum_seconds"
-        )
+        unmet = "a minimum of the timing protocol was not met within timing.maximum_seconds"
+        yield Note("invalid", f"invalid rates: {unmet}")
     if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
         share = 100 * timing.repeated_seconds / timing.unseen_seconds
         yield Note("caching", f"caching: images seen before are answered in {share:.0f} % of the time of new ones")
-    if not answers.agree_with(timing):
+    if not _same_answers(run):
         yield Note("audit", "audit failed: the timed run gave other answers than the scored run")
-
-
-def _search_notes(search: Mapping[str, Any] | None) -> Iterator[Note]:
-    """Yield how good an approximate index is."""
     if search is not None and search["index"] != "exact":
         yield Note(
             "index",
             f"index {search['index']}: {100 * search['recall_at_1']:.1f} % of the exactly best places found, "
             f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place",
         )
+
+
+def _same_answers(run: Run) -> bool:
+    """Tell whether the places named when the run was timed score best in its stored answers too."""
+    queries = run.timing.sample[run.timing.answers >= 0]
+    named = run.timing.answers[run.timing.answers >= 0]
+    places, scores = run.top_places[queries], run.top_scores[queries]
+    largest = np.abs(scores).max(1, initial=0, where=scores > -np.inf, keepdims=True)
+    close = scores >= scores[:, :1] - _SAME_SCORE * largest
+    return bool(((places == named[:, None]) & close).any(axis=1).all())

@@ -11,8 +11,8 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import registry
-from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol
+from vprbench.storage.cores import core_count
 from vprbench.storage.folders import insist_on_homes
 
 
@@ -58,7 +58,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
     if settings.limit_minutes is not None and not (settings.limit_minutes > 0 and hasattr(signal, "setitimer")):
         raise BadInput(f"limit_minutes={settings.limit_minutes}: give more than 0, or null where there are no timers")
-    available = len(machine.cores())
+    available = core_count()
     if settings.threads is not None and not 1 <= settings.threads <= available:
         raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")
     if settings.save is not None and settings.load is not None:
@@ -78,7 +78,7 @@ def insist_on_metrics(names: Iterable[str]) -> None:
 
 def n_threads(settings: Settings) -> int:
     """Return how many threads a run uses."""
-    return settings.threads or len(machine.cores())
+    return settings.threads or core_count()
 
 
 def _checked_timing(config: Any) -> Protocol:

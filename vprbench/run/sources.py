@@ -9,7 +9,7 @@ import inspect
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from vprbench import api
 
@@ -34,7 +34,8 @@ def source_hash(kind: type) -> str:
 
 def meaning(files: Iterable[Path]) -> str:
     """Return the hash of what Python files say to the interpreter, in whatever order and under whatever names."""
-    return hashlib.sha256("".join(sorted(map(_meaning, files))).encode()).hexdigest()
+    texts = (path.read_text(encoding="utf-8") for path in files)
+    return hashlib.sha256("".join(sorted(map(_hash_of, texts))).encode()).hexdigest()
 
 
 def behind(kind: type) -> dict[str, Path]:
@@ -62,20 +63,20 @@ def behind_file(name: str, file: Path) -> dict[str, Path]:
 def defined_in(target: str) -> tuple[str, Path] | None:
     """Return the module that defines a class, and its file, by the class's full name; nothing but packages is imported.
 
-    Imports of the name are followed. None where no file says which class it is.
+    Imports of the name are followed. None if no file says which class it is.
     """
     module, _, name = target.rpartition(".")
     path = _file(module)
     if path is None:
         return None
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    package = _package(module, path)
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ClassDef) and node.name == name:
             return module, path
-        if _is_import(node) and (alias := next((a for a in node.names if name == (a.asname or a.name)), None)):
-            source = "." * node.level + (node.module or "")
-            source = importlib.util.resolve_name(source, package) if node.level else source
-            return defined_in(f"{source}.{alias.name}")
+        if isinstance(node, ast.ImportFrom) and (
+            alias := next((a for a in node.names if name == (a.asname or a.name)), None)
+        ):
+            return defined_in(f"{_source(node, package)}.{alias.name}")
     return None
 
 
@@ -88,16 +89,25 @@ def _counts(module: str, asking: str) -> bool:
 
 def _imported(module: str, path: Path) -> Iterator[str]:
     """Yield the full names of all that a file imports, modules and what may be one."""
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    package = _package(module, path)
     for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
-            source = "." * node.level + (node.module or "")
-            source = importlib.util.resolve_name(source, package) if node.level else source
+            source = _source(node, package)
             yield source
             homes = api.HOMES if source == api.__name__ else {}
             yield from (homes.get(alias.name, f"{source}.{alias.name}") for alias in node.names)
+
+
+def _package(module: str, path: Path) -> str:
+    return module if path.name == "__init__.py" else module.rpartition(".")[0]
+
+
+def _source(node: ast.ImportFrom, package: str) -> str:
+    """Return the full name of the module that names are imported from."""
+    name = "." * node.level + (node.module or "")
+    return importlib.util.resolve_name(name, package) if node.level else name
 
 
 def _statements(tree: ast.AST) -> Iterator[ast.AST]:
@@ -123,15 +133,11 @@ def _file(module: str) -> Path | None:
     return Path(spec.origin)
 
 
-def _meaning(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    return _hash_of(text)
-
-
 @cache
 def _hash_of(text: str) -> str:
     tree = ast.parse(text)
-    known = {(alias.name, alias.asname) for node in _statements(tree) if _is_import(node) for alias in node.names}
+    imports = (node for node in _statements(tree) if isinstance(node, ast.ImportFrom))
+    known = {(alias.name, alias.asname) for node in imports for alias in node.names}  # the names, not where they lie
     return hashlib.sha256(repr((sorted(known, key=repr), _plain(tree))).encode()).hexdigest()
 
 
@@ -148,9 +154,4 @@ def _plain(value: Any) -> Any:
 def _says_nothing(node: Any) -> bool:
     """Tell whether a statement is a text that nobody reads at run time, an import of names, or for type checkers."""
     text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    return text or _is_import(node) or _is_for_types(node)
-
-
-def _is_import(node: ast.AST) -> TypeGuard[ast.ImportFrom]:
-    """Tell whether names are imported: under which names things are known counts, not where they lie."""
-    return isinstance(node, ast.ImportFrom)
+    return text or isinstance(node, ast.ImportFrom) or _is_for_types(node)

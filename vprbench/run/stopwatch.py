@@ -77,6 +77,11 @@ class Laps:
         """Encode and match together, (n_calls,)."""
         return self.encode_seconds + self.match_seconds
 
+    @property
+    def by_stage(self) -> tuple[Seconds, Seconds, Seconds]:
+        """Encode, match and both together, (n_calls,) each."""
+        return self.encode_seconds, self.match_seconds, self.total_seconds
+
 
 @dataclass(frozen=True)
 class Timing:

@@ -17,9 +17,8 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.progress import Listener, listening, report
 from vprbench.run import machine, stopwatch
-from vprbench.run.rates import best_batch, offline_rate, streaming_rate
+from vprbench.run.rates import StageRates, best_batch, offline_rate, streaming_rate
 from vprbench.run.stopwatch import Stopwatch, synchroniser
-from vprbench.run.summary import StageRates
 
 BEFORE, AFTER = "before training", "after training"
 

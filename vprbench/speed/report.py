@@ -13,8 +13,8 @@ from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.run.document import document
 from vprbench.run.machine import machine_lines
+from vprbench.run.rates import StageRates
 from vprbench.run.rows import markdown
-from vprbench.run.summary import StageRates
 from vprbench.storage.atomic import replace_text
 
 

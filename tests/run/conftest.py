@@ -1,0 +1,29 @@
+"""What tests of runs share: surroundings that cost no time, and a clock that only tests move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+from little_runs import quiet_surroundings
+from stopped_clock import Clock, ReadersThatWait
+
+from vprbench.api import images
+from vprbench.run import runner
+
+
+@pytest.fixture(scope="module")
+def surroundings() -> Iterator[SimpleNamespace]:
+    """The surroundings that the runs of a module see."""
+    with quiet_surroundings() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock of runs and of reading."""
+    clock = Clock()
+    clock.replaces_those_of([runner, images], monkeypatch)
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    return clock
