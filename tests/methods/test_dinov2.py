@@ -99,7 +99,3 @@ def test_an_image_is_seen_at_the_nearest_multiples_of_14(file: Path) -> None:
 def test_a_file_of_another_family_is_refused(tmp_path: Path) -> None:
     prefixed = {f"backbone.model.{name}": tensor for name, tensor in tensors.items()}
     assert "patch_embed.proj.weight" in NETWORK.refusal(saved(tmp_path / "salad.ckpt", prefixed))
-
-
-def test_the_blank_network_has_the_published_number_of_values_but_for_the_mask_token(file: Path) -> None:
-    assert sum(values.numel() for values in method(file).blank().parameters()) == 86_580_480 - 768
