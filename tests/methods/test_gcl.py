@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from described_images import composed, drawn_images
-from PIL import Image as PillowImage
+from described_images import composed, drawn_images, pillow
 from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
 
@@ -24,7 +23,6 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
 from vprbench.plugins import registry
 
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 KINDS = {"resnet50": "resnet50", "resnet152": "resnet152", "resnext": "resnext101_32x8d"}
 SIZE = {"height": 64, "width": 96}
 
@@ -50,10 +48,6 @@ def gcl(path: Path, **arguments: Any) -> GCL:
     return NETWORK.method(path, **arguments)
 
 
-def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    return np.asarray(PillowImage.fromarray(image).resize((width, height), PillowImage.Resampling.BILINEAR))
-
-
 def expected(
     tensors: dict[str, torch.Tensor],
     images: Sequence[np.ndarray],
@@ -68,8 +62,7 @@ def expected(
     """Descriptors in float64; the options after `resized` step into traps."""
     descriptors = []
     for image in images:
-        x = torch.from_numpy(resized(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
-        x = (x - torch.tensor(MEAN).double()[:, None, None]) / torch.tensor(DEVIATION).double()[:, None, None]
+        x = oracle.imagenet(resized(image))
         if backbone == "vgg16":
             x = oracle.vgg16(tensors, "backbone.", x, last)
         else:
@@ -185,7 +178,7 @@ def test_a_resnet_takes_the_smallest_image(folder: Path) -> None:
 
 @pytest.mark.parametrize("arguments", [{"pooling": "avg"}, {"backbone": "resnet50"}])
 def test_the_wrong_pooling_or_backbone_is_refused(arguments: dict[str, Any], published: Path) -> None:
-    with pytest.raises(BadInput, match=r"unexpected .*the options that belong to these weights") as error:
+    with pytest.raises(BadInput, match="unexpected") as error:
         gcl(published, **arguments).load(published)
     assert "\n" not in str(error.value)
 

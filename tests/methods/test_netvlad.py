@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
-from described_images import composed, distance, drawn_images, encoded
-from PIL import Image as PillowImage
+from described_images import composed, distance, drawn_images, encoded, pillow
 from published_networks import PublishedNetwork, with_checks
 from torch import Tensor
 from torch.nn import functional
@@ -82,10 +81,6 @@ def write_checkpoint(path: Path, tensors: Tensors, **extras: Any) -> Path:
     optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "params": [0, 1]}]}
     torch.save({"epoch": 30, "state_dict": tensors, "optimizer": optimizer, "parallel": False, **extras}, path)
     return path
-
-
-def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    return np.asarray(PillowImage.fromarray(image).resize((width, height), PillowImage.Resampling.BILINEAR))
 
 
 def expected(
