@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
@@ -17,21 +17,19 @@ from vprbench.api import (
     BadInput,
     Images,
     Interpolation,
-    NeuralDescriptor,
     NotFittedError,
     Places,
     Resize,
     Weights,
-    faiss_module,
     find_weights,
-    load_strictly,
     progress,
     read_tensor,
-    state_dict,
 )
 
-from .dinov2 import Backbone, transformer
+from .dinov2 import Backbone
 from .parts.backbones.vit import SIZES, VisionTransformer, first_blocks
+from .parts.published import PublishedNetwork, Tensors
+from .parts.vectors import k_means
 
 Domain = Literal["indoor", "urban", "aerial", "structured", "unstructured", "global"]
 Vocabulary = Literal["published", "references"]
@@ -39,12 +37,11 @@ Vocabulary = Literal["published", "references"]
 _PUBLISHED = ("vitg14", 31, 32)  # backbone, layer and number of the centres that the authors give away
 _SAMPLED_IMAGES = 1000  # references that centres are learnt from, at most
 _SAMPLED_PER_CENTRE = 256  # values
-_ITERATIONS = 25
 _ROUNDING = 1e-5  # length of a residual, per value in it, that is rounding and no direction
 
 
 @dataclass(kw_only=True)
-class AnyLoc(NeuralDescriptor):
+class AnyLoc(PublishedNetwork):
     """AnyLoc-VLAD-DINOv2: 49152 numbers, 1536 for each of 32 centres, from networks not trained for places.
 
     The values of block 31 of DINOv2 ViT-g/14, one for each patch and of unit length, go to the centre of most similar
@@ -78,7 +75,7 @@ class AnyLoc(NeuralDescriptor):
     _learnt: bool = field(default=False, init=False, repr=False, compare=False)
 
     def files(self) -> Sequence[Path]:
-        """Return the files of the network and of published centres; raises BadInput where one is missing."""
+        """Return the files of the network and of published centres; raises BadInput if one is missing."""
         self._check_arguments()  # before gigabytes are fetched
         files = [*super().files()]
         return files if self.vocabulary == "references" else [*files, self._centres_file()]
@@ -93,30 +90,22 @@ class AnyLoc(NeuralDescriptor):
             return wanted
         return wanted[0] * self.longest_side // longest, wanted[1] * self.longest_side // longest
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a file of DINOv2, and the centres; raises BadInput for other files.
-
-        Of the file only the blocks up to `layer` are taken.
-        """
-        tensors = state_dict(path)
-        sizes = transformer(tensors, path).sizes
-        if self.layer >= sizes.n_blocks:
-            raise BadInput(
-                f"method.layer={self.layer}: {path} holds layers 0 to {sizes.n_blocks - 1}, give one of them"
-            )
-        n_blocks = self.layer + 1
-        with torch.device("meta"):
-            model = VisionTransformer.for_checkpoint(tensors, n_blocks)
-        load_strictly(model, first_blocks(tensors, n_blocks), path)
-        network = _Network(model, self.words)
-        if self.vocabulary == "published":
-            network.centres.copy_(self._read_centres(sizes.dim))
+    def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
+        """Return the network of the blocks up to `layer`, and the centres; raises BadInput if they do not fit."""
+        network = cast(_Network, super().loaded(first_blocks(tensors, self.layer + 1), path))
+        dim = network.values.model.sizes.dim
+        learnt = self.vocabulary == "references"
+        network.centres = torch.zeros(self.words, dim) if learnt else self._read_centres(dim)
         return network
 
-    def blank(self) -> nn.Module:
-        """Return the network in the sizes of `backbone`, up to `layer`, without the published values."""
-        with torch.device("meta"):
-            return _Network(VisionTransformer(replace(SIZES[self.backbone], n_blocks=self.layer + 1)), self.words)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network in the sizes of `backbone`, or of a file, up to `layer`."""
+        model = VisionTransformer.sized(tensors, self.backbone, n_blocks=self.layer + 1)
+        return _Network(model, self.words)
+
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the transformer alone."""
+        return cast(_Network, network).values.model
 
     def use(self, network: nn.Module) -> None:
         """Describe images with this network from now on; centres stay float32."""
@@ -125,7 +114,7 @@ class AnyLoc(NeuralDescriptor):
         network.centres = centres.to(self.device)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Learn the centres where the vocabulary is the references' own, and encode all references."""
+        """Learn the centres if the vocabulary is the references' own, and encode all references."""
         if self.vocabulary == "references":
             self._check_arguments()
             self.searched = None
@@ -180,7 +169,7 @@ class AnyLoc(NeuralDescriptor):
                 f"{path} holds centres of shape {tuple(centres.shape)} {centres.dtype}; wanted ({self.words}, {dim}), "
                 "method.words times the network's dimensions, all finite"
             )
-        return centres
+        return centres.float()
 
     def _learn_centres(self, network: _Network, references: Images) -> npt.NDArray[np.float32]:
         """Return k-means' centres, (words, dim), of values drawn from the references."""
@@ -202,23 +191,7 @@ class AnyLoc(NeuralDescriptor):
             )
         finally:
             hook.remove()
-        values = np.concatenate(drawn)
-        n_different = len(np.unique(values, axis=0))
-        if n_different < self.words:
-            raise BadInput(
-                f"{n} reference images gave {n_different} different values for method.words={self.words}: give fewer "
-                "words, or more or larger images"
-            )
-        kmeans = faiss_module().Kmeans(
-            values.shape[1],
-            self.words,
-            niter=_ITERATIONS,
-            seed=int(generator.integers(1 << 31)),
-            min_points_per_centroid=1,
-            max_points_per_centroid=len(values),  # the sample was drawn above
-        )
-        kmeans.train(values)
-        return np.array(kmeans.centroids, np.float32)
+        return k_means(np.concatenate(drawn), self.words, generator)
 
 
 class _Network(nn.Module):

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_weights, state_dict, without_prefix
+from vprbench.api import BadInput, read_weights, state_dict, without_prefix
 
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.pooling import GeM
+from .parts.published import PublishedNetwork, Tensors, size
 
 _BACKBONE = "resnet101"
 _N_DIMENSIONS = 2048
@@ -32,7 +33,7 @@ class _PCA:
 
 
 @dataclass(kw_only=True)
-class APGeM(NeuralDescriptor):
+class APGeM(PublishedNetwork):
     """Scores a place by the cosine between the whitened GeM of query and most similar reference image: 2048 numbers.
 
     ResNet101's features are pooled with a learnt power, projected, made unit vectors and whitened by a PCA of landmark
@@ -51,28 +52,30 @@ class APGeM(NeuralDescriptor):
         ):
             content = read_weights(path)
             tensors = without_prefix(state_dict(path, "state_dict"), "module.")
+        network = cast(_APGeM, self.loaded({**tensors, **_whitening(content, path)}, path))
         options = content.get("model_options")
-        unit = isinstance(options, Mapping) and bool(options.get("norm_features"))
-        with torch.device("meta"):
-            network = _APGeM(_size(tensors, "fc.bias"), unit_features=unit)
-        load_strictly(_published(network), tensors, path)
-        load_strictly(network.whitening, _whitening(content, path), path)
+        network.unit_features = isinstance(options, Mapping) and bool(options.get("norm_features"))
         return network
 
-    def blank(self) -> nn.Module:
-        """Return the network of 2048 dimensions, without the published values."""
-        return _APGeM(_N_DIMENSIONS)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 2048 dimensions, or as many as a file has."""
+        return _APGeM(size(tensors, "fc.bias", 0, _N_DIMENSIONS))
+
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the parts of the backbone beside the others, as the file has them."""
+        parts = dict(network.named_children())
+        return nn.ModuleDict(dict(parts.pop("backbone").named_children()) | parts)
 
 
 class _APGeM(nn.Module):
     """Images (n, 3, height, width) to descriptors (n, n_dimensions), float32, not yet of unit length."""
 
-    def __init__(self, n_dimensions: int, *, unit_features: bool = False) -> None:
+    def __init__(self, n_dimensions: int) -> None:
         super().__init__()
         self.backbone = resnet(_BACKBONE, names="words")
         self.adpool = GeM()
         self.fc = nn.Linear(n_channels(_BACKBONE), n_dimensions)
-        self.unit_features = unit_features  # whether what was pooled gets unit length
+        self.unit_features = False  # whether what was pooled gets unit length
         self.whitening = _Whitening(n_dimensions)
 
     def forward(self, images: Tensor) -> Tensor:
@@ -96,14 +99,8 @@ class _Whitening(nn.Module):
         return (vectors - self.mean.float()) @ self.components.float().T
 
 
-def _published(network: _APGeM) -> nn.ModuleDict:
-    """Return the parts of a network that the published state has, under their names there."""
-    parts = {name: part for name, part in network.named_children() if name in ("adpool", "fc")}
-    return nn.ModuleDict(dict(network.backbone.named_children()) | parts)
-
-
 def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
-    """Return the tensors of the whitening that a file holds; raises BadInput where it holds none that is whole."""
+    """Return the tensors of the whitening that a file holds; raises BadInput if it holds no whole one."""
     found = content.get("pca")
     pca = found.get(_LANDMARKS) if isinstance(found, Mapping) else None
     arrays = [getattr(pca, name, None) for name in ("mean_", "components_", "explained_variance_")]
@@ -112,10 +109,4 @@ def _whitening(content: Mapping[str, Any], path: Path) -> dict[str, Tensor]:
     mean, components, variances = (torch.from_numpy(np.array(array, np.float64)) for array in arrays)
     if components.ndim != 2 or variances.shape != components.shape[:1] or not (variances > 0).all():
         raise BadInput(f"{path}: pca of {_LANDMARKS} has other shapes or no variance: give the authors' file")
-    return {"mean": mean, "components": components / variances[:, None] ** _POWER}
-
-
-def _size(tensors: Mapping[str, Tensor], name: str) -> int:
-    """Return the length of a vector of the file, the published one where it lacks that: strict loading tells then."""
-    vector = tensors.get(name)
-    return _N_DIMENSIONS if vector is None or vector.ndim != 1 else len(vector)
+    return {"whitening.mean": mean, "whitening.components": components / variances[:, None] ** _POWER}

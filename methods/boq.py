@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, Interpolation, NeuralDescriptor, Resize, load_strictly, state_dict
+from vprbench.api import BadInput, Interpolation, Resize
 
-from .parts.backbones import vit
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.backbones.vit import VisionTransformer
+from .parts.published import PublishedNetwork, Tensors, size, under
 
 _HEAD = 64  # dimensions of an attention head
 _RESNET, _STAGES = "resnet50", 3
-_DINO = "backbone.dino."
 _BLOCK = re.compile(r"aggregator\.boqs\.(\d+)\.")
 
 #: What the published ResNet's parts may be called, by another wrapper of the same network, and what they are here.
@@ -38,19 +36,33 @@ class Sizes:
     """What the tensors of BoQ's aggregator are sized by."""
 
     dim: int  # a multiple of 64: one attention head for each 64
-    n_queries: int = 64  # of a block
-    n_blocks: int = 2
-    n_hidden: int | None = None  # between the two linear layers of an encoder; None: 4 * dim
-    n_rows: int = 32  # that the outputs of all queries become
+    n_queries: int  # of a block
+    n_blocks: int
+    n_hidden: int  # between the two linear layers of an encoder
+    n_rows: int  # that the outputs of all queries become
+
+    @classmethod
+    def of(cls, tensors: Tensors, published_dim: int) -> Self:
+        """Read the sizes off a file's tensors; a size that no tensor of BoQ has is the published one."""
+        dim = size(tensors, "aggregator.proj_c.weight", 0, published_dim)
+        dim = dim if dim % _HEAD == 0 else published_dim
+        return cls(
+            dim,
+            n_queries=size(tensors, "aggregator.boqs.0.queries", 1, 64),
+            # Counted, not the highest number: strict loading finds a gap.
+            n_blocks=len({found[1] for name in tensors if (found := _BLOCK.match(name))}) or 2,
+            n_hidden=size(tensors, "aggregator.boqs.0.encoder.linear1.weight", 0, 4 * dim),
+            n_rows=size(tensors, "aggregator.fc.weight", 0, 32),
+        )
 
 
 @dataclass(kw_only=True)
-class BoQ(NeuralDescriptor):
+class BoQ(PublishedNetwork):
     """Bag of queries on DINOv2 ViT-B/14: 12288 numbers.
 
     The patch tokens, without DINOv2's final norm, pass a 3x3 convolution and two blocks. In each an encoder refines
     them and 64 learnt queries attend to them; the outputs of all queries are joined linearly. The published input is
-    322x322 pixels, bicubic and antialiased on floats.
+    322x322 pixels, bicubic and antialiased on floats. A file may hold DINOv2's final norm and mask token or not.
     Source: Ali-bey et al. 2024 and amaralibey/Bag-of-Queries (1a4965e).
     """
 
@@ -60,27 +72,14 @@ class BoQ(NeuralDescriptor):
     interpolation: Interpolation = "bicubic"
 
     multiple: ClassVar[int] = 14
+    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file.
-
-        Sizes are the file's own. DINOv2's final norm and mask token may be in it or not.
-        """
-        tensors = state_dict(path, "state_dict")
-        sizes = _sizes(tensors, path)
-        dino = {name.removeprefix(_DINO): tensor for name, tensor in tensors.items() if name.startswith(_DINO)}
-        with torch.device("meta"):
-            try:
-                backbone = _Dino(VisionTransformer.for_checkpoint(dino))
-            except BadInput as error:
-                raise BadInput(f"{path}, {_DINO}*: {error}") from error
-            network = _Network(backbone, sizes)
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of 12288 dimensions, without the published values."""
-        return _Network(_Dino(VisionTransformer(vit.SIZES["vitb14"], norm=False)), Sizes(dim=384))
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 12288 dimensions, or in the sizes of a file."""
+        dino = under(tensors, "backbone.dino.")
+        return _Network(
+            _Dino(VisionTransformer.sized(dino, norm="norm.weight" in dino)), Sizes.of(tensors, published_dim=384)
+        )
 
 
 @dataclass(kw_only=True)
@@ -96,18 +95,13 @@ class BoQResNet50(BoQ):
 
     multiple: ClassVar[int] = 1
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file."""
-        tensors = _renamed(state_dict(path, "state_dict"), path)
-        sizes = _sizes(tensors, path)
-        with torch.device("meta"):
-            network = _Network(_ResNet(), sizes)
-        load_strictly(network, tensors, path)
-        return network
+    def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
+        """Return the network with tensors of either wrapper; raises BadInput if they are another network's."""
+        return super().loaded(_renamed(tensors, path), path)
 
-    def blank(self) -> nn.Module:
-        """Return the network of 16384 dimensions, without the published values."""
-        return _Network(_ResNet(), Sizes(dim=512))
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 16384 dimensions, or in the sizes of a file."""
+        return _Network(_ResNet(), Sizes.of(tensors, published_dim=512))
 
 
 class _Network(nn.Module):
@@ -174,7 +168,7 @@ class _Block(nn.Module):
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
-        self.encoder = _Encoder(sizes.dim, sizes.n_hidden or 4 * sizes.dim)
+        self.encoder = _Encoder(sizes.dim, sizes.n_hidden)
         self.queries = nn.Parameter(torch.zeros(1, sizes.n_queries, sizes.dim))
         self.self_attn = _Attention(sizes.dim)
         self.norm_q = nn.LayerNorm(sizes.dim)
@@ -230,36 +224,8 @@ def _heads(x: Tensor) -> Tensor:
     return x.view(*x.shape[:2], -1, _HEAD).transpose(1, 2)
 
 
-def _sizes(tensors: Mapping[str, Tensor], path: Path) -> Sizes:
-    """Read the sizes of the aggregator off a checkpoint's tensors; raises BadInput where they are none of BoQ's."""
-    dim = _shape(tensors, "aggregator.proj_c.weight", 4, path)[0]
-    if dim % _HEAD:
-        raise BadInput(
-            f"{path}: aggregator.proj_c.weight makes {dim} dimensions; wanted a multiple of {_HEAD}, one attention "
-            "head for each: give the weights of BoQ"
-        )
-    return Sizes(
-        dim=dim,
-        n_queries=_shape(tensors, "aggregator.boqs.0.queries", 3, path)[1],
-        # Counted, not the highest number: strict loading finds a gap.
-        n_blocks=len({found[1] for name in tensors if (found := _BLOCK.match(name))}),
-        n_hidden=_shape(tensors, "aggregator.boqs.0.encoder.linear1.weight", 2, path)[0],
-        n_rows=_shape(tensors, "aggregator.fc.weight", 2, path)[0],
-    )
-
-
-def _shape(tensors: Mapping[str, Tensor], name: str, n_axes: int, path: Path) -> tuple[int, ...]:
-    """Return the shape of a tensor that has to be there with so many axes, none of length 0."""
-    if name not in tensors:
-        raise BadInput(f"{path} holds no {name} (it holds {next(iter(tensors))}, ...): give the weights of BoQ")
-    shape = tuple(tensors[name].shape)
-    if len(shape) != n_axes or 0 in shape:
-        raise BadInput(f"{path}: {name} has the shape {shape}; wanted {n_axes} axes: give the weights of BoQ")
-    return shape
-
-
-def _renamed(tensors: Mapping[str, Tensor], path: Path) -> dict[str, Tensor]:
-    """Return tensors of either wrapper under the names of this network; raises BadInput where two get one name."""
+def _renamed(tensors: Tensors, path: Path) -> dict[str, Tensor]:
+    """Return tensors of either wrapper under the names of this network; raises BadInput if two get one name."""
     renamed: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
         old = next((old for old in _OTHER_NAMES if name.startswith(old)), "")

@@ -20,6 +20,8 @@ from numba.extending import intrinsic
 
 from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, compiled
 
+from .parts.stored import State, insist_on_map
+
 Grey = npt.NDArray[np.uint8]  # (height, width)
 Regions = npt.NDArray[np.float32]  # (n_regions, d)
 Tiles = npt.NDArray[np.float32]  # (n_references, n_tiles, d, _TILE): regions of a reference side by side
@@ -98,7 +100,7 @@ class CoHOG(Method):
                 own[:] = mean_best_cosine(torch.from_numpy(good).to(self.device), self._references).cpu().numpy()
         return best_image_of_place(similarity, self._places)
 
-    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+    def state(self) -> State:
         """Return the regions of the references and their places."""
         if self._references is None:
             raise NotFittedError("CoHOG has no map yet: call fit(references, places) first")
@@ -106,21 +108,14 @@ class CoHOG(Method):
             return {"references": self._references.cpu().numpy(), "places": self._places}
         return {"references": from_tiles(self._references, self._region_shape()[0]), "places": self._places}
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state: State) -> Self:
         """Take over stored regions and their places."""
         self._references = None
-        if set(state) != {"references", "places"}:
-            raise BadInput(f"arrays {sorted(state)} came; wanted the references and places that CoHOG stores")
-        references, places = state["references"], state["places"]
-        if places.ndim != 1 or not len(places) or places.dtype != np.int64:
-            raise BadInput(f"places {places.dtype} {places.shape} came; wanted int64, one for each reference image")
-        if not np.array_equal(np.unique(places), np.arange(places.max() + 1)):
-            raise BadInput("the places of the references have to run from 0 without a gap")
-        wanted = (len(places), *self._region_shape())
-        if references.shape != wanted or references.dtype != np.float32 or not np.isfinite(references).all():
-            raise BadInput(f"references {references.dtype} {references.shape} came; wanted finite float32 {wanted}")
-        self._keep(len(references), references)
-        self._places = places.copy()
+        n_references = np.size(state.get("places", ()))
+        shape = (n_references, *self._region_shape())
+        insist_on_map(state, {"references": (np.float32, shape), "places": (np.int64, (n_references,))})
+        self._keep(n_references, state["references"])
+        self._places = state["places"].copy()
         return self
 
     def _keep(self, n_references: int, regions: Iterable[Regions]) -> None:

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
-from vprbench.api import Interpolation, NeuralDescriptor, load_strictly, state_dict
+from vprbench.api import Interpolation
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.tensor_sizes import insist_on_size
+from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
 
 _BACKBONE = "resnet50"
 _QUARTERS = (2, 2)  # down and across
 
 
 @dataclass(kw_only=True)
-class ConvAP(NeuralDescriptor):
+class ConvAP(PublishedNetwork):
     """Scores a place by the cosine between the averaged features of query and most similar reference image.
 
-    ResNet50's last feature maps pass a 1x1 convolution to `channels`, which have to be those of the file, and are
+    ResNet50's last feature maps pass a 1x1 convolution to `channels`, which has to be the number of the file, and are
     averaged in 2x2 parts: 4 * `channels` numbers, the parts of a channel side by side. The authors evaluate at 320x320.
     Source: Ali-bey et al. 2022 and amaralibey/gsv-cities.
     """
@@ -31,19 +29,9 @@ class ConvAP(NeuralDescriptor):
     width: int | None = 320
     interpolation: Interpolation = "bicubic"
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network; raises BadInput for a file of other channels or of anything else."""
-        tensors = state_dict(path)
-        bias = tensors.get("aggregator.channel_pool.bias")
-        if bias is not None and bias.ndim == 1:
-            insist_on_size(path, "channels", self.channels, len(bias))
-        with torch.device("meta"):
-            network = self.blank()
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of these channels, without values."""
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of these channels; raises BadInput if the file has others."""
+        insist_on_size("channels", self.channels, size(tensors, "aggregator.channel_pool.bias", 0, self.channels))
         return _ConvAP(self.channels)
 
 

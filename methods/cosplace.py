@@ -8,16 +8,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Literal
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, Resize, load_strictly, state_dict
+from vprbench.api import BadInput, Resize
 
 from .parts.backbones.resnet import n_channels, resnet
 from .parts.backbones.vgg import N_CHANNELS, vgg16_features
 from .parts.pooling import GeM
-from .parts.tensor_sizes import insist_on_size
+from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
 
 Backbone = Literal["VGG16", "ResNet18", "ResNet50", "ResNet101", "ResNet152"]
 
@@ -25,7 +24,7 @@ _BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
 
 
 @dataclass(kw_only=True)
-class CosPlace(NeuralDescriptor):
+class CosPlace(PublishedNetwork):
     """Scores a place by the cosine between the projected GeM of query and most similar reference image.
 
     Channels are of unit length at each position before they are pooled, and what is pooled goes through one linear
@@ -52,7 +51,7 @@ class CosPlace(NeuralDescriptor):
         return 16 if self.backbone == "VGG16" else 1
 
     def files(self) -> Sequence[Path]:
-        """Return the file of weights; raises BadInput where it is missing, and for one that was never published."""
+        """Return the file of weights; raises BadInput if it is missing, and for a network that was never published."""
         there = self.published.get(self.backbone, ())
         if self.weights.path is None and self.n_dimensions not in there:
             known = "; ".join(f"{name} {', '.join(map(str, sizes))}" for name, sizes in self.published.items())
@@ -62,19 +61,9 @@ class CosPlace(NeuralDescriptor):
             )
         return super().files()
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network; raises BadInput for a file of another backbone or of other dimensions."""
-        tensors = state_dict(path)
-        weight = tensors.get("aggregation.3.weight")
-        if weight is not None and weight.ndim == 2:
-            insist_on_size(path, "n_dimensions", self.n_dimensions, len(weight))
-        with torch.device("meta"):
-            network = self.blank()
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of this backbone and these dimensions, without values."""
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of this backbone and these dimensions; raises BadInput if the file has others."""
+        insist_on_size("n_dimensions", self.n_dimensions, size(tensors, "aggregation.3.weight", 0, self.n_dimensions))
         return _CosPlace(self.backbone, self.n_dimensions)
 
 

@@ -1,24 +1,22 @@
-"""CricaVPR: an adapted DINOv2 pooled in regions, which attend to those of other images, as a method."""
+"""CricaVPR: an adapted DINOv2 pooled in regions, which attend to the regions of other images, as a method."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from itertools import pairwise, product
-from pathlib import Path
 from typing import ClassVar, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, Resize, load_strictly, state_dict, without_prefix
+from vprbench.api import BadInput, Resize
 
-from .dinov2 import transformer
-from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.backbones.vit import VisionTransformer
 from .parts.cross_image import CrossImageDescriptor, CrossImageEncoder
 from .parts.pooling import GeM
-from .parts.tensor_sizes import n_outputs
+from .parts.published import Tensors, under
 
 _SIDE = 224  # pixels, of 16 patches
 _CUTS = ((0, 16), (0, 8, 16), (0, 5, 11, 16))  # patches, of the three levels of the pyramid; the first is the token's
@@ -42,31 +40,23 @@ class CricaVPR(CrossImageDescriptor):
 
     multiple: ClassVar[int] = 14
     fixed_size: ClassVar[bool] = True
+    nested: ClassVar[tuple[str, ...]] = ("model_state_dict",)
+    prefix: ClassVar[str] = "module."
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file."""
-        tensors = without_prefix(state_dict(path, "model_state_dict"), "module.")
-        n_hidden = n_outputs(tensors, path, "encoder.layers.0.linear1.weight")
-        model = transformer(tensors, path, "backbone.")
-        with torch.device("meta"):
-            network = _Network(model, n_hidden, self.images_together)
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of 10752 dimensions, without the published values."""
-        with torch.device("meta"):
-            return _Network(VisionTransformer(SIZES["vitb14"], mask_token=True), 2048, self.images_together)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 10752 dimensions, or as many as a file has."""
+        model = VisionTransformer.sized(under(tensors, "backbone."))
+        return _Network(model, CrossImageEncoder.sized(tensors, model.sizes.dim, self.images_together))
 
 
 class _Network(nn.Module):
     """Images (n, 3, 224, 224) in, descriptors (n, 14 * dim) out, not yet of unit length."""
 
-    def __init__(self, model: VisionTransformer, n_hidden: int, together: int) -> None:
+    def __init__(self, model: VisionTransformer, encoder: CrossImageEncoder) -> None:
         super().__init__()
         self.backbone = _adapted(model)
         self.aggregation = nn.ModuleDict({"1": GeM()})
-        self.encoder = CrossImageEncoder(model.sizes.dim, n_hidden, together)
+        self.encoder = encoder
 
     def forward(self, images: Tensor) -> Tensor:
         height, width = images.shape[-2:]
@@ -99,7 +89,7 @@ def _adapted(model: VisionTransformer) -> VisionTransformer:
 
 
 class _Adapter(nn.Module):
-    """Tokens (n, 1 + side^2, dim) through half as many dimensions, where patches see their surroundings."""
+    """Tokens (n, 1 + side^2, dim) through half as many dimensions, in which patches see their surroundings."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
-import torch
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
-
-from .parts.backbones.vit import SIZES, VisionTransformer
+from .parts.backbones.vit import VisionTransformer
+from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["vits14", "vitb14", "vitl14", "vitg14"]
 Pooling = Literal["cls", "mean", "gem"]
@@ -22,7 +18,7 @@ _EPSILON = 1e-6
 
 
 @dataclass(kw_only=True)
-class DINOv2(NeuralDescriptor):
+class DINOv2(PublishedNetwork):
     """DINOv2 as it was published, not trained for places: 384 (vits14), 768, 1024 or 1536 (vitg14) numbers.
 
     After the final norm, `cls` takes the token of the whole image; `mean` and `gem` pool the patch tokens, the latter
@@ -38,33 +34,13 @@ class DINOv2(NeuralDescriptor):
 
     multiple: ClassVar[int] = 14
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file."""
-        tensors = state_dict(path)
-        model = transformer(tensors, path)
-        load_strictly(model, tensors, path)
-        return _Network(model, self.pooling)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network in the sizes of `backbone`, or of a file."""
+        return _Network(VisionTransformer.sized(tensors, self.backbone), self.pooling)
 
-    def blank(self) -> nn.Module:
-        """Return the network in the sizes of `backbone`, without the published values."""
-        with torch.device("meta"):
-            return _Network(VisionTransformer(SIZES[self.backbone]), self.pooling)
-
-
-def transformer(tensors: Mapping[str, Tensor], path: Path, prefix: str = "") -> VisionTransformer:
-    """Return the transformer, still without values, that fits the tensors of `path` under a prefix.
-
-    Raises BadInput that names the file where they are no DINOv2 transformer's with its final norm.
-    """
-    own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-    try:
-        with torch.device("meta"):
-            model = VisionTransformer.for_checkpoint(own)
-    except BadInput as error:
-        raise BadInput(f"{path}, {prefix or 'its top'}: {error}") from error
-    if model.norm is None:
-        raise BadInput(f"{path} holds no {prefix}norm.weight: give the file with DINOv2's final norm")
-    return model
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the transformer alone."""
+        return cast(_Network, network).model
 
 
 class _Network(nn.Module):

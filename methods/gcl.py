@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, NeuralDescriptor, Places, Scores, load_strictly, state_dict, without_prefix
+from vprbench.api import BadInput, Places, Scores
 
 from .parts.backbones.resnet import resnet
 from .parts.backbones.vgg import vgg16_features
 from .parts.pooling import GeM
+from .parts.published import PublishedNetwork, Tensors
 
 Backbone = Literal["vgg16", "resnet50", "resnet152", "resnext"]
 Pooling = Literal["GeM", "avg", "max"]
@@ -42,7 +41,7 @@ class Whitening:
     def learn(cls, descriptors: npt.NDArray[np.float32], n_components: int) -> Self:
         """Learn it from descriptors (n, n_dimensions): the directions of largest variance, the largest first.
 
-        There are fewer than `n_components` where the descriptors vary in fewer directions, n - 1 at most.
+        There are fewer than `n_components` if the descriptors vary in fewer directions, n - 1 at most.
         """
         n, n_dimensions = descriptors.shape
         mean = sum(block.sum(0) for block in _precise(descriptors)) / n
@@ -78,14 +77,14 @@ class Whitening:
 
 
 @dataclass(kw_only=True)
-class GCL(NeuralDescriptor):
+class GCL(PublishedNetwork):
     """Scores a place by the cosine between the pooled features of query and most similar reference image.
 
     `loss` says what the network was trained with, graded (GCL) or binary (CL) labels, and changes nothing but the file.
     Images are resized to `height` and `width`, or so that their shorter side has `shorter_side` pixels. Source:
     Leyva-Vallina et al. 2023 and marialeyvallina/generalized_contrastive_loss 3f02752.
 
-    With `n_components` descriptors are whitened, those of references and queries rounded to float16 first, as the
+    With `n_components` descriptors are whitened, of references and queries alike, rounded to float16 first, as the
     authors do it. The whitening is learnt from what the references look like, before any rounding, never from their
     places or the queries: the method is then transductive on the references. It keeps at most as many components as
     they vary in, one less than there are.
@@ -99,7 +98,10 @@ class GCL(NeuralDescriptor):
     shorter_side: int | None = None  # pixels; wants height and width to be none
     n_components: int | None = None  # of the whitening; None: no whitening
 
-    search_arguments: ClassVar[frozenset[str]] = NeuralDescriptor.search_arguments | {"loss", "n_components"}
+    search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"loss", "n_components"}
+
+    nested: ClassVar[tuple[str, ...]] = ("model_state_dict", "state_dict")
+    prefix: ClassVar[str] = "module."
 
     _whitening: Whitening | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -115,20 +117,12 @@ class GCL(NeuralDescriptor):
         """The pixels under which nothing is left to pool: VGG16 halves five times, a ResNet rounds up."""
         return 32 if self.backbone == "vgg16" else 1
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network; raises BadInput for a file of another backbone or pooling."""
-        tensors = without_prefix(state_dict(path, "model_state_dict", "state_dict"), "module.")
-        with torch.device("meta"):
-            network = self.blank()
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of this backbone and this pooling, without values."""
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of this backbone and this pooling, whose sizes are the same in every file."""
         return _GCL(self.backbone, self.pooling)
 
     def target(self, height: int, width: int) -> tuple[int, int]:
-        """Return the size that an image is resized to; raises BadInput where `shorter_side` is not all that is said."""
+        """Return the size that an image is resized to; raises BadInput for a `shorter_side` beside other sizes."""
         if self.shorter_side is None:
             return super().target(height, width)
         if self.height is not None or self.width is not None:
@@ -142,7 +136,7 @@ class GCL(NeuralDescriptor):
         return (self.shorter_side, longer) if height <= width else (longer, self.shorter_side)
 
     def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
-        """Learn the whitening, where one is wanted, and keep the whitened references."""
+        """Learn the whitening, if one is wanted, and keep the whitened references."""
         if self.n_components is not None and self.n_components < 1:
             raise BadInput(f"method.n_components={self.n_components}: give at least 1, or null for no whitening")
         self._whitening = None if self.n_components is None else Whitening.learn(descriptors, self.n_components)

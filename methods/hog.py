@@ -30,7 +30,7 @@ class HOG(DescriptorMethod):
 
     height: int = 512  # pixels that every image is resized to
     width: int = 512
-    interpolation: Literal["linear", "area"] = "linear"  # area: antialiased where images are larger
+    interpolation: Literal["linear", "area"] = "linear"  # area: antialiased if images are larger
     block: int = 16  # pixels; its histograms are normalised together
     stride: int = 8  # pixels from one block to the next
     cell: int = 16  # pixels; each has a histogram
@@ -42,7 +42,7 @@ class HOG(DescriptorMethod):
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
         """Return unit vectors, (n_images, blocks * cells of a block * bins), one image in memory at a time.
 
-        Raises BadInput where blocks do not fill the image or cells a block.
+        Raises BadInput if blocks do not fill the image or cells a block.
         """
         hog = self._descriptor()
         size, interpolation = (self.width, self.height), _INTERPOLATIONS[self.interpolation]

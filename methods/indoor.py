@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar
 
-import torch
-from torch import Tensor, nn
-
-from vprbench.api import BadInput, Resize, load_strictly, state_dict
+from vprbench.api import Resize
 
 from .cosplace import Backbone, EigenPlaces
-from .salad import SALAD, loaded
-
-_WRAPPER = "model"
+from .salad import SALAD
 
 
 @dataclass(kw_only=True)
@@ -24,13 +18,7 @@ class EigenPlacesIndoor(EigenPlaces):
     """EigenPlaces' ResNet50 of 2048 dimensions, trained further indoors: Enrico-Chiavassa/Indoor-VPR f7bbc18."""
 
     published: ClassVar[Mapping[Backbone, Sequence[int]]] = MappingProxyType({"ResNet50": (2048,)})
-
-    def load(self, path: Path) -> nn.Module:
-        """Return the network; raises BadInput for a file of another backbone, of other dimensions or not wrapped."""
-        with torch.device("meta"):
-            network = self.blank()
-        load_strictly(nn.ModuleDict({_WRAPPER: network}), state_dict(path), path)
-        return network
+    within: ClassVar[str] = "model"
 
 
 @dataclass(kw_only=True)
@@ -44,14 +32,4 @@ class SALADIndoor(SALAD):
     width: int | None = None
     resize: Resize = "tensor"
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file."""
-        return loaded(_unwrapped(state_dict(path), path), path)
-
-
-def _unwrapped(tensors: Mapping[str, Tensor], path: Path) -> dict[str, Tensor]:
-    """Return tensors under their names within the wrapper; raises BadInput where one lies outside it."""
-    outside = next((name for name in tensors if not name.startswith(f"{_WRAPPER}.")), None)
-    if outside is not None:
-        raise BadInput(f"{path} holds {outside}, wanted names in {_WRAPPER}.: give the weights of Indoor-VPR")
-    return {name.removeprefix(f"{_WRAPPER}."): tensor for name, tensor in tensors.items()}
+    within: ClassVar[str] = "model"

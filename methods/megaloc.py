@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
-import torch
 from torch import Tensor, nn
 
-from vprbench.api import NeuralDescriptor, Resize, load_strictly, state_dict
+from vprbench.api import Resize
 
-from .dinov2 import transformer
-from .parts.backbones.vit import SIZES, VisionTransformer
-from .parts.tensor_sizes import n_outputs
+from .parts.backbones.vit import VisionTransformer
+from .parts.published import PublishedNetwork, Tensors, size, under
 from .salad import Aggregator, Sizes
-
-_BACKBONE, _AGGREGATOR, _LINEAR = "backbone.", "aggregator.agg.", "aggregator.linear.weight"
 
 
 @dataclass(kw_only=True)
-class MegaLoc(NeuralDescriptor):
+class MegaLoc(PublishedNetwork):
     """MegaLoc on DINOv2 ViT-B/14: 8448 numbers, a linear layer's view of SALAD's 16640.
 
     Takes images of any size with more than 64 patches of 14x14 pixels, and by default sees them at the nearest
@@ -32,24 +27,11 @@ class MegaLoc(NeuralDescriptor):
 
     multiple: ClassVar[int] = 14
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file.
-
-        Sizes are the file's own.
-        """
-        tensors = state_dict(path)
-        sizes = Sizes.of(tensors, path, _AGGREGATOR)
-        n_dimensions = n_outputs(tensors, path, _LINEAR)
-        model = transformer(tensors, path, _BACKBONE)
-        with torch.device("meta"):
-            network = _Network(model, sizes, n_dimensions)
-        load_strictly(network, tensors, path)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of 8448 dimensions, without the published values."""
-        with torch.device("meta"):
-            return _Network(VisionTransformer(SIZES["vitb14"]), Sizes(cluster_dim=256), 8448)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 8448 dimensions, or in the sizes of a file."""
+        sizes = Sizes.of(under(tensors, "aggregator.agg."), cluster_dim=256)
+        n_dimensions = size(tensors, "aggregator.linear.weight", 0, 8448)
+        return _Network(VisionTransformer.sized(under(tensors, "backbone.")), sizes, n_dimensions)
 
 
 class _Network(nn.Module):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, cast
 
@@ -12,22 +11,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
+from vprbench.api import BadInput
 
 from .parts.backbones.resnet import n_channels, resnet
-from .parts.tensor_sizes import insist_on_size
+from .parts.published import PublishedNetwork, Tensors, insist_on_size, size
 
 _BACKBONE, _N_STAGES = "resnet50", 3
 _SIDE = 320  # pixels
 _PIXELS = 16  # along a side of a position
 _N_MIXERS = 4
-_PUBLISHED: Mapping[int, tuple[int, int]] = MappingProxyType(  # channels and rows, by dimensions
-    {4096: (1024, 4), 512: (256, 2), 128: (64, 2)}
-)
+_CHANNELS: Mapping[int, int] = MappingProxyType({4096: 1024, 512: 256, 128: 64})  # by published dimensions
 
 
 @dataclass(kw_only=True)
-class MixVPR(NeuralDescriptor):
+class MixVPR(PublishedNetwork):
     """Scores a place by the cosine between the mixed feature maps of query and most similar reference image.
 
     A mixer is made for a number of positions, one for each 16x16 pixels: the published ones for 320x320 images.
@@ -41,25 +38,17 @@ class MixVPR(NeuralDescriptor):
 
     fixed_size: ClassVar[bool] = True
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network in the sizes of the file; raises BadInput for a file of anything else."""
-        tensors = state_dict(path)
-        n_positions = _size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2)
-        channels = _size(tensors, "aggregator.channel_proj.weight", 0, 1)
-        rows = _size(tensors, "aggregator.row_proj.weight", 0, 1)
-        with torch.device("meta"):
-            network = _MixVPR(n_positions, channels, rows)
-        load_strictly(network, tensors, path)
-        insist_on_size(path, "n_dimensions", self.n_dimensions, channels * rows)
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return a published network without its values; raises BadInput for dimensions that none has."""
-        if self.n_dimensions not in _PUBLISHED:
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return a published network, or one in the sizes of a file; raises BadInput for other dimensions."""
+        if not tensors and self.n_dimensions not in _CHANNELS:
             raise BadInput(
-                f"method.n_dimensions={self.n_dimensions}: MixVPR was published with {', '.join(map(str, _PUBLISHED))}"
+                f"method.n_dimensions={self.n_dimensions}: MixVPR was published with {', '.join(map(str, _CHANNELS))}"
             )
-        return _MixVPR((_SIDE // _PIXELS) ** 2, *_PUBLISHED[self.n_dimensions])
+        channels = size(tensors, "aggregator.channel_proj.weight", 0, _CHANNELS.get(self.n_dimensions, 1))
+        rows = size(tensors, "aggregator.row_proj.weight", 0, self.n_dimensions // channels)
+        if "aggregator.channel_proj.weight" in tensors:
+            insist_on_size("n_dimensions", self.n_dimensions, channels * rows)
+        return _MixVPR(size(tensors, "aggregator.row_proj.weight", 1, (_SIDE // _PIXELS) ** 2), channels, rows)
 
 
 class _MixVPR(nn.Module):
@@ -116,9 +105,3 @@ class _Mixer(nn.Module):
 
     def forward(self, maps: Tensor) -> Tensor:
         return cast(Tensor, maps + self.mix(maps))
-
-
-def _size(tensors: Mapping[str, Tensor], name: str, axis: int, otherwise: int) -> int:
-    """Return a size of a matrix of the file; `otherwise` where it lacks that, which strict loading then tells."""
-    matrix = tensors.get(name)
-    return otherwise if matrix is None or matrix.ndim != 2 else matrix.shape[axis]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
@@ -13,17 +12,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, read_mat, state_dict, without_prefix
+from vprbench.api import BadInput, read_mat
 
 from .parts.backbones.vgg import N_CHANNELS, vgg16_features
+from .parts.published import PublishedNetwork, Tensors, size
 
 Family = Literal["matconvnet", "pytorch", "patch-netvlad"]
 
 STRIDE = 16  # pixels between local descriptors
 
 _BEFORE_RELU = 29  # layers of VGG16: its last ReLU and pool are left out
-_CLUSTERS = 64
-_COMPONENTS = 4096
 _USUAL_MEAN = (123.68, 116.78, 103.94)  # RGB levels; each file of MatConvNet brings its own
 
 _MATCONVNET_LAYERS = 35
@@ -31,7 +29,7 @@ _MATCONVNET_VLAD, _MATCONVNET_WHITENING = 30, 33  # the layers before them are V
 
 
 @dataclass(kw_only=True)
-class NetVLAD(NeuralDescriptor):
+class NetVLAD(PublishedNetwork):
     """Scores a place by the cosine between the whitened VLADs of query and most similar reference image.
 
     `family` is the layout of the file: matconvnet, the authors' networks as structs in a .mat; pytorch, those of
@@ -50,6 +48,8 @@ class NetVLAD(NeuralDescriptor):
     longest_side: int | None = None  # pixels
 
     smallest_side: ClassVar[int] = STRIDE
+    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
+    prefix: ClassVar[str] = "module"
 
     def target(self, height: int, width: int) -> tuple[int, int]:
         """Return the height and width that an image is resized to."""
@@ -66,28 +66,31 @@ class NetVLAD(NeuralDescriptor):
 
     def load(self, path: Path) -> nn.Module:
         """Return the network; raises BadInput for a file of another family."""
-        tensors, mean = read_struct(path) if self.family == "matconvnet" else (read_checkpoint(path), None)
-        clusters, components = sizes(tensors)
-        with torch.device("meta"):
-            network = self._built(clusters, components, mean)
-        unused = () if self.whiten or self.family == "pytorch" else ("WPCA.*",)
-        load_strictly(network, tensors, path, unused)
-        n_values = components if self.whiten else clusters * N_CHANNELS
-        if self.n_dimensions is not None and self.n_dimensions > n_values:
-            raise BadInput(f"method.n_dimensions={self.n_dimensions}: {path} gives {n_values}, ask for no more")
+        if self.family != "matconvnet":
+            return super().load(path)
+        tensors, mean = read_struct(path)
+        network = cast(Network, self.loaded(tensors, path))
+        network.mean = mean
         return network
 
-    def blank(self) -> nn.Module:
-        """Return the network of the published size, without values."""
-        clusters, components = published_sizes(self.weights.file)
-        return self._built(clusters, components, _USUAL_MEAN if self.family == "matconvnet" else None)
+    def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
+        """Return the network with tensors of `path`, without the whitening if none is wanted."""
+        if not self.whiten and self.family != "pytorch":
+            tensors = {name: tensor for name, tensor in tensors.items() if not name.startswith("WPCA.")}
+        return super().loaded(tensors, path)
 
-    def _built(self, clusters: int, components: int, mean: tuple[float, ...] | None) -> Network:
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network in the sizes of a file; raises BadInput for more dimensions than it has."""
+        clusters, components = sizes(tensors, self.weights.file)
+        n_values = components if self.whiten else clusters * N_CHANNELS
+        if tensors and self.n_dimensions is not None and self.n_dimensions > n_values:
+            raise BadInput(f"method.n_dimensions={self.n_dimensions}: the file gives {n_values}, ask for no more")
+        matconvnet = self.family == "matconvnet"
         return Network(
             clusters,
             components if self.whiten else None,
-            mean=mean,
-            cluster_fastest=self.family == "matconvnet",
+            mean=_USUAL_MEAN if matconvnet else None,
+            cluster_fastest=matconvnet,
             n_dimensions=self.n_dimensions,
         )
 
@@ -149,7 +152,7 @@ class Network(nn.Module):
         return vectors if self.n_dimensions is None else functional.normalize(vectors[:, : self.n_dimensions], dim=1)
 
     def described(self, residuals: Tensor) -> Tensor:
-        """Turn sums of residuals (n, clusters, channels) into unit vectors: the VLAD, whitened where that is asked."""
+        """Turn sums of residuals (n, clusters, channels) into unit vectors: the VLAD, whitened if asked."""
         columns = functional.normalize(residuals, dim=2)
         columns = columns.transpose(1, 2) if self.cluster_fastest else columns
         vectors = functional.normalize(columns.flatten(1), dim=1)
@@ -158,11 +161,6 @@ class Network(nn.Module):
         projection = cast(nn.Conv2d, self.WPCA[0])
         whitened = functional.linear(vectors.to(projection.weight.dtype), projection.weight.flatten(1), projection.bias)
         return functional.normalize(whitened.float(), dim=1)
-
-
-def read_checkpoint(path: Path) -> dict[str, Tensor]:
-    """Return the tensors of a checkpoint under the names of a network on one device; raises BadInput."""
-    return without_prefix(state_dict(path, "state_dict"), "module")
 
 
 def read_struct(path: Path) -> tuple[dict[str, Tensor], tuple[float, ...]]:
@@ -203,16 +201,10 @@ def _named(layers: Any) -> dict[str, Tensor]:
     return tensors
 
 
-def sizes(tensors: Mapping[str, Tensor]) -> tuple[int, int]:
-    """Return the clusters and components that tensors are of, the published ones where that is not to be seen."""
-    clusters, components = (tensors.get(name) for name in ("pool.centroids", "WPCA.0.bias"))
-    return (
-        _CLUSTERS if clusters is None or clusters.ndim != 2 else len(clusters),
-        _COMPONENTS if components is None or components.ndim != 1 else len(components),
-    )
-
-
-def published_sizes(file: str) -> tuple[int, int]:
-    """Return the clusters and components of a published file by its name."""
+def sizes(tensors: Tensors, file: str) -> tuple[int, int]:
+    """Return the clusters and components of tensors; without a tensor, of the published file of a name."""
     found = re.search(r"WPCA(\d+)", file)
-    return 16 if file.startswith("mapillary") else _CLUSTERS, int(found[1]) if found else _COMPONENTS
+    return (
+        size(tensors, "pool.centroids", 0, 16 if file.startswith("mapillary") else 64),
+        size(tensors, "WPCA.0.bias", 0, int(found[1]) if found else 4096),
+    )

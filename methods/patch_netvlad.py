@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
 
@@ -16,11 +15,13 @@ import psutil
 import torch
 from torch import nn
 
-from vprbench.api import BadInput, Images, NeuralDescriptor, NotFittedError, Places, Scores, load_strictly
+from vprbench.api import BadInput, Images, NotFittedError, Places, Scores
 
-from .netvlad import STRIDE, published_sizes, read_checkpoint, sizes
+from .netvlad import STRIDE, sizes
 from .parts.patch_geometry import Geometry, mutual, score
 from .parts.patch_network import PatchNetwork
+from .parts.published import PublishedNetwork, Tensors, insist_on_size
+from .parts.vectors import unit
 
 Configuration = Literal["performance", "speed", "storage"]
 # float32_as_published: that of the public code, whose sums over a patch cancel
@@ -55,7 +56,7 @@ class Map:
 
 
 @dataclass(kw_only=True)
-class PatchNetVLAD(NeuralDescriptor):
+class PatchNetVLAD(PublishedNetwork):
     """Orders the places that look most alike to NetVLAD by how many patches of their images match in their geometry.
 
     The `candidates` places of the highest cosine are compared patch by patch, each by its image of the highest cosine.
@@ -66,11 +67,11 @@ class PatchNetVLAD(NeuralDescriptor):
     is at least 2, and of equal sums the higher cosine scores higher by one rounding step. An approximate `index`
     retrieves the images that candidates are taken from.
 
-    `encode` gives the descriptor of the image and those of its patches one after the other as one unit vector.
+    `encode` gives the descriptors of the image and of its patches one after the other as one unit vector.
     `components` says how many principal components the file of each configuration has; a patch takes 4 bytes for each
     of them, or 2 with `patches`=float16, which holds for the references. For images of 480x640 that is 46 MB an image
     for performance, 1.9 MB for speed and 0.5 MB for storage: `fit` and `encode`, which keep that in memory, raise
-    BadInput where there is not enough. Source: Hausler et al. 2021 and QVPR/Patch-NetVLAD 39ab4e4.
+    BadInput if there is not enough. Source: Hausler et al. 2021 and QVPR/Patch-NetVLAD 39ab4e4.
     """
 
     configuration: Configuration = "performance"
@@ -84,7 +85,9 @@ class PatchNetVLAD(NeuralDescriptor):
     precision: PatchPrecision = "float32"  # type: ignore[assignment]  # one more than other networks have
 
     fixed_size: ClassVar[bool] = True
-    search_arguments: ClassVar[frozenset[str]] = NeuralDescriptor.search_arguments | {"candidates", "patches"}
+    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
+    prefix: ClassVar[str] = "module"
+    search_arguments: ClassVar[frozenset[str]] = PublishedNetwork.search_arguments | {"candidates", "patches"}
 
     _map: Map | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -108,14 +111,14 @@ class PatchNetVLAD(NeuralDescriptor):
         """Learn the map from what `encode` gave of the references, which is not copied but to `patches`=float16."""
         self._map = None
         codes = self._split(descriptors.astype(self.patches, copy=False))
-        whole = _unit(codes[:, 0])
+        whole = unit(codes[:, 0])
         super().fit_descriptors(whole, places)
         order = np.argsort(places, kind="stable")
         self._map = Map(codes, whole, np.split(order, np.flatnonzero(np.diff(places[order])) + 1))
         return self
 
     def keeps_descriptors(self) -> bool:
-        """Tell whether descriptors are worth keeping on disk: only where a traverse does not fill it."""
+        """Tell whether descriptors are worth keeping on disk: only if a traverse does not fill it."""
         return self.configuration == "storage"
 
     @property
@@ -140,7 +143,7 @@ class PatchNetVLAD(NeuralDescriptor):
         if self._map is None:
             raise NotFittedError("PatchNetVLAD has no map yet: call fit(references, places) first")
         queries = self._split(codes)
-        whole = _unit(queries[:, 0])
+        whole = unit(queries[:, 0])
         scores = super().match(whole).copy()
         for row, query, cue in zip(scores, queries, whole, strict=True):
             candidates = np.argsort(-row, kind="stable")[: self.candidates]
@@ -149,29 +152,14 @@ class PatchNetVLAD(NeuralDescriptor):
             row[candidates] = above_cosines(self._agreement(query[1:], self._map.codes[:, 1:], images), row[candidates])
         return scores
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network; raises BadInput for a file of another number of components."""
-        tensors = read_checkpoint(path)
-        clusters, components = sizes(tensors)
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network in the sizes of a file; raises BadInput for another number of components."""
+        clusters, components = sizes(tensors, self.weights.file)
         wanted = self.components[self.configuration]
-        with torch.device("meta"):
-            network = self._built(clusters, components)
-        load_strictly(network, tensors, path)
-        if components != wanted:
-            raise BadInput(
-                f"{path} holds {components} components, method.configuration={self.configuration} wants {wanted}: give "
-                f"another file or configuration, or set method.components.{self.configuration}={components}"
-            )
-        return network
-
-    def blank(self) -> nn.Module:
-        """Return the network of the published size, without values."""
-        clusters, _ = published_sizes(self.weights.file)
-        return self._built(clusters, self.components[self.configuration])
-
-    def _built(self, clusters: int, components: int) -> PatchNetwork:
+        if "WPCA.0.bias" in tensors:
+            insist_on_size(f"components.{self.configuration}", wanted, components)
         sides = SETTINGS[self.configuration].sides
-        return PatchNetwork(clusters, components, sides, integral=self.precision == "float32_as_published")
+        return PatchNetwork(clusters, wanted, sides, integral=self.precision == "float32_as_published")
 
     @property
     def _number_type(self) -> torch.dtype:
@@ -262,7 +250,7 @@ def above_cosines(agreement: npt.NDArray[np.float64], cosines: Scores) -> Scores
 
 
 def _insist_on_memory(images: str, needed_bytes: int, advice: str) -> None:
-    """Raise BadInput where the descriptors of images do not fit into memory."""
+    """Raise BadInput if the descriptors of images do not fit into memory."""
     free = psutil.virtual_memory().available
     if needed_bytes > free:
         raise BadInput(
@@ -275,10 +263,3 @@ def _most_similar(query: npt.NDArray[np.float32], known: Map, place: int) -> int
     """Return the reference image of a place that has the highest cosine with the query."""
     images = known.images[place]
     return int(images[(known.whole[images] @ query).argmax()])
-
-
-def _unit(vectors: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return unit vectors (n, n_components), and zero for zero."""
-    precise = vectors.astype(np.float64)
-    norms = np.linalg.norm(precise, axis=1, keepdims=True)
-    return (precise / np.where(norms > 0, norms, 1)).astype(np.float32)

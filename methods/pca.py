@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import cv2
 import numpy as np
@@ -23,6 +22,8 @@ from vprbench.api import (
     best_image_of_place,
 )
 
+from .parts.stored import State, insist_on_map
+
 
 @dataclass(frozen=True)
 class Map:
@@ -40,7 +41,7 @@ class PCA(Method):
 
     The components are learnt from the reference images by scikit-learn's PCA: the first `components`, or fewer, for
     n references differ in n - 1 directions at most and images have height * width pixels. An image that is the mean
-    of the references, and every image where all references are equal, scores 0 everywhere.
+    of the references, and every image if all references are equal, scores 0 everywhere.
     `whiten` divides each component by its standard deviation. `seed` is for the randomized solver alone.
     The method of eigenfaces (Turk and Pentland 1991) on whole frames; the defaults are this project's own choice.
     """
@@ -86,14 +87,25 @@ class PCA(Method):
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 
-    def state(self) -> Mapping[str, npt.NDArray[Any]]:
+    def state(self) -> State:
         """Return the projection and the projected references."""
         return dict(vars(self._fitted()))
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state: State) -> Self:
         """Take over a stored projection with its references."""
         self._map = None
-        self._map = _map_from(state, self.height * self.width)
+        n_pixels, n_references = self.height * self.width, np.size(state.get("places", ()))
+        n_components = np.size(state.get("projection", ())) // n_pixels
+        insist_on_map(
+            state,
+            {
+                "mean": (np.float64, (n_pixels,)),
+                "projection": (np.float64, (n_pixels, n_components)),
+                "references": (np.float32, (n_references, n_components)),
+                "places": (np.int64, (n_references,)),
+            },
+        )
+        self._map = Map(**state)
         return self
 
     def _learn(self, levels: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -118,28 +130,7 @@ class PCA(Method):
 def _project(
     levels: npt.NDArray[np.uint8], mean: npt.NDArray[np.float64], projection: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float32]:
-    """Return the components as unit vectors, (n_images, n_components); zero where there is nothing but rounding."""
+    """Return the components as unit vectors, (n_images, n_components); zero if there is nothing but rounding."""
     codes = (levels - mean) @ projection
     norms = np.linalg.norm(codes, axis=1, keepdims=True)
     return (codes / np.where(norms > 1e-12, norms, np.inf)).astype(np.float32)
-
-
-def _map_from(state: Mapping[str, npt.NDArray[Any]], n_pixels: int) -> Map:
-    """Return stored arrays as a map; raises BadInput for any others."""
-    names = {"mean", "projection", "references", "places"}
-    if set(state) != names:
-        raise BadInput(f"the stored network holds {', '.join(sorted(state))}; wanted {', '.join(sorted(names))}")
-    n_references, n_components = state["places"].size, state["projection"].size // n_pixels
-    wanted = {
-        "mean": ("float64", (n_pixels,)),
-        "projection": ("float64", (n_pixels, n_components)),
-        "references": ("float32", (n_references, n_components)),
-        "places": ("int64", (n_references,)),
-    }
-    for name, (kind, shape) in wanted.items():
-        if (state[name].dtype.name, state[name].shape) != (kind, shape):
-            raise BadInput(
-                f"{name} of the stored network is {state[name].dtype} of shape {state[name].shape}; "
-                f"wanted {kind} of shape {shape} for frames of {n_pixels} pixels"
-            )
-    return Map(**state)

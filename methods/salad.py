@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict
+from vprbench.api import BadInput
 
-from .dinov2 import transformer
-from .parts.backbones.vit import SIZES, VisionTransformer
-from .parts.tensor_sizes import n_outputs
+from .parts.backbones.vit import VisionTransformer
+from .parts.published import PublishedNetwork, Tensors, size, under
 
-_BACKBONE, _AGGREGATOR = "backbone.model.", "aggregator."
 _ITERATIONS = 3  # of Sinkhorn's algorithm
 
 
 @dataclass(kw_only=True)
-class SALAD(NeuralDescriptor):
+class SALAD(PublishedNetwork):
     """SALAD on DINOv2 ViT-B/14: 8448 numbers, 256 of the image's token and 128 of each of 64 clusters.
 
     Needs more patches than clusters: 126x126 pixels are enough. The authors evaluate at 322x322.
@@ -34,52 +30,32 @@ class SALAD(NeuralDescriptor):
     width: int | None = 322
 
     multiple: ClassVar[int] = 14
+    nested: ClassVar[tuple[str, ...]] = ("state_dict",)
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network with the values of a published file; raises BadInput for any other file.
-
-        Sizes are the file's own.
-        """
-        return loaded(state_dict(path, "state_dict"), path)
-
-    def blank(self) -> nn.Module:
-        """Return the network of 8448 dimensions, without the published values."""
-        with torch.device("meta"):
-            return _Network(VisionTransformer(SIZES["vitb14"]), Sizes())
-
-
-def loaded(tensors: Mapping[str, Tensor], path: Path) -> nn.Module:
-    """Return the network with these tensors of `path`, in their own sizes; raises BadInput for those of another."""
-    sizes = Sizes.of(tensors, path, _AGGREGATOR)
-    model = transformer(tensors, path, _BACKBONE)
-    with torch.device("meta"):
-        network = _Network(model, sizes)
-    load_strictly(network, tensors, path)
-    return network
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 8448 dimensions, or in the sizes of a file."""
+        sizes = Sizes.of(under(tensors, "aggregator."), cluster_dim=128)
+        return _Network(VisionTransformer.sized(under(tensors, "backbone.model.")), sizes)
 
 
 @dataclass(frozen=True)
 class Sizes:
     """What the tensors of SALAD's aggregator are sized by."""
 
-    n_hidden: int = 512  # between the two layers of each of its networks
-    n_clusters: int = 64
-    cluster_dim: int = 128
-    token_dim: int = 256
+    n_hidden: int  # between the two layers of each of its networks
+    n_clusters: int
+    cluster_dim: int
+    token_dim: int
 
     @classmethod
-    def of(cls, tensors: Mapping[str, Tensor], path: Path, prefix: str) -> Self:
-        """Read the sizes off the tensors of `path` under a prefix; raises BadInput where one has none."""
-        first, token, cluster, score = (
-            n_outputs(tensors, path, prefix + name)
-            for name in (
-                "token_features.0.weight",
-                "token_features.2.weight",
-                "cluster_features.3.weight",
-                "score.3.weight",
-            )
+    def of(cls, tensors: Tensors, cluster_dim: int) -> Self:
+        """Read the sizes off the aggregator's tensors, or take the published ones, of `cluster_dim`."""
+        return cls(
+            n_hidden=size(tensors, "token_features.0.weight", 0, 512),
+            n_clusters=size(tensors, "score.3.weight", 0, 64),
+            cluster_dim=size(tensors, "cluster_features.3.weight", 0, cluster_dim),
+            token_dim=size(tensors, "token_features.2.weight", 0, 256),
         )
-        return cls(n_hidden=first, n_clusters=score, cluster_dim=cluster, token_dim=token)
 
     @property
     def n_dimensions(self) -> int:
@@ -121,7 +97,7 @@ def assignment(scores: Tensor, dust_bin: Tensor) -> Tensor:
 
     The optimal transport, after 3 iterations of Sinkhorn's algorithm on logarithms, that gives every cluster the mass
     of one patch and the dustbin, whose score is the same for all patches, the rest; the dustbin's row is left out.
-    Raises BadInput where there is no rest.
+    Raises BadInput if there is no rest.
     """
     n, n_clusters, n_patches = scores.shape
     if n_patches <= n_clusters:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar, cast
 
-import torch
 from torch import Tensor, nn
 
-from vprbench.api import NeuralDescriptor, load_strictly, state_dict
-
 from .netvlad import STRIDE, Network
-from .parts.tensor_sizes import n_outputs
+from .parts.published import PublishedNetwork, Tensors, size
 
 _MEAN = (123.68, 116.779, 103.939)  # RGB levels
-_CLUSTERS, _COMPONENTS = 64, 4096
 
 
 @dataclass(kw_only=True)
-class SFRS(NeuralDescriptor):
+class SFRS(PublishedNetwork):
     """Scores a place by the cosine between the whitened VLADs of query and most similar reference image.
 
     VGG16 in 64 clusters, whitened to 4096 dimensions, channels fastest; it sees levels less their mean. The authors
@@ -36,22 +31,12 @@ class SFRS(NeuralDescriptor):
         """Return RGB levels 0..255 less their mean."""
         return levels - levels.new_tensor(_MEAN)[:, None, None]
 
-    def load(self, path: Path) -> nn.Module:
-        """Return the network in the sizes of the file; raises BadInput for a file of anything else."""
-        tensors = state_dict(path)
-        clusters, components = (n_outputs(tensors, path, name) for name in ("net_vlad.centroids", "pca_layer.weight"))
-        with torch.device("meta"):
-            network = Network(clusters, components)
-        load_strictly(_published(network), tensors, path)
-        return network
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network of 64 clusters and 4096 dimensions, or in the sizes of a file."""
+        return Network(size(tensors, "net_vlad.centroids", 0, 64), size(tensors, "pca_layer.weight", 0, 4096))
 
-    def blank(self) -> nn.Module:
-        """Return the network of 4096 dimensions, without the published values."""
-        return Network(_CLUSTERS, _COMPONENTS)
-
-
-def _published(network: Network) -> nn.ModuleDict:
-    """Return the parts of a network under the names that the published file has for them."""
-    whitening = cast(nn.Sequential, network.WPCA)[0]
-    base = nn.ModuleDict({"base": network.encoder})
-    return nn.ModuleDict({"base_model": base, "net_vlad": network.pool, "pca_layer": whitening})
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the parts of the network under their names in the file."""
+        own = cast(Network, network)
+        base = nn.ModuleDict({"base": own.encoder})
+        return nn.ModuleDict({"base_model": base, "net_vlad": own.pool, "pca_layer": cast(nn.Sequential, own.WPCA)[0]})

@@ -50,8 +50,8 @@ def n_descriptors(height: int, width: int) -> int:
 def dense_sift(grey: Tensor, arctan: ArcTangent = "exact") -> Iterator[Tensor]:
     """Yield the descriptors (n, 128) of a grey image (height, width), 0 to 1, in blocks, scale after scale.
 
-    Unit vectors, clamped at 0.2 and normalised again; those of less contrast than 0.005 are zero. Within a descriptor
-    the orientation runs fastest, then the column of the bin, then its row; angles turn from right to down.
+    Unit vectors, clamped at 0.2 and normalised again; zero for less contrast than 0.005. Within a descriptor the
+    orientation runs fastest, then the column of the bin, then its row; angles turn from right to down.
     Source: VLFeat 0.9.21, vl_phow and vl_dsift, with its approximation of the arc tangent by `arctan`=vlfeat; that of
     the root is left out.
     """

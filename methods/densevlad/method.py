@@ -12,8 +12,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, faiss_module, progress
+from vprbench.api import BadInput, DescriptorMethod, Image, Images, NotFittedError, Places, progress
 
+from ..parts.stored import State, insist_on_map
+from ..parts.vectors import k_means, unit
 from .dense_sift import (
     DIMENSIONS,
     SMALLEST_SIDE,
@@ -25,13 +27,12 @@ from .dense_sift import (
     root_sift,
 )
 from .vlad import vlad, whitening
-from .vocabulary import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, unit, wanted_vocabulary
+from .vocabulary import PUBLISHED_WORDS, WORD_OF_ZERO, read_words, wanted_vocabulary
 
 _VGA = 640  # pixels
 _TOGETHER = 64  # images
 _SAMPLED_IMAGES = 1000  # references that the vocabulary is learnt from, at most
 _SAMPLED_PER_WORD = 256  # descriptors
-_ITERATIONS = 25
 _WHITENED_IMAGES = 4096  # references that the whitening is learnt from, at most, unless more components want more
 _IMAGES_PER_COMPONENT = 4  # with fewer, the whitening fits the references and not the places
 
@@ -56,7 +57,7 @@ class DenseVLAD(DescriptorMethod):
     vocabulary: str | None = None
     words: int = 128
     n_components: int = 1024
-    halve: bool | None = None  # keep every second pixel; None: where the longer side exceeds 640 pixels
+    halve: bool | None = None  # keep every second pixel; None: if the longer side exceeds 640 pixels
     arctan: ArcTangent = "exact"  # vlfeat: up to 0.006 radians off
     seed: int = 0
     device: str = "cpu"
@@ -68,7 +69,7 @@ class DenseVLAD(DescriptorMethod):
     _projection: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Learn the words and the whitening, each from a sample where there are many references, and encode all."""
+        """Learn the words and the whitening, each from a sample if there are many references, and encode all."""
         self._check_arguments()
         self._words = self.searched = self._projection = None
         generator = np.random.default_rng(self.seed)
@@ -100,36 +101,34 @@ class DenseVLAD(DescriptorMethod):
             done += len(block)
         return codes
 
-    def state(self) -> Mapping[str, npt.NDArray[Any]]:
-        """Return the words, the whitening where there is one, and the references with their places."""
+    def state(self) -> State:
+        """Return the words, the whitening if there is one, and the references with their places."""
         if self._words is None or self.searched is None:
             raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
         known = self.searched
         learnt = {"words": self._words.cpu().numpy(), "references": known.references, "places": known.places}
         return learnt if self._projection is None else {**learnt, "projection": self._projection}
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state: State) -> Self:
         """Take over what `state` gave."""
         self._check_arguments()
         self._words = self.searched = self._projection = None
         n_dimensions = self.words * DIMENSIONS
-        places, projection = state.get("places", np.empty(0)), state.get("projection")
+        places, projection = np.asarray(state.get("places", ())), state.get("projection")
         n_components = projection.shape[-1] if projection is not None and projection.ndim else n_dimensions
-        wanted: dict[str, tuple[int, ...]] = {
-            "words": (self.words, DIMENSIONS),
-            "places": (places.size,),
-            "references": (places.size, n_components),
-            **({"projection": (n_dimensions, n_components)} if self.n_components else {}),
+        wanted: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+            "words": (np.float32, (self.words, DIMENSIONS)),
+            "places": (np.int64, (places.size,)),
+            "references": (np.float32, (places.size, n_components)),
+            **({"projection": (np.float32, (n_dimensions, n_components))} if self.n_components else {}),
         }
-        found = {name: array.shape for name, array in state.items()}
-        if found != wanted:
-            raise BadInput(f"the stored network holds {found}; wanted {wanted} for method.words={self.words}")
-        self._words = torch.tensor(state["words"], dtype=torch.float32, device=self.device)
-        self._projection = None if projection is None else projection.astype(np.float32)
-        return self.fit_descriptors(state["references"].astype(np.float32), places.astype(np.int64))
+        insist_on_map(state, wanted)
+        self._words = torch.tensor(state["words"], device=self.device)
+        self._projection = projection
+        return self.fit_descriptors(state["references"], places)
 
     def files(self) -> Sequence[Path]:
-        """Return the file of the vocabulary where one was given; raises BadInput where it is missing."""
+        """Return the file of the vocabulary if one was given; raises BadInput if it is missing."""
         if self.vocabulary is None:
             return ()
         path = Path(self.vocabulary).expanduser()
@@ -158,23 +157,7 @@ class DenseVLAD(DescriptorMethod):
             for block in dense_sift(grey, self.arctan):
                 picked = block[torch.from_numpy(generator.random(len(block)) < share).to(self.device)]
                 drawn.append(root_sift(picked[picked.any(1)]).cpu().numpy())
-        descriptors = np.concatenate(drawn)
-        n_different = len(np.unique(descriptors, axis=0))
-        if n_different < self.words:
-            raise BadInput(
-                f"{len(references)} reference images gave {n_different} different descriptors for "
-                f"method.words={self.words}: give fewer words, or images with more in them"
-            )
-        kmeans = faiss_module().Kmeans(
-            DIMENSIONS,
-            self.words,
-            niter=_ITERATIONS,
-            seed=int(generator.integers(1 << 31)),
-            min_points_per_centroid=1,
-            max_points_per_centroid=len(descriptors),  # the sample was drawn above
-        )
-        kmeans.train(descriptors)
-        return unit(np.asarray(kmeans.centroids))
+        return unit(k_means(np.concatenate(drawn), self.words, generator))
 
     def _vlads(self, images: Images, words: Tensor) -> npt.NDArray[np.float32]:
         """Return the VLAD of each image before whitening, (n_images, words * 128)."""
@@ -186,7 +169,7 @@ class DenseVLAD(DescriptorMethod):
         return vectors
 
     def _grey(self, image: Image) -> Tensor:
-        """Return the grey image, halved where asked for, 0 to 1; raises BadInput for one that is too small."""
+        """Return the grey image, halved if asked for, 0 to 1; raises BadInput for one that is too small."""
         grey = grey_levels(image)
         halve = max(grey.shape) > _VGA if self.halve is None else self.halve
         if halve:
@@ -201,12 +184,12 @@ class DenseVLAD(DescriptorMethod):
 
 
 def _projected(vlads: npt.NDArray[np.float32], projection: npt.NDArray[np.float32] | None) -> npt.NDArray[np.float32]:
-    """Return the whitened vectors at unit length, or the vectors themselves where there is no projection."""
+    """Return the whitened vectors at unit length, or the vectors themselves if there is no projection."""
     return vlads if projection is None else unit(vlads @ projection)
 
 
 def _sample(images: Images, at_most: int, generator: np.random.Generator) -> npt.NDArray[np.int64]:
-    """Draw images without repeating one, in their order; all of them where there are no more."""
+    """Draw images without repeating one, in their order; all of them if there are no more."""
     n = len(images)
     return np.arange(n) if n <= at_most else np.sort(generator.choice(n, at_most, replace=False))
 

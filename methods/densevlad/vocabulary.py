@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api import BadInput, read_mat
 
+from ..parts.vectors import unit
 from .dense_sift import DIMENSIONS
 
 PUBLISHED_WORDS = 128
@@ -47,10 +47,3 @@ def read_words(path: Path, n_words: int) -> npt.NDArray[np.float32]:
         shape = "x".join(str(side) for side in centres.shape)
         raise BadInput(f"method.vocabulary={path} holds a CX of {shape} {centres.dtype}: {wanted}, all finite")
     return unit(centres.T)
-
-
-def unit(vectors: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return the rows as unit vectors; a zero row stays what it is."""
-    precise = vectors.astype(np.float64)
-    norms = np.linalg.norm(precise, axis=1, keepdims=True)
-    return (precise / np.where(norms > 0, norms, 1)).astype(np.float32)

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, NeuralDescriptor
+from vprbench.api import BadInput
+
+from .published import PublishedNetwork, Tensors, size
 
 _HEADS, _LAYERS = 16, 2
 _REASON = "images that are described together see one another; images_together=1 describes each alone"
 
 
 @dataclass(kw_only=True)
-class CrossImageDescriptor(NeuralDescriptor):
-    """A descriptor of an image that may look at its neighbours too; `load` and `blank` are left to write.
+class CrossImageDescriptor(PublishedNetwork):
+    """A descriptor of an image that may look at its neighbours too; `network` is left to write.
 
-    `images_together` consecutive images of one call of `encode` attend to one another, the last ones to those that are
+    `images_together` consecutive images of one call of `encode` attend to one another, the last ones to as many as are
     left. With 1 each image is described alone, and no answer depends on what else is asked. The authors evaluate with
-    16, which helps where neighbours show one place: a query then has the help of other queries. A batch holds whole
-    groups, even where that is more than `batch_size`. With `resize=tensor` only images of one size go together.
+    16, which helps if neighbours show one place: a query then has the help of other queries. A batch holds whole
+    groups, even if they are more than `batch_size`. With `resize=tensor` only images of one size go together.
     """
 
     images_together: int = 1
@@ -35,7 +37,7 @@ class CrossImageDescriptor(NeuralDescriptor):
         return {} if self.images_together == 1 else dict.fromkeys(rules, _REASON)
 
     def notes(self) -> Sequence[str]:
-        """Return that queries had the help of other queries, where they had."""
+        """Return that queries had the help of other queries, if they had."""
         if self.images_together == 1:
             return ()
         return (
@@ -44,7 +46,7 @@ class CrossImageDescriptor(NeuralDescriptor):
         )
 
     def keeps_descriptors(self) -> bool:
-        """Tell that descriptors are worth keeping where they do not depend on the images that are encoded with them."""
+        """Tell that descriptors are worth keeping if they do not depend on the images that are encoded with them."""
         return self.images_together == 1
 
     def _at_most(self, image: npt.NDArray[Any]) -> int:
@@ -64,13 +66,18 @@ class CrossImageEncoder(nn.Module):
     each addition, and bear the names of `torch.nn.TransformerEncoder`.
     """
 
-    def __init__(self, dim: int, n_hidden: int = 2048, together: int = 1) -> None:
+    def __init__(self, dim: int, n_hidden: int, together: int) -> None:
         super().__init__()
         self.together = together
         self.layers = nn.ModuleList(
             nn.TransformerEncoderLayer(dim, _HEADS, n_hidden, dropout=0.0, activation="gelu") for _ in range(_LAYERS)
         )
         self.eval()
+
+    @classmethod
+    def sized(cls, tensors: Tensors, dim: int, together: int) -> Self:
+        """Build the encoder of a file's tensors, or the published one, for groups of `together` images."""
+        return cls(dim, size(tensors, "encoder.layers.0.linear1.weight", 0, 2048), together)
 
     def forward(self, parts: Tensor) -> Tensor:
         """Return the parts as their group changes them, (n, n_parts, dim)."""

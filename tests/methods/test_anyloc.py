@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,53 +12,42 @@ import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_qkv, vit_tokens
 from described_images import distance, encoded, image
+from published_networks import PublishedNetwork, saved, with_checks
 
+from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.anyloc import AnyLoc
 from vprbench.methods.anyloc import vlad as gathered
-from vprbench.plugins import conformance
 
 TOLERANCE = 1e-5
 DIM, DEPTH, LAYER, WORDS = 128, 3, 1, 5
 
 
-@pytest.fixture(scope="module")
-def tensors() -> dict[str, torch.Tensor]:
+def drawn() -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(4)
     dino = vit_checkpoint(generator, DIM, DEPTH, swiglu=True)
     return {**dino, "mask_token": torch.randn(1, DIM, generator=generator)}
 
 
-@pytest.fixture(scope="module")
-def centres() -> torch.Tensor:
+def drawn_centres() -> torch.Tensor:
     """Of lengths so different that the most similar direction is often not the nearest centre."""
     generator = torch.Generator().manual_seed(5)
     directions = torch.nn.functional.normalize(torch.randn(WORDS, DIM, generator=generator), dim=1)
     return directions * torch.tensor([0.2, 0.4, 0.6, 0.8, 1.2])[:, None]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, tensors: Tensors, centres: torch.Tensor) -> Path:
-    folder = tmp_path_factory.mktemp("anyloc")
-    torch.save(tensors, folder / "network.pth")
-    torch.save(centres, folder / "centres.pt")
-    return folder
+CENTRES = drawn_centres()
 
 
 def weights(path: Path) -> Weights:
     return Weights(file=path.name, licence="none", trained_on="nothing", path=str(path))
 
 
-def method(folder: Path, network: str = "network.pth", centres: str = "centres.pt", **arguments: Any) -> AnyLoc:
-    files = {"weights": weights(folder / network), "centres": weights(folder / centres)}
-    return AnyLoc(**{**files, "layer": LAYER, "words": WORDS, **arguments})
-
-
-def learning(folder: Path, **arguments: Any) -> AnyLoc:
-    arguments = {"layer": LAYER, "words": 3, **arguments}
-    return AnyLoc(weights=weights(folder / "network.pth"), vocabulary="references", **arguments)
+def written(centres: torch.Tensor, path: Path) -> Path:
+    torch.save(centres, path)
+    return path
 
 
 def facet(tensors: Tensors, image: npt.NDArray[np.uint8], part: int = 2, layer: int = LAYER) -> npt.NDArray[np.float64]:
@@ -80,85 +70,79 @@ def vlad(
     return whole / np.linalg.norm(whole)
 
 
-# Values
+def expected(tensors: Tensors, images: Sequence[Image], **how: Any) -> npt.NDArray[np.float64]:
+    of_vlad = {name: how.pop(name) for name in ("cosine", "raw") if name in how}
+    return np.stack([vlad(facet(tensors, seen, **how), CENTRES.double().numpy(), **of_vlad) for seen in images])
 
 
-def test_images_of_two_sizes_have_the_descriptors_of_the_slow_computation(
-    folder: Path, tensors: Tensors, centres: torch.Tensor
-) -> None:
-    images = [image(56, 98), image(42, 70, 1), image(42, 70, 2)]
-    codes = encoded(method(folder), *images)
-    assert codes.shape == (3, WORDS * DIM)
-    slow = np.stack([vlad(facet(tensors, seen), centres.double().numpy()) for seen in images])
-    assert distance(codes, slow) < TOLERANCE
-
-
-@pytest.mark.parametrize(
-    "how",
-    [{"part": 0}, {"part": 1}, {"layer": LAYER + 1}, {"layer": LAYER - 1}, {"cosine": False}, {"raw": False}],
-    ids=str,
+NETWORK = PublishedNetwork(
+    "anyloc",
+    drawn,
+    [image(56, 98), image(42, 70, 1), image(42, 70, 2)],
+    WORDS * DIM,
+    expected,
+    arguments={"layer": LAYER, "words": WORDS},
+    beside={"centres": lambda path: written(CENTRES, path.with_suffix(".centres"))},
+    tolerance=TOLERANCE,
+    batch_tolerance=1e-5,
+    alike_in_half=0.9,  # a value between two centres may go to the other
+    traps=[{"part": 0}, {"part": 1}, {"layer": LAYER + 1}, {"layer": LAYER - 1}, {"cosine": False}, {"raw": False}],
+    missing=["blocks.0.mlp.w12.bias", f"blocks.{LAYER}.attn.qkv.weight", "cls_token", "norm.weight"],
+    unexpected=["register_tokens", "blocks.0.mlp.fc1.weight"],
+    misshapen={"blocks.1.ls1.gamma": (3,)},
+    contract={"layer": LAYER, "words": WORDS, "height": 42, "width": 42, "batch_size": 16},
 )
-def test_another_way_would_give_other_values(tensors: Tensors, centres: torch.Tensor, how: dict[str, Any]) -> None:
-    precise, seen = centres.double().numpy(), image(56, 98)
-    of_values = {name: how[name] for name in ("part", "layer") if name in how}
-    of_vlad = {name: how[name] for name in ("cosine", "raw") if name in how}
-    other = vlad(facet(tensors, seen, **of_values), precise, **of_vlad)
-    assert distance(vlad(facet(tensors, seen), precise), other) > 100 * TOLERANCE
+tensors = NETWORK.tensors
 
 
-def test_a_centre_without_values_has_zeros(folder: Path, tmp_path: Path, tensors: Tensors) -> None:
+def learning(folder: Path, **arguments: Any) -> AnyLoc:
+    return NETWORK.method(
+        NETWORK.file(folder), **{"vocabulary": "references", "words": 3, "centres": None, **arguments}
+    )
+
+
+@with_checks(NETWORK)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+def test_with_the_references_vocabulary_it_keeps_the_contract(folder: Path) -> None:
+    assert NETWORK.check_contract(folder, vocabulary="references") == set()
+
+
+def test_a_centre_without_values_has_zeros(folder: Path) -> None:
     values = facet(tensors, image(28, 28))
     aside = -values.mean(0)
-    torch.save(torch.tensor(np.stack([values[0] / 2, aside])), tmp_path / "two.pt")  # float64, as k-means may leave it
-    two = AnyLoc(weights=weights(folder / "network.pth"), centres=weights(tmp_path / "two.pt"), layer=LAYER, words=2)
-    code = encoded(two, image(28, 28))[0]
+    path = written(
+        torch.tensor(np.stack([values[0] / 2, aside])), folder / "two.pt"
+    )  # float64, as k-means may leave it
+    code = encoded(NETWORK.method(NETWORK.file(folder), centres=weights(path), words=2), image(28, 28))[0]
     assert np.linalg.norm(code[:DIM]) == pytest.approx(1, abs=1e-6)
     assert np.all(code[DIM:] == 0)
 
 
 def test_every_centre_weighs_the_same(folder: Path) -> None:
-    parts = np.linalg.norm(encoded(method(folder), image(70, 98))[0].reshape(WORDS, DIM), axis=1)
+    code = encoded(NETWORK.method(NETWORK.file(folder)), image(70, 98))[0]
+    parts = np.linalg.norm(code.reshape(WORDS, DIM), axis=1)
     assert np.allclose(parts, WORDS**-0.5, atol=1e-6)
 
 
-def test_blocks_after_the_layer_need_not_be_there_nor_fit(folder: Path, tensors: Tensors, tmp_path: Path) -> None:
+def test_blocks_after_the_layer_need_not_be_there_nor_fit_nor_are_kept(folder: Path) -> None:
     last = f"blocks.{DEPTH - 1}."
     short = {name: tensor for name, tensor in tensors.items() if not name.startswith(last)}
     odd = {**tensors, f"{last}norm1.weight": torch.zeros(3), f"{last}more": torch.zeros(1)}
-    torch.save(short, tmp_path / "short.pth")
-    torch.save(odd, tmp_path / "odd.pth")
-    codes = [
-        encoded(method(folder, network=str(path)), image(42, 42))
-        for path in (folder / "network.pth", tmp_path / "short.pth", tmp_path / "odd.pth")
-    ]
-    assert np.array_equal(codes[0], codes[1])
-    assert np.array_equal(codes[0], codes[2])
-
-
-def test_blocks_after_the_layer_are_not_kept_in_memory(folder: Path) -> None:
-    network = method(folder).load(folder / "network.pth")
+    for changed in (short, odd):
+        path = saved(folder / "changed.pth", changed)
+        assert np.array_equal(encoded(NETWORK.method(path), *NETWORK.images), NETWORK.codes(folder))
+    network = NETWORK.method(path).load(path)
     assert sum(name.endswith("attn.qkv.weight") for name, _ in network.named_parameters()) == LAYER + 1
 
 
-def test_half_the_precision_keeps_the_centres_and_nearly_the_descriptor(folder: Path, centres: torch.Tensor) -> None:
-    exact = encoded(method(folder), image(56, 98))
-    coarse = method(folder, precision="bfloat16")
-    network = coarse.load(folder / "network.pth")
+def test_half_the_precision_keeps_the_centres(folder: Path) -> None:
+    coarse = NETWORK.method(NETWORK.file(folder), precision="bfloat16")
+    network = coarse.load(NETWORK.file(folder))
     coarse.use(network)
-    assert torch.equal(network.centres, centres)
-    half = network(imagenet(image(56, 98)).bfloat16()).numpy()
-    assert half.dtype == np.float32
-    assert (half / np.linalg.norm(half)) @ exact[0] > 0.9  # a value between two centres may go to the other
-
-
-def test_descriptors_are_unit_vectors_that_neither_batch_nor_repetition_changes(folder: Path) -> None:
-    images = [image(42, 56, seed) for seed in range(3)]
-    codes = encoded(method(folder), *images)
-    assert codes.dtype == np.float32
-    assert np.allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-6)
-    assert np.array_equal(codes, encoded(method(folder), *images))
-    assert distance(codes, np.concatenate([encoded(method(folder), one) for one in images])) < 1e-5
-    assert distance(codes[0], codes[1]) > 1e-3
+    assert torch.equal(network.centres, CENTRES)
 
 
 # Centres learnt from the references
@@ -168,9 +152,9 @@ def references(n: int) -> Images:
     return Images.from_arrays([image(42, 56, 10 + seed) for seed in range(n)])
 
 
-def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(folder: Path, tensors: Tensors) -> None:
+def test_learnt_centres_are_the_means_of_the_values_that_are_nearest_to_them(folder: Path) -> None:
     fitted = learning(folder).fit(references(6), np.arange(6))
-    centres = fitted._network.centres.double().numpy()  # type: ignore[union-attr, operator]
+    centres = fitted._network.centres.double().numpy()
     values = np.concatenate([facet(tensors, seen) for seen in references(6)])
     nearest = np.linalg.norm(values[:, None] - centres, axis=2).argmin(1)
     assert distance(centres, np.stack([values[nearest == word].mean(0) for word in range(3)])) < 1e-3
@@ -207,7 +191,7 @@ def test_without_references_there_is_no_descriptor_where_they_give_the_centres(f
 
 
 def test_too_few_values_for_the_words_are_refused(folder: Path) -> None:
-    with pytest.raises(BadInput, match=r"4 different values for method\.words=5"):
+    with pytest.raises(BadInput, match=r"4 different .* method\.words=5"):
         learning(folder, words=5).fit(Images.from_arrays([image(28, 28)]), np.zeros(1, np.int64))
 
 
@@ -221,12 +205,12 @@ def test_a_fit_that_fails_forgets_the_one_before(folder: Path) -> None:
 
 def test_learning_leaves_nothing_behind_that_collects_values(folder: Path) -> None:
     network = learning(folder).fit(references(6), np.arange(6))._network
-    assert not network.values._forward_hooks  # type: ignore[union-attr, operator]
+    assert not network.values._forward_hooks
 
 
 @pytest.mark.parametrize(("vocabulary", "kept"), [("published", True), ("references", False)])
 def test_descriptors_are_kept_unless_a_map_shapes_them(folder: Path, vocabulary: Any, kept: bool) -> None:
-    assert method(folder, vocabulary=vocabulary).keeps_descriptors() is kept
+    assert learning(folder, vocabulary=vocabulary).keeps_descriptors() is kept
 
 
 # Files and arguments
@@ -239,37 +223,10 @@ def refusal(made: AnyLoc) -> str:
     return str(error.value)
 
 
-def test_both_files_make_the_descriptor(folder: Path) -> None:
-    assert list(method(folder).files()) == [folder / "network.pth", folder / "centres.pt"]
-
-
-def test_learnt_centres_need_no_file(folder: Path) -> None:
-    made = learning(folder)
-    assert list(made.files()) == [folder / "network.pth"]
-
-
-@pytest.mark.parametrize("name", ["blocks.0.mlp.w12.bias", f"blocks.{LAYER}.attn.qkv.weight", "cls_token"])
-def test_a_missing_tensor_is_named(folder: Path, tensors: Tensors, tmp_path: Path, name: str) -> None:
-    path = tmp_path / "missing.pth"
-    torch.save({key: tensor for key, tensor in tensors.items() if key != name}, path)
-    message = refusal(method(folder, network=str(path)))
-    assert name in message
-    assert str(path) in message
-
-
-@pytest.mark.parametrize("name", ["register_tokens", "blocks.0.mlp.fc1.weight"])
-def test_an_unexpected_tensor_is_named(folder: Path, tensors: Tensors, tmp_path: Path, name: str) -> None:
-    torch.save({**tensors, name: torch.zeros(3)}, tmp_path / "more.pth")
-    assert name in refusal(method(folder, network=str(tmp_path / "more.pth")))
-
-
-def test_a_tensor_of_another_shape_is_named(folder: Path, tensors: Tensors, tmp_path: Path) -> None:
-    torch.save({**tensors, "blocks.1.ls1.gamma": torch.zeros(3)}, tmp_path / "wrong.pth")
-    assert "blocks.1.ls1.gamma" in refusal(method(folder, network=str(tmp_path / "wrong.pth")))
-
-
-def test_a_network_without_the_layer_is_refused(folder: Path) -> None:
-    assert "method.layer=3" in refusal(method(folder, layer=DEPTH))
+def test_both_files_make_the_descriptor_and_learnt_centres_need_none(folder: Path) -> None:
+    path = NETWORK.file(folder)
+    assert list(NETWORK.method(path).files()) == [path, path.with_suffix(".centres")]
+    assert list(learning(folder).files()) == [path]
 
 
 @pytest.mark.parametrize(
@@ -277,60 +234,34 @@ def test_a_network_without_the_layer_is_refused(folder: Path) -> None:
     [torch.zeros(WORDS + 1, DIM), torch.zeros(WORDS, DIM - 1), torch.full((WORDS, DIM), torch.nan)],
     ids=["words", "dimensions", "not finite"],
 )
-def test_centres_that_do_not_fit_are_refused(folder: Path, tmp_path: Path, wrong: torch.Tensor) -> None:
-    torch.save(wrong, tmp_path / "wrong.pt")
-    message = refusal(method(folder, centres=str(tmp_path / "wrong.pt")))
-    assert str(tmp_path / "wrong.pt") in message
+def test_centres_that_do_not_fit_are_refused(folder: Path, wrong: torch.Tensor) -> None:
+    path = written(wrong, folder / "wrong.pt")
+    message = refusal(NETWORK.method(NETWORK.file(folder), centres=weights(path)))
+    assert str(path) in message
     assert f"({WORDS}, {DIM})" in message
 
 
 def test_a_network_in_place_of_centres_is_refused(folder: Path) -> None:
-    assert "network.pth" in refusal(method(folder, centres="network.pth"))
+    path = NETWORK.file(folder)
+    assert path.name in refusal(NETWORK.method(path, centres=weights(path)))
 
 
 @pytest.mark.parametrize("other", [{"backbone": "vitl14", "layer": 20}, {"layer": 30}, {"words": 64}], ids=str)
 def test_centres_are_published_for_one_network_layer_and_number_alone(folder: Path, other: dict[str, Any]) -> None:
     published = Weights(file="centres.pt", licence="none", trained_on="nothing", url="https://example.org/centres.pt")
-    made = AnyLoc(weights=weights(folder / "network.pth"), centres=published, **other)
+    made = AnyLoc(weights=weights(NETWORK.file(folder)), centres=published, **other)
     assert "method.vocabulary=references" in refusal(made)
 
 
-@pytest.mark.parametrize("wrong", [{"layer": -1}, {"layer": 40}, {"words": 0}], ids=str)
-def test_arguments_that_make_no_descriptor_are_refused(folder: Path, wrong: dict[str, int]) -> None:
+@pytest.mark.parametrize(
+    "wrong", [{"layer": -1}, {"layer": 40}, {"words": 0}, {"longest_side": 13}, {"centres": None}], ids=str
+)
+def test_arguments_that_make_no_descriptor_are_refused(folder: Path, wrong: dict[str, Any]) -> None:
     ((name, value),) = wrong.items()
-    assert f"method.{name}={value}" in refusal(method(folder, **wrong))
+    told = refusal(NETWORK.method(NETWORK.file(folder), **wrong))
+    assert (f"method.{name}" if value is None else f"method.{name}={value}") in told
 
 
-def test_published_centres_have_to_be_given(folder: Path) -> None:
-    made = AnyLoc(weights=weights(folder / "network.pth"))
-    assert "method.centres" in refusal(made)
-
-
-# The contract and the yaml
-
-
-@pytest.mark.parametrize("vocabulary", ["published", "references"])
-def test_it_keeps_the_rules_of_the_contract(folder: Path, vocabulary: str) -> None:
-    files = {
-        name: {"file": file, "licence": "none", "trained_on": "nothing", "path": str(folder / file)}
-        for name, file in (("weights", "network.pth"), ("centres", "centres.pt"))
-    }
-    config = {
-        "_target_": "vprbench.methods.anyloc.AnyLoc",
-        **files,
-        "vocabulary": vocabulary,
-        "layer": LAYER,
-        "words": WORDS,
-        "height": 42,
-        "width": 42,
-        "batch_size": 16,
-    }
-    assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
-
-
-def test_a_wrong_path_of_the_centres_is_named_as_theirs() -> None:
-    here = str(Path(__file__))
-    weights = Weights(file="w.pth", licence="", trained_on="", path=here)
-    centres = Weights(file="c.pt", licence="", trained_on="", path="nowhere.pt")
-    with pytest.raises(BadInput, match=r"method\.centres\.path=nowhere\.pt is no file"):
-        AnyLoc(weights=weights, centres=centres).files()
+def test_a_wrong_path_of_the_centres_is_named_as_theirs(folder: Path) -> None:
+    with pytest.raises(BadInput, match=r"method\.centres\.path=nowhere\.pt"):
+        NETWORK.method(NETWORK.file(folder), centres=weights(Path("nowhere.pt"))).files()

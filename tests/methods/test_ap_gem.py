@@ -41,7 +41,7 @@ class Checkpoint:
     def write(self, path: Path, module: ModuleType, **changes: Any) -> Path:
         """Write the file, whose PCA then belongs to `module`."""
         old = type("PCA", (), {"__module__": module.__name__})
-        module.PCA = old  # type: ignore[attr-defined]
+        module.PCA = old
         pca = old()
         pca.__dict__.update(self.pca.__getstate__())
         content = {

@@ -8,7 +8,7 @@ import torch
 from checkout import SHARED
 
 from vprbench.api.images import Images
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput
 from vprbench.methods import cohog
 from vprbench.methods.cohog import (
     CoHOG,
@@ -21,7 +21,7 @@ from vprbench.methods.cohog import (
     region_vectors,
 )
 
-CORRIDOR = SHARED / "data" / "corridor"
+CORRIDOR, SOME = SHARED / "data" / "corridor", slice(None, None, 3)  # of the queries
 SMALL = {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3, "entropy_threshold": 0.45}
 
 
@@ -66,49 +66,30 @@ def code(regions, good):
 # Gradients. Where the root rises by 1 a pixel the kernel of 5 makes 2 * (2 * 1 + 1 * 2) * (1 + 4 + 6 + 4 + 1) = 128.
 
 
+TWO_DOWN, TWO_RIGHT = ((np.degrees(np.arctan2(2, 1)) - 45) / 45, (360 - np.degrees(np.arctan2(1, 2)) - 315) / 45)
+
+
 def root_image(rise_down, rise_right, height, width):
     """Levels whose roots rise evenly: squares of whole numbers; and the largest root."""
     root = rise_down * np.arange(height)[:, None] + rise_right * np.arange(width)[None, :]
     return (root**2).astype(np.uint8), int(root.max())
 
 
-def test_a_rise_to_the_right_votes_for_0_degrees_with_half_the_gradient():
-    levels, peak = root_image(0, 1, 7, 12)
-    votes = gradient_histograms(levels, cell=1, bins=8, sobel=5)[3, 5]
-    assert votes == pytest.approx([0.5 * 128 / peak, 0, 0, 0, 0, 0, 0, 0], rel=1e-5)
-
-
-def test_a_rise_downwards_votes_for_90_degrees():
-    levels, peak = root_image(1, 0, 12, 7)
-    votes = gradient_histograms(levels, cell=1, bins=8, sobel=5)[5, 3]
-    assert votes == pytest.approx([0, 0, 0.5 * 128 / peak, 0, 0, 0, 0, 0], rel=1e-5)
-
-
-def test_the_magnitude_is_that_of_half_the_sum_and_no_length():
-    levels, peak = root_image(1, 1, 7, 7)
-    votes = gradient_histograms(levels, cell=1, bins=8, sobel=5)[3, 3]
-    assert votes == pytest.approx([0, 128 / peak, 0, 0, 0, 0, 0, 0], abs=1e-4)  # a length would give 181 / peak
-
-
-def test_a_rise_to_the_upper_right_has_no_magnitude_at_all():
-    levels, _ = root_image(1, 1, 7, 7)
-    assert gradient_histograms(levels[::-1].copy(), cell=1, bins=8, sobel=5)[3, 3].tolist() == [0] * 8
-
-
-def test_a_vote_is_shared_between_the_bin_of_the_angle_and_the_next():
-    levels, peak = root_image(2, 1, 6, 6)
-    share = (np.degrees(np.arctan2(2, 1)) - 45) / 45  # 63.4 degrees
-    magnitude = (0.5 * 128 + 0.5 * 256) / peak
-    votes = gradient_histograms(levels, cell=1, bins=8, sobel=5)[2, 3]
-    assert votes == pytest.approx([0, magnitude * (1 - share), magnitude * share, 0, 0, 0, 0, 0], rel=1e-5)
-
-
-def test_a_vote_above_315_degrees_is_shared_with_the_first_bin():
-    levels, peak = root_image(1, 2, 6, 6)
-    share = (360 - np.degrees(np.arctan2(1, 2)) - 315) / 45  # 333.4 degrees
-    magnitude = (0.5 * 256 - 0.5 * 128) / peak
-    votes = gradient_histograms(levels[::-1].copy(), cell=1, bins=8, sobel=5)[3, 2]
-    assert votes == pytest.approx([magnitude * share, 0, 0, 0, 0, 0, 0, magnitude * (1 - share)], rel=1e-5)
+@pytest.mark.parametrize(
+    ("down", "right", "turned", "votes"),
+    [
+        (0, 1, False, {0: 64}),  # to the right 0 degrees, half the gradient
+        (1, 0, False, {2: 64}),  # downwards 90 degrees
+        (1, 1, False, {1: 128}),  # half the sum; a length would give 181
+        (1, 1, True, {}),  # to the upper right
+        (2, 1, False, {1: 192 * (1 - TWO_DOWN), 2: 192 * TWO_DOWN}),  # 63.4 degrees
+        (1, 2, True, {7: 64 * (1 - TWO_RIGHT), 0: 64 * TWO_RIGHT}),  # 333.4 degrees
+    ],
+)
+def test_an_even_rise_votes_for_its_angle_and_the_next(down, right, turned, votes):
+    levels, peak = root_image(down, right, 6, 6)
+    found = gradient_histograms(levels[::-1].copy() if turned else levels, cell=1, bins=8, sobel=5)[3, 3]
+    assert found == pytest.approx([votes.get(number, 0) / peak for number in range(8)], abs=1e-4)
 
 
 @pytest.mark.parametrize(("turns", "right"), [(0, 0), (1, 6), (2, 4), (3, 2)])
@@ -153,10 +134,6 @@ def test_the_published_size_gives_961_regions_of_32_numbers_and_their_goodness()
 # Entropy.
 
 
-def test_the_entropy_of_one_level_is_0():
-    assert local_entropy(np.full((5, 6), 9, np.uint8), 2) == pytest.approx(0)
-
-
 def test_the_entropy_of_different_levels_is_the_logarithm_of_the_pixels_inside():
     bits = local_entropy(np.arange(9, dtype=np.uint8).reshape(3, 3), 1)
     assert bits == pytest.approx(np.log2([[3, 4, 3], [4, 5, 4], [3, 4, 3]]))
@@ -175,25 +152,16 @@ def test_a_disk_of_radius_5_has_81_pixels():
 # Scores.
 
 
-def test_a_score_is_the_mean_over_the_good_regions_of_the_best_region():
-    method = fitted_to([[unit(0), unit(0), unit(2), ZERO]])
-    query = code([unit(0), unit(1), unit(2), unit(0, 5)], good=[1, 1, 0, 1])
-    assert method.match(query)[0] == pytest.approx([(1 + 0 + np.sqrt(0.5)) / 3])
-
-
-def test_a_good_region_without_a_gradient_counts():
-    query = code([unit(0), ZERO, ZERO, ZERO], good=[1, 1, 0, 0])
-    assert fitted_to([[unit(0)] * 4]).match(query)[0] == pytest.approx([1 / 2])
-
-
-def test_a_query_without_a_good_region_scores_0():
-    query = code([unit(0)] * 4, good=[0] * 4)
-    assert fitted_to([[unit(0)] * 4, [unit(1)] * 4]).match(query).tolist() == [[0, 0]]
-
-
-def test_a_flat_query_has_no_good_region_and_scores_0():
-    method = CoHOG(**SMALL).fit(Images.from_arrays([scene(0), scene(1)]), np.array([0, 1]))
-    assert method.query(Images.from_arrays([np.full((30, 40, 3), 77, np.uint8)])).tolist() == [[0, 0]]
+@pytest.mark.parametrize(
+    ("reference", "query", "good", "wanted"),
+    [
+        ([unit(0), unit(0), unit(2), ZERO], [unit(0), unit(1), unit(2), unit(0, 5)], [1, 1, 0, 1], (1 + 0.5**0.5) / 3),
+        ([unit(0)] * 4, [unit(0), ZERO, ZERO, ZERO], [1, 1, 0, 0], 1 / 2),  # one without a gradient counts
+        ([unit(0)] * 4, [unit(0)] * 4, [0] * 4, 0),  # none is good
+    ],
+)
+def test_a_score_is_the_mean_over_the_good_regions_of_the_best_region(reference, query, good, wanted):
+    assert fitted_to([reference]).match(code(query, good))[0] == pytest.approx([wanted])
 
 
 def test_the_goodness_of_a_reference_does_not_count():
@@ -207,11 +175,6 @@ def test_the_goodness_of_a_reference_does_not_count():
     assert np.array_equal(*scores)
 
 
-def test_of_several_traverses_the_most_similar_image_of_a_place_counts():
-    method = fitted_to([[unit(0)] * 4, [unit(1)] * 4, [unit(2)] * 4], places=[1, 0, 1])
-    assert method.match(code([unit(2)] * 4, good=[1] * 4)).tolist() == [[0, 1]]
-
-
 @pytest.mark.parametrize("n_threads", [2, 3, 8])
 def test_any_number_of_threads_gives_exactly_the_same(monkeypatch, n_threads):
     images = Images.from_arrays([scene(seed) for seed in range(5)])
@@ -221,11 +184,6 @@ def test_any_number_of_threads_gives_exactly_the_same(monkeypatch, n_threads):
         monkeypatch.setattr(torch, "get_num_threads", lambda number=number: number)
         scores.append(method.query(images))
     assert np.array_equal(*scores)
-
-
-def test_no_queries_give_no_scores():
-    method = fitted_to([[unit(0)] * 4, [unit(1)] * 4])
-    assert method.match(np.empty((0, 4, 33), np.float32)).shape == (0, 2)
 
 
 # Against the slow implementation.
@@ -320,35 +278,6 @@ def test_a_gpu_gives_the_scores_and_the_stored_regions_of_the_cpu():
 # The contract beyond the conformance suite.
 
 
-def test_matching_before_fit_is_refused_with_what_to_do():
-    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        CoHOG().match(np.zeros((1, 961, 33), np.float32))
-
-
-def test_fit_keeps_its_own_copy_of_the_places():
-    images, places = Images.from_arrays([scene(0), scene(1)]), np.array([1, 0])
-    method = CoHOG(**SMALL).fit(images, places)
-    before = method.query(images)
-    places[:] = [0, 1]
-    assert np.array_equal(method.query(images), before)
-
-
-@pytest.mark.parametrize(
-    ("state", "complaint"),
-    [
-        ({"weights": np.zeros(3)}, "weights"),
-        ({"references": np.zeros((2, 4, 31), np.float32), "places": np.arange(2)}, "wanted finite float32"),
-        ({"references": np.full((1, 4, 32), np.nan, np.float32), "places": np.arange(1)}, "wanted finite float32"),
-        ({"references": np.zeros((2, 4, 32), np.float32), "places": np.array([0, 2])}, "without a gap"),
-        ({"references": np.zeros((0, 4, 32), np.float32), "places": np.arange(0)}, "one for each reference image"),
-        ({"references": np.zeros((1, 4, 32), np.float32), "places": np.array(0)}, "one for each reference image"),
-    ],
-)
-def test_stored_arrays_that_are_no_map_are_refused(state, complaint):
-    with pytest.raises(BadInput, match=complaint):
-        CoHOG(size=48).restore(state)
-
-
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -371,27 +300,30 @@ def test_arguments_that_do_not_fit_are_refused(arguments, complaint):
 
 @pytest.fixture(scope="module")
 def corridor():
-    """Our scores and those that VPR-Bench (77ad30f) stored, (111 queries, 111 references)."""
+    """Our scores of every third query and the scores that VPR-Bench (77ad30f) stored of all, each of 111 references."""
     if not CORRIDOR.is_dir():
         pytest.skip("the folder shared/ is not beside the checkout")
     references, queries = (Images.from_files(sorted((CORRIDOR / name).glob("*.jpg"))) for name in ("ref", "query"))
     with np.load(CORRIDOR / "vprbench_precomputed.npz") as stored:
-        return CoHOG().fit(references, np.arange(111)).query(queries), stored["CoHOG__similarity"]
+        return CoHOG().fit(references, np.arange(111)).query(queries[SOME]), stored["CoHOG__similarity"]
 
 
 def test_corridor_finds_as_many_as_the_stored_result_of_vprbench(corridor):
     # Stored: 69 of 111 within two frames; the same rule gives SAD 49 (0.4414). Four best matches are near-ties.
-    right = [np.count_nonzero(np.abs(scores.argmax(1) - np.arange(111)) <= 2) for scores in corridor]
-    assert right[1] == 69
-    assert right[0] == pytest.approx(69, abs=2)
+    scores, stored = corridor
+    right = np.abs(stored.argmax(1) - np.arange(111)) <= 2
+    assert np.count_nonzero(right) == 69
+    ours = np.abs(scores.argmax(1) - np.arange(111)[SOME]) <= 2
+    assert np.count_nonzero(ours) == pytest.approx(np.count_nonzero(right[SOME]), abs=2)
 
 
 def test_corridor_scores_are_those_that_vprbench_stored(corridor):
     scores, stored = corridor
+    stored = stored[SOME]
     difference = np.abs(scores - stored)
     assert np.median(difference) < 1e-4
     assert difference.max() < 4e-3
     # Where another reference is best, the stored scores of the two hardly differ.
-    ours = stored[np.arange(111), scores.argmax(1)]
+    ours = stored[np.arange(len(stored)), scores.argmax(1)]
     assert np.abs(ours - stored.max(1)).max() < 4e-4
-    assert np.count_nonzero(scores.argmax(1) == stored.argmax(1)) >= 105
+    assert np.count_nonzero(scores.argmax(1) == stored.argmax(1)) >= len(stored) - 4

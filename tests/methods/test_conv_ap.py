@@ -9,7 +9,7 @@ import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from described_images import drawn_images
+from described_images import drawn_images, pillow
 from PIL import Image as PillowImage
 from published_networks import PublishedNetwork, saved, with_checks
 
@@ -37,7 +37,7 @@ def expected(
     t = {name: tensor.double() for name, tensor in tensors.items()}
     descriptors = []
     for image in images:
-        seen = np.asarray(PillowImage.fromarray(image).resize((160, 96), kind))
+        seen = pillow(image, 96, 160, kind)
         features = oracle.resnet(tensors, "backbone.model.", oracle.imagenet(seen), "resnet50", numbered=False)[0]
         maps = torch.einsum("oc,chw->ohw", t["aggregator.channel_pool.weight"].flatten(1), features)
         maps = maps + t["aggregator.channel_pool.bias"][:, None, None]

@@ -11,8 +11,7 @@ import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
-from described_images import distance, encoded, image
-from PIL import Image as PillowImage
+from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
 
@@ -172,13 +171,13 @@ def test_images_are_resized_without_antialiasing(file: Path) -> None:
     floats = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
     plain = functional.interpolate(floats, (224, 224), mode="bilinear", align_corners=False, antialias=False)
     levels = plain[0].permute(1, 2, 0).round().numpy().astype(np.uint8)
-    smooth = np.asarray(PillowImage.fromarray(seen).resize((224, 224), PillowImage.Resampling.BILINEAR))
+    smooth = pillow(seen, 224, 224)
     code = encoded(method(file), seen)
     assert distance(code, alone(tensors, [levels])) < 0.1 * distance(code, alone(tensors, [smooth]))
 
 
 def test_another_size_than_that_of_the_regions_is_refused(file: Path) -> None:
-    with pytest.raises(BadInput, match=r"images of 224x238 pixels: .* set method\.height=224"):
+    with pytest.raises(BadInput, match=r"224x238 .* method\.height=224"):
         encoded(method(file, height=238), IMAGES[0])
 
 

@@ -11,7 +11,7 @@ import torch
 from checkout import SHARED
 
 from vprbench.api.images import Images
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput
 from vprbench.methods.densevlad import dense_sift, method, vlad
 from vprbench.methods.densevlad.method import DenseVLAD
 
@@ -53,32 +53,11 @@ def slow():
 
 
 def test_dense_sift_equals_the_slow_version(slow):
+    assert [len(scale) for scale in slow] == [9 * 12, 7 * 10, 6 * 9, 4 * 7]
+    assert 0 < (np.concatenate(slow) == 0).all(1).mean() < 0.5
     fast = sift(torch.tensor(scene(), dtype=torch.float32)).numpy()
     assert fast.dtype == np.float32
     np.testing.assert_allclose(fast, np.concatenate(slow), atol=1e-4)
-
-
-def test_some_descriptors_of_the_compared_scene_are_zeroed_and_most_are_not(slow):
-    zeroed = (np.concatenate(slow) == 0).all(1)
-    assert 0 < zeroed.mean() < 0.5
-
-
-def test_every_scale_is_compared(slow):
-    assert [len(scale) for scale in slow] == [9 * 12, 7 * 10, 6 * 9, 4 * 7]
-
-
-def test_root_sift_equals_the_slow_version(slow):
-    descriptors = np.concatenate(slow)
-    expected = [oracle.root_sift(descriptor) for descriptor in descriptors]
-    np.testing.assert_allclose(dense_sift.root_sift(torch.from_numpy(descriptors)), expected, atol=1e-12)
-
-
-def test_vlad_equals_the_slow_version():
-    generator = np.random.default_rng(0)
-    descriptors, words = generator.random((90, 128)), unit(generator.random((7, 128)))
-    blocks = torch.from_numpy(descriptors).float().split(40)
-    found = vlad.vlad(blocks, torch.from_numpy(words).float())
-    np.testing.assert_allclose(found, oracle.vlad(descriptors, words), atol=1e-4)
 
 
 def test_the_whole_chain_equals_the_slow_version(slow):
@@ -108,29 +87,9 @@ def test_an_even_slope_is_seen_in_its_own_orientations_alone(turn, orientations)
     assert np.ptp(strengths[list(orientations)]) < 1e-6
 
 
-def test_a_bright_edge_on_the_right_lies_in_the_last_column_of_bins():
-    grey = np.zeros((31, 31))
-    grey[:, 29:] = 1
-    (descriptor,) = sift(grey)[-1:].reshape(-1, 4, 4, 8)  # the largest scale's: bins 10 px apart, the last at 30
-    columns = descriptor.sum((0, 2))
-    assert columns.argmax() == 3
-    assert columns[0] == 0
-
-
-def test_all_scales_begin_at_one_centre_and_step_2():
-    firsts = {size: dense_sift._corners(60, size) for size in (4, 6, 8, 10)}
-    assert {size: corners[0] for size, corners in firsts.items()} == {4: 9, 6: 6, 8: 3, 10: 0}
-    assert {corners[0] + 1.5 * size for size, corners in firsts.items()} == {15}
-    assert all(set(np.diff(corners)) == {2} for corners in firsts.values())
-
-
 @pytest.mark.parametrize(("height", "width"), [(22, 22), (31, 31), (32, 64), (38, 45)])
 def test_the_number_of_descriptors_is_known_beforehand(height, width):
     assert len(sift(np.zeros((height, width)))) == dense_sift.n_descriptors(height, width) > 0
-
-
-def test_an_even_surface_has_zero_descriptors():
-    assert not sift(np.full((40, 40), 0.7)).any()
 
 
 def test_grey_is_matlabs():
@@ -148,10 +107,6 @@ def test_root_sift_cuts_to_whole_levels_up_to_255():
     # 512 * 0.6 = 307 -> 255; 512 * 0.0997 = 51.05 -> 51; 512 * 0.001 -> 0: shares 255 / 306 and 51 / 306
     found = dense_sift.root_sift(torch.tensor([[0.6, 0.0997, 0.001]]))
     np.testing.assert_allclose(found, np.sqrt([[5 / 6, 1 / 6, 0]]), rtol=1e-6)
-
-
-def test_root_sift_of_zero_is_zero():
-    assert not dense_sift.root_sift(torch.zeros(2, 128)).any()
 
 
 def test_vlad_lays_out_word_after_word_with_a_unit_residual_each():
@@ -192,64 +147,19 @@ def test_whitening_keeps_no_direction_that_the_vectors_do_not_have():
     assert vlad.whitening(vectors, 5).shape == (40, 3)
 
 
-def test_words_and_whitening_permuted_together_give_the_same_scores():
-    trained, queries = fitted(n=24), colours(5, seed=3)
-    state = dict(trained.state())
-    order = np.random.default_rng(0).permutation(6)
-    by_word = state["projection"].reshape(6, 128, -1)[order]
-    turned = DenseVLAD(words=6).restore(
-        {**state, "words": state["words"][order], "projection": by_word.reshape(6 * 128, -1)}
-    )
-    np.testing.assert_allclose(turned.query(queries), trained.query(queries), atol=1e-4)
-
-
-def test_a_whitening_laid_out_dimension_after_dimension_gives_other_scores():
-    trained, queries = fitted(n=24), colours(5, seed=3)
-    state = dict(trained.state())
-    other = state["projection"].reshape(6, 128, -1).transpose(1, 0, 2).reshape(6 * 128, -1)
-    scores = DenseVLAD(words=6).restore({**state, "projection": other}).query(queries)
-    assert abs(scores - trained.query(queries)).max() > 0.1
-
-
-def test_a_reference_image_scores_1_at_its_own_place():
-    scores = fitted().query(colours(12))
-    np.testing.assert_allclose(np.diagonal(scores), 1, atol=1e-5)
-
-
-def test_the_best_image_of_a_place_counts():
-    images = colours(8)
-    one_each = DenseVLAD(words=6, n_components=0).fit(images, np.arange(8)).query(images)
-    two_each = DenseVLAD(words=6, n_components=0).fit(images, np.arange(8) // 2).query(images)
-    assert np.array_equal(two_each, one_each.reshape(8, 4, 2).max(2))
-
-
-def test_words_are_unit_vectors():
-    words = fitted().state()["words"]
-    np.testing.assert_allclose(np.linalg.norm(words, axis=1), 1, atol=1e-6)
-
-
 def test_the_seed_decides_the_words():
     first, again, other = (fitted(seed=seed).state()["words"] for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
 
-def test_there_is_at_most_a_component_for_four_references():
-    assert fitted(n=16).encode(colours(3)).shape == (3, 4)
-
-
-def test_n_components_bounds_the_code():
-    assert fitted(n=16, n_components=2).encode(colours(3)).shape == (3, 2)
-
-
-def test_without_components_the_code_is_the_vlad():
-    codes = fitted(n_components=0).encode(colours(3))
-    assert codes.shape == (3, 6 * 128)
+@pytest.mark.parametrize(
+    ("n", "n_components", "shape"), [(16, 1024, (3, 4)), (16, 2, (3, 2)), (12, 0, (3, 6 * 128)), (12, 1024, (3, 3))]
+)
+def test_there_is_at_most_a_component_for_four_references_and_for_those_asked(n, n_components, shape):
+    codes = fitted(n=n, n_components=n_components).encode(colours(3))
+    assert codes.shape == shape
     np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
-
-
-def test_no_images_have_no_codes():
-    assert fitted().encode(colours(3)[:0]).shape == (0, 3)
 
 
 def test_references_beyond_the_sample_are_in_the_map(monkeypatch):
@@ -259,33 +169,11 @@ def test_references_beyond_the_sample_are_in_the_map(monkeypatch):
     np.testing.assert_allclose(trained.state()["references"], trained.encode(colours(12)), atol=1e-5)
 
 
-def test_a_stored_state_without_whitening_is_restored():
-    trained, queries = fitted(n_components=0), colours(4, seed=1)
-    restored = DenseVLAD(words=6, n_components=0).restore(trained.state())
-    assert np.array_equal(restored.query(queries), trained.query(queries))
-
-
-@pytest.mark.parametrize("name", ["words", "references", "places", "projection"])
-def test_a_state_with_an_array_of_another_shape_is_refused(name):
-    state = dict(fitted().state())
-    state[name] = state[name][:-1]
-    with pytest.raises(BadInput, match="the stored network holds"):
-        DenseVLAD(words=6).restore(state)
-
-
 def test_a_state_with_whitening_is_refused_where_none_is_wanted():
     with pytest.raises(BadInput, match="the stored network holds"):
         DenseVLAD(words=6, n_components=0).restore(fitted().state())
-
-
-def test_an_empty_state_is_refused():
     with pytest.raises(BadInput, match="the stored network holds"):
         DenseVLAD(words=6).restore({})
-
-
-def test_encoding_before_fit_is_refused_with_what_to_do():
-    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        DenseVLAD().encode(colours(1))
 
 
 @pytest.mark.parametrize(
@@ -298,7 +186,7 @@ def test_an_argument_without_sense_is_refused(arguments, message):
 
 def test_references_that_show_nothing_are_refused():
     black = Images.from_arrays([np.zeros((40, 40, 3), np.uint8)] * 3)
-    with pytest.raises(BadInput, match=r"gave 0 different descriptors for method\.words=6: give fewer words"):
+    with pytest.raises(BadInput, match=r"gave 0 .*method\.words=6"):
         DenseVLAD(words=6).fit(black, np.arange(3))
 
 
@@ -311,7 +199,7 @@ def test_images_of_64x32_are_accepted():
     ("side", "halve", "advice"), [(21, None, "give larger images"), (42, True, r"set method\.halve=false")]
 )
 def test_too_small_an_image_is_refused_with_its_size(side, halve, advice):
-    with pytest.raises(BadInput, match=rf"an image of 21x21 pixels.*needs at least 22x22; {advice}"):
+    with pytest.raises(BadInput, match=rf"21x21 .* 22x22; {advice}"):
         DenseVLAD(halve=halve).fit(colours(2, height=side, width=side), np.arange(2))
 
 
@@ -330,21 +218,6 @@ def published(tmp_path):
     path = tmp_path / "dnscnt_RDSIFT_K6.mat"
     scipy.io.savemat(path, {"CX": centres})
     return path, centres
-
-
-def test_a_published_vocabulary_is_used_with_its_columns_at_unit_length(published):
-    path, centres = published
-    trained = fitted(vocabulary=str(path))
-    np.testing.assert_allclose(trained.state()["words"], unit(centres.T), atol=1e-6)
-
-
-def test_a_published_vocabulary_decides_the_codes(published):
-    path, centres = published
-    image = colours(1, seed=9)
-    code = fitted(vocabulary=str(path), n_components=0).encode(image)[0]
-    grey = torch.from_numpy(dense_sift.grey_levels(image[0])).double() / 255
-    blocks = (dense_sift.root_sift(block) for block in dense_sift.dense_sift(grey))
-    np.testing.assert_allclose(code, vlad.vlad(blocks, torch.from_numpy(unit(centres.T)).double()), atol=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -388,45 +261,45 @@ def test_a_vocabulary_may_stand_in_the_home_folder(published, monkeypatch):
     np.testing.assert_allclose(words, unit(centres.T), atol=1e-6)
 
 
-def test_a_missing_vocabulary_is_named():
-    with pytest.raises(BadInput, match=r"method\.vocabulary=nowhere\.mat is no file: wanted the variable CX of 128x6"):
-        fitted(vocabulary="nowhere.mat")
+def mat(**arrays):
+    def write(path):
+        scipy.io.savemat(path, arrays)
+
+    return write
 
 
-def test_a_vocabulary_of_another_shape_is_refused(published):
-    with pytest.raises(BadInput, match=r"holds a CX of 128x6 float32: wanted the variable CX of 128x7 numbers"):
-        fitted(vocabulary=str(published[0]), words=7)
+def cut_off(compressed):
+    def write(path):
+        scipy.io.savemat(path, {"CX": np.random.default_rng(0).random((128, 6))}, do_compression=compressed)
+        path.write_bytes(path.read_bytes()[:700])
+
+    return write
 
 
-def test_a_vocabulary_without_centres_is_refused(tmp_path):
-    scipy.io.savemat(tmp_path / "other.mat", {"X": np.zeros(3)})
-    with pytest.raises(BadInput, match="holds no CX"):
-        fitted(vocabulary=str(tmp_path / "other.mat"))
-
-
-@pytest.mark.parametrize("content", [b"", b"not a vocabulary " * 20, b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"])
-def test_a_file_that_is_no_vocabulary_is_refused(tmp_path, content):
-    path = tmp_path / "broken.mat"
-    path.write_bytes(content)
-    with pytest.raises(BadInput, match=r"broken\.mat could not be read"):
-        fitted(vocabulary=str(path))
-
-
-@pytest.mark.parametrize("content", [b"", b"no array", b"\x93NUMPY\x01\x00"])
-def test_a_file_that_is_no_array_of_words_is_refused(tmp_path, content):
-    path = tmp_path / "broken.npy"
-    path.write_bytes(content)
-    with pytest.raises(BadInput, match=r"broken\.npy could not be read"):
-        fitted(vocabulary=str(path))
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_vocabulary_that_was_cut_off_is_refused(tmp_path, compressed):
-    path = tmp_path / "broken.mat"
-    scipy.io.savemat(path, {"CX": np.random.default_rng(0).random((128, 6))}, do_compression=compressed)
-    path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(BadInput, match=r"broken\.mat could not be read"):
-        fitted(vocabulary=str(path))
+@pytest.mark.parametrize(
+    ("name", "write", "complaint"),
+    [
+        ("nowhere.mat", lambda path: None, "is no file"),
+        ("other.mat", mat(CX=np.zeros((128, 7), np.float32)), r"128x7 float32.* 128x6 "),
+        ("other.mat", mat(X=np.zeros(3)), "holds no CX"),
+        *(
+            (f"broken.{suffix}", lambda path, content=content: path.write_bytes(content), "could not be read")
+            for suffix, content in [
+                ("mat", b""),
+                ("mat", b"not a vocabulary " * 20),
+                ("mat", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"),
+                ("npy", b""),
+                ("npy", b"no array"),
+                ("npy", b"\x93NUMPY\x01\x00"),
+            ]
+        ),
+        *(("broken.mat", cut_off(compressed), "could not be read") for compressed in (False, True)),
+    ],
+)
+def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, write, complaint):
+    write(tmp_path / name)
+    with pytest.raises(BadInput, match=rf"method\.vocabulary=.*{name} .*{complaint}"):
+        fitted(vocabulary=str(tmp_path / name))
 
 
 @needs_shared

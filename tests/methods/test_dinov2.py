@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
-from described_images import distance, encoded, image
-from PIL import Image as PillowImage
+from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, with_checks
 from torch import Generator, Tensor, randn
 
@@ -89,7 +88,7 @@ def test_the_mask_token_of_the_training_changes_nothing(file: Path, tmp_path: Pa
 
 
 def test_an_image_is_seen_at_the_nearest_multiples_of_14(file: Path) -> None:
-    seen = np.asarray(PillowImage.fromarray(image(50, 90)).resize((84, 56), PillowImage.Resampling.BILINEAR))
+    seen = pillow(image(50, 90), 56, 84)
     assert distance(encoded(method(file), image(50, 90)), described(tensors, seen)) < TOLERANCE
 
 
@@ -99,7 +98,3 @@ def test_an_image_is_seen_at_the_nearest_multiples_of_14(file: Path) -> None:
 def test_a_file_of_another_family_is_refused(tmp_path: Path) -> None:
     prefixed = {f"backbone.model.{name}": tensor for name, tensor in tensors.items()}
     assert "patch_embed.proj.weight" in NETWORK.refusal(saved(tmp_path / "salad.ckpt", prefixed))
-
-
-def test_the_blank_network_has_the_published_number_of_values_but_for_the_mask_token(file: Path) -> None:
-    assert sum(values.numel() for values in method(file).blank().parameters()) == 86_580_480 - 768

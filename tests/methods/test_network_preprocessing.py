@@ -24,7 +24,7 @@ from vprbench.plugins import registry
 Levels = npt.NDArray[Any]
 
 ENTRIES = registry.entries("method")
-NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]  # type: ignore[arg-type]
+NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]
 configuration = cache(lambda name: composed(f"method={name}"))
 LARGE, SMALL = (768, 2048), (47, 61)
 AVERAGE = (117.5, 120.25, 90.75)  # what the network of `netvlad` sees images less of
@@ -51,7 +51,7 @@ def shown(name: str, image: Image, **changed: Any) -> tuple[NeuralDescriptor, Te
     assert isinstance(method, NeuralDescriptor)
     method.use(network := Watched())
     if name in ("netvlad_msls", "netvlad_pytorch"):
-        network.mean = None  # type: ignore[assignment]
+        network.mean = None
     method.encode(Images.from_arrays([image]))
     return method, network.seen[0]
 
@@ -118,7 +118,7 @@ def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name: str
     (image,) = drawn_images(size)
     config = configuration(name)
     assert config["preprocessing"] == "authors"
-    multiple = ENTRIES[name].target().multiple  # type: ignore[union-attr, attr-defined]
+    multiple = ENTRIES[name].target().multiple
     given = config["height"] or size[0], config["width"] or size[1]
     side = round(given[0] / multiple) * multiple, round(given[1] / multiple) * multiple
     asked = {"preprocessing": "vpr_methods_evaluation", "resize": "opencv", "interpolation": "bicubic"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from described_images import composed
 from PIL import Image as PillowImage
+from published_networks import PublishedNetwork
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -29,7 +28,6 @@ from vprbench.methods.parts.patch_network import PatchNetwork
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
 from vprbench.plugins import conformance
 
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
 
@@ -93,14 +91,56 @@ def expected(tensors: Tensors, features: Tensor, sides: Sequence[int]) -> np.nda
     return np.stack(found)
 
 
-@pytest.fixture(scope="module")
-def tensors() -> Tensors:
-    return drawn()
+def described_slowly(tensors: Tensors, images: Sequence[np.ndarray]) -> np.ndarray:
+    """The codes of images, from all features of each."""
+    codes = []
+    for image in images:
+        seen = np.asarray(PillowImage.fromarray(image).resize((160, 144), PillowImage.Resampling.BILINEAR))
+        features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(seen), 28)[0]
+        assert features.shape == (512, 9, 10)
+        codes.append(unit(expected(tensors, features, (2, 5, 8)).ravel()))
+    return np.stack(codes)
 
 
-@pytest.fixture(scope="module")
-def file(tensors: Tensors, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("patch_netvlad") / "mapillary_WPCA10.pth.tar", tensors)
+NETWORK = PublishedNetwork(
+    "patch_netvlad",
+    drawn,
+    [picture(150, 170), picture(90, 90, 1)],
+    10 * (1 + 8 * 9 + 5 * 6 + 2 * 3),
+    described_slowly,
+    written,
+    arguments={"components": dict.fromkeys(SIDES, 10), "height": 144, "width": 160},
+    missing=["encoder.28.bias", "pool.centroids", "WPCA.0.weight"],
+    unexpected=["pool.conv.bias"],
+    misshapen={"encoder.28.bias": (9,)},
+    alike_in_half=0.95,
+    tolerance=1e-4,
+    contract=None,  # checked with a network that is shallow
+)
+
+
+@pytest.mark.parametrize(
+    "check", [pytest.param(check, id=name) for name, check in NETWORK.checks() if name != "contract"]
+)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+def test_a_file_of_other_components_is_refused_with_the_argument_that_it_wants(folder: Path) -> None:
+    path = NETWORK.file(folder)
+    refusal = NETWORK.refusal(path, components={"speed": 512}, configuration="speed")
+    assert "method.components.speed=10" in refusal
+
+
+@pytest.fixture
+def file(folder: Path) -> Path:
+    return NETWORK.file(folder)
+
+
+@pytest.fixture
+def code(folder: Path) -> np.ndarray:
+    """The descriptors of an image and its patches, for all patch sizes, unit vectors."""
+    return unit(NETWORK.codes(folder)[0].reshape(-1, 10))
 
 
 @pytest.fixture
@@ -112,20 +152,6 @@ def shallow(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return written(
         tmp_path / "x.pth.tar", drawn(2, 24, {"encoder.0.weight": weight, "encoder.0.bias": torch.zeros(512)})
     )
-
-
-@pytest.fixture(scope="module")
-def code(file: Path) -> np.ndarray:
-    """The descriptors of an image and its patches, for all patch sizes, unit vectors."""
-    return unit(made(file).encode(Images.from_arrays([picture(150, 170)])).reshape(-1, 10))
-
-
-def test_descriptors_equal_those_of_direct_loops(code: np.ndarray, tensors: Tensors) -> None:
-    seen = PillowImage.fromarray(picture(150, 170)).resize((160, 144), PillowImage.Resampling.BILINEAR)
-    x = (np.asarray(seen, np.float64) / 255 - np.array(MEAN)) / np.array(DEVIATION)
-    features = oracle.vgg16(tensors, "encoder.", torch.from_numpy(x).permute(2, 0, 1)[None], 28)[0]
-    assert features.shape == (512, 9, 10)
-    np.testing.assert_allclose(code, expected(tensors, features, (2, 5, 8)), atol=1e-4)
 
 
 def as_published(tensors: Tensors, features: Tensor, side: int) -> np.ndarray:
@@ -145,8 +171,7 @@ def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
     tensors = drawn()
     tensors["pool.conv.weight"] *= 40
     path, image = written(tmp_path / "x.pth.tar", tensors), picture(144, 160)
-    x = (image.astype(np.float64) / 255 - np.array(MEAN)) / np.array(DEVIATION)
-    features = oracle.vgg16(tensors, "encoder.", torch.from_numpy(x).permute(2, 0, 1)[None], 28)[0]
+    features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(image), 28)[0]
     exact = expected(tensors, features, (5,))[1:]
 
     def cosines(precision: str) -> np.ndarray:
@@ -159,18 +184,9 @@ def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
     np.testing.assert_array_equal(spoilt, (as_published(tensors, features, 5) * exact).sum(1) < 0.97)
 
 
-def test_the_patches_come_size_by_size(code: np.ndarray) -> None:
-    assert len(code) == 1 + 8 * 9 + 5 * 6 + 2 * 3
-
-
 def test_a_configuration_of_one_size_has_those_patches_alone(code: np.ndarray, file: Path) -> None:
     fewer = made(file, configuration="speed").encode(Images.from_arrays([picture(150, 170)])).reshape(-1, 10)
     np.testing.assert_allclose(unit(fewer), np.concatenate([code[:1], code[73:103]]), atol=1e-5)
-
-
-def test_codes_are_unit_vectors(file: Path) -> None:
-    codes = made(file, configuration="storage").encode(Images.from_arrays([picture(150, 170), picture(90, 90)]))
-    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize(("side", "patches"), [(2, 1131), (5, 936), (8, 759)])
@@ -195,6 +211,28 @@ def test_only_patches_that_are_nearest_to_one_another_are_pairs() -> None:
     assert list(zip(*pairs, strict=True)) == wanted
 
 
+FOUR, SEVEN = [0, 4, 11, 13], [0, 2, 4, 6, 9, 11, 13]
+ONE_STEP = [0, 1, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "query", "reference", "wanted"),
+    [
+        ("homography", [], [], 0),
+        ("homography", FOUR[:3], FOUR[:3], 0),  # a homography takes four pairs
+        ("homography", FOUR, FOUR, 4 / 15),  # the share of patches that are inliers
+        ("homography", SEVEN, SEVEN, 7 / 15),
+        ("displacement", [], [], 0),
+        ("displacement", [6], [13], (4**2 + 2**2) / 15),  # its own mean: no residual
+        ("displacement", [0, 6], [2, 6], 2 * (3**2 + 2**2) / 15),  # (2, 0) and (0, 0), their mean (1, 0)
+        ("displacement", ONE_STEP, [1, 2, 6, 7], 4 * (4**2 + 2**2) / 15),  # all one to the right
+    ],
+)
+def test_pairs_score_what_is_computed_by_hand(geometry: Any, query: list[int], reference: list[int], wanted) -> None:
+    pairs = np.array(query, np.int64), np.array(reference, np.int64)
+    assert score(geometry, cells(3, 5), 2, pairs) == pytest.approx(wanted)
+
+
 def cells(rows: int, columns: int) -> np.ndarray:
     return np.array([(x, y) for y in range(rows) for x in range(columns)])
 
@@ -215,40 +253,6 @@ def test_the_displacement_score_is_that_of_direct_loops() -> None:
     assert found == pytest.approx(slow_displacement_score(pairs, 3, 5))
 
 
-def test_one_common_displacement_scores_highest() -> None:
-    query = np.array([0, 1, 5, 6])  # all one to the right: no residual, so (4^2 + 2^2) each, over 15 patches
-    assert score("displacement", cells(3, 5), 5, (query, query + 1)) == pytest.approx(4 * (16 + 4) / 15)
-    assert score("displacement", cells(3, 5), 5, (query, np.array([1, 2, 6, 13]))) < 4 * 20 / 15
-
-
-def test_fewer_than_four_pairs_have_no_homography() -> None:
-    three = np.array([0, 4, 11])
-    assert score("homography", cells(3, 5), 5, (three, three)) == 0
-    four = np.array([0, 4, 11, 13])
-    assert score("homography", cells(3, 5), 5, (four, four)) > 0
-
-
-def test_one_pair_has_a_displacement() -> None:
-    pair = np.array([6]), np.array([13])  # its own mean: no residual
-    assert score("displacement", cells(3, 5), 5, pair) == pytest.approx((4**2 + 2**2) / 15)
-
-
-def test_two_pairs_are_as_far_from_their_mean_displacement() -> None:
-    query, reference = np.array([0, 6]), np.array([2, 6])  # displacements (2, 0) and (0, 0), their mean (1, 0)
-    assert score("displacement", cells(3, 5), 5, (query, reference)) == pytest.approx(2 * (3**2 + 2**2) / 15)
-
-
-@pytest.mark.parametrize("geometry", ["displacement", "homography"])
-def test_no_pairs_score_nothing(geometry: Any) -> None:
-    none = np.empty(0, np.int64)
-    assert score(geometry, cells(3, 5), 5, (none, none)) == 0
-
-
-def test_the_homography_score_is_the_share_of_patches_that_are_inliers() -> None:
-    some = np.array([0, 2, 4, 6, 9, 11, 13])
-    assert score("homography", cells(3, 5), 2, (some, some)) == pytest.approx(7 / 15)
-
-
 @pytest.mark.parametrize("side", [2, 5, 8])
 def test_a_patch_stands_in_the_middle_of_what_its_corners_see(side: int) -> None:
     for x, y in [(0, 0), (3, 0), (2, 7)]:
@@ -267,13 +271,6 @@ def moved(reference: np.ndarray, homography: np.ndarray) -> np.ndarray:
 
 
 HOMOGRAPHY = np.array([[1.1, 0.1, -20], [-0.05, 0.9, 30], [1e-4, -2e-4, 1]])
-
-
-def test_outliers_of_a_known_homography_are_not_counted() -> None:
-    reference = points(40)
-    query = moved(reference, HOMOGRAPHY)
-    query[::4] += np.random.default_rng(1).choice([-1, 1], (10, 2)) * np.linspace(150, 300, 10)[:, None]
-    assert inliers(query.astype(np.float32), reference.astype(np.float32)) == 30
 
 
 def test_the_tolerance_of_24_pixels_is_one_in_the_query_image() -> None:
@@ -305,28 +302,25 @@ def test_the_inliers_do_not_depend_on_what_was_asked_before() -> None:
     assert len(counts) == 1
 
 
-def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement() -> None:
-    agreement = np.array([0.5, -1.7, 1.2, 0.0])
-    scores = above_cosines(agreement, np.array([0.1, 0.99, -0.3, 0.2], np.float32))
-    np.testing.assert_allclose(scores, agreement + 2 + math.sqrt(3), rtol=1e-6)
+LOWEST = np.full(100, 1 / math.sqrt(99))
+LOWEST[3] = -math.sqrt(99)  # the standard scores if one of 100 differs
+
+
+@pytest.mark.parametrize(
+    ("agreement", "cosines"),
+    [(np.array([0.5, -1.7, 1.2, 0.0]), [0.1, 0.99, -0.3, 0.2]), (LOWEST, np.zeros(100)), (np.zeros(1), [0.3])],
+)
+def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement(agreement: np.ndarray, cosines) -> None:
+    scores = above_cosines(agreement, np.array(cosines, np.float32))
+    np.testing.assert_allclose(scores, agreement + 2 + math.sqrt(len(agreement) - 1), rtol=1e-6, atol=1e-5)
+    assert scores.min() > 1.99999
     assert scores.dtype == np.float32
-
-
-def test_the_lowest_possible_agreement_scores_two() -> None:
-    n = 100
-    lowest = np.full(n, 1 / math.sqrt(n - 1))
-    lowest[3] = -math.sqrt(n - 1)  # the standard scores where one of n differs
-    assert above_cosines(lowest, np.zeros(n, np.float32)).min() == pytest.approx(2, abs=1e-5)
 
 
 def test_of_equal_agreement_the_higher_cosine_comes_first() -> None:
     scores = above_cosines(np.zeros(4), np.array([0.3, 0.9, 0.3, 0.5], np.float32))
     assert scores[1] > scores[3] > scores[0] == scores[2]
     np.testing.assert_allclose(scores, 2 + math.sqrt(3), rtol=1e-6)
-
-
-def test_one_candidate_scores_two() -> None:
-    assert above_cosines(np.zeros(1), np.array([0.3], np.float32)).tolist() == [2.0]
 
 
 N_PLACES, ROWS, COLUMNS, COMPONENTS = 7, 9, 10, 12
@@ -404,21 +398,17 @@ def fitted(world: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, **arguments:
     return made(n_components=COMPONENTS, **arguments).fit(world.references, world.places)
 
 
-@pytest.mark.parametrize("n_candidates", [3, N_PLACES])
+@pytest.mark.parametrize("n_candidates", [3, N_PLACES, 100])
 @pytest.mark.parametrize("configuration", SIDES)
 def test_scores_are_those_of_direct_loops(configuration: str, n_candidates: int, world, monkeypatch) -> None:
     world = world_of(world, configuration)
     method = fitted(world, monkeypatch, configuration=configuration, candidates=n_candidates)
     scores = method.query(world.queries)
+    n_candidates = min(n_candidates, N_PLACES)
     wanted = np.stack([slow_scores(world, code, configuration, n_candidates) for code in world.codes[-3:]])
     np.testing.assert_allclose(scores, wanted, atol=1e-4)
     assert scores.argmax(1).tolist() == [2, 5, 0]
     assert np.count_nonzero(scores >= 2, axis=1).tolist() == [n_candidates] * 3
-
-
-def test_more_candidates_than_places_are_all_places(world, monkeypatch) -> None:
-    few, many = (fitted(world, monkeypatch, candidates=n).query(world.queries) for n in (N_PLACES, 100))
-    np.testing.assert_array_equal(few, many)
 
 
 def test_references_in_float16_give_almost_the_same_scores(world, monkeypatch) -> None:
@@ -484,19 +474,20 @@ def test_match_before_fit_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "advice"),
+    ("call", "patches", "needed", "advice"),
     [
-        ("fit", "set method.configuration=storage or method.patches=float16, or take fewer images"),
-        ("encode", "set method.configuration=storage, or encode fewer images together"),
+        ("fit", "float32", r"46\.3 GB", r"method\.patches=float16"),
+        ("fit", "float16", r"23\.2 GB", "method.configuration=storage"),
+        ("encode", "float32", r"46\.3 GB", "method.configuration=storage"),
     ],
 )
 def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(
-    call: str, advice: str, monkeypatch
+    call: str, patches: str, needed: str, advice: str, monkeypatch
 ) -> None:
     monkeypatch.setattr(patch_netvlad.psutil, "virtual_memory", lambda: SimpleNamespace(available=3e9))
-    method = made(n_components=4096, height=480, width=640)
+    method = made(n_components=4096, height=480, width=640, patches=patches)
     images = Images(lambda _: pytest.fail("an image was read"), ["x"] * 1000)
-    with pytest.raises(BadInput, match=rf"need 46\.3 GB of memory, 3\.0 GB are free: {re.escape(advice)}$"):
+    with pytest.raises(BadInput, match=rf"{needed} .*{advice}"):
         method.fit(images, np.arange(1000)) if call == "fit" else method.encode(images)
 
 
@@ -513,14 +504,6 @@ def test_a_gibibyte_holds_23_codes_of_the_published_size() -> None:
     assert held_together(method, 128) == 23
 
 
-def test_float16_takes_half_the_memory(monkeypatch) -> None:
-    monkeypatch.setattr(patch_netvlad.psutil, "virtual_memory", lambda: SimpleNamespace(available=3e9))
-    method = made(n_components=4096, height=480, width=640, patches="float16")
-    images = Images(lambda _: pytest.fail("an image was read"), ["x"] * 1000)
-    with pytest.raises(BadInput, match=r"the patches of 1000 reference images need 23\.2 GB"):
-        method.fit(images, np.arange(1000))
-
-
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -528,32 +511,12 @@ def test_float16_takes_half_the_memory(monkeypatch) -> None:
         ({"width": 127}, "need at least 128x128 pixels"),
         ({"height": 79, "configuration": "speed"}, "configuration=speed need at least 80x80 pixels"),
         ({"candidates": 0}, "method.candidates=0: give at least 1 place"),
-        ({"components": {"speed": 512}}, "give those of performance, at least 1"),
+        ({"components": {"speed": 512}}, "method.components=.*performance"),
     ],
 )
 def test_arguments_that_do_not_fit_are_named(arguments: dict[str, Any], complaint: str) -> None:
     with pytest.raises(BadInput, match=complaint):
         made(**arguments).encode(Images.from_arrays([picture(32, 32)]))
-
-
-def test_a_file_of_other_components_is_refused(file: Path) -> None:
-    with pytest.raises(BadInput, match=r"holds 10 components, method.configuration=speed wants 512: .*speed=10$"):
-        made(file, n_components=512, configuration="speed").load(file)
-
-
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        (lambda t: {k: v for k, v in t.items() if not k.startswith("WPCA")}, r"2 missing \(WPCA.0.weight, WPCA.0.bias"),
-        (lambda t: t | {"pool.conv.bias": torch.zeros(3)}, r"1 unexpected \(pool.conv.bias\)"),
-        (lambda t: t | {"encoder.28.bias": torch.zeros(9)}, r"1 other \(encoder.28.bias real \(9,\), wanted"),
-    ],
-)
-def test_a_file_with_other_tensors_is_refused(change, complaint: str, tensors: Tensors, tmp_path: Path) -> None:
-    path = tmp_path / "x.pth.tar"
-    torch.save({"state_dict": change(tensors)}, path)
-    with pytest.raises(BadInput, match=complaint):
-        made(path).load(path)
 
 
 @pytest.mark.parametrize("configuration", ["performance", "storage"])
@@ -568,7 +531,3 @@ def test_the_contract_is_kept(configuration: str, shallow: Path) -> None:
         "width": 144,
     }
     assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []
-
-
-def test_the_published_files_are_those_of_netvlad() -> None:
-    assert composed("method=patch_netvlad")["weights"] == composed("method=netvlad_msls")["weights"]

@@ -7,7 +7,7 @@ from checkout import SHARED
 
 from vprbench.api.images import Images
 from vprbench.datasets.folders import folders
-from vprbench.errors import BadInput, NotFittedError
+from vprbench.errors import BadInput
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
 
@@ -94,13 +94,21 @@ def test_whitening_makes_every_component_as_large_as_any():
     assert scores[0] == pytest.approx(np.array([1, -1, 1, -1]) / np.sqrt(2), abs=1e-6)
 
 
-def test_fewer_references_give_fewer_components():
-    method = fitted(frames(5), components=128)
-    assert method.state()["projection"].shape == (30, 4)
+@pytest.mark.parametrize(
+    ("n", "height", "width", "found"), [(5, 6, 5, (30, 4)), (50, 2, 3, (6, 6)), (1, 6, 5, (30, 0))]
+)
+def test_fewer_references_or_pixels_give_fewer_components(n, height, width, found):
+    assert fitted(frames(n, height=height, width=width), components=128).state()["projection"].shape == found
 
 
-def test_fewer_pixels_give_fewer_components():
-    assert fitted(frames(50, height=2, width=3), components=128).state()["projection"].shape == (6, 6)
+@pytest.mark.parametrize(
+    ("references", "query"),
+    [(frames(1), frames(3, seed=2)), (np.zeros((4, 6, 5), np.uint8), frames(2)), (CROSS, [[[100, 100]]])],
+    ids=["one reference", "all black", "the mean"],
+)
+@pytest.mark.parametrize("whiten", [False, True])
+def test_what_has_no_direction_scores_0(references, query, whiten):
+    assert not fitted(references, whiten=whiten).query(images(query)).any()
 
 
 def test_references_that_repeat_add_no_component():
@@ -108,25 +116,6 @@ def test_references_that_repeat_add_no_component():
     method = fitted(levels, components=128, whiten=True)
     assert method.state()["projection"].shape == (30, 4)
     assert np.diagonal(method.query(images(levels))) == pytest.approx(1, abs=1e-6)
-
-
-def test_one_reference_has_no_direction_and_everything_scores_0():
-    method = fitted(frames(1), whiten=True)
-    assert method.query(images(frames(3, seed=2))).tolist() == [[0], [0], [0]]
-
-
-def test_references_that_are_all_black_score_0():
-    method = fitted(np.zeros((4, 6, 5), np.uint8))
-    assert method.query(images(frames(2))).tolist() == [[0] * 4] * 2
-
-
-def test_an_image_that_is_the_mean_scores_0():
-    assert fitted(CROSS).query(images([[[100, 100]]])).tolist() == [[0, 0, 0, 0]]
-
-
-def test_of_several_traverses_the_most_similar_image_of_a_place_counts():
-    method = grey_pca(1, 2).fit(images(CROSS), np.array([0, 1, 1, 0]))
-    assert method.query(images([[[130, 140]]]))[0] == pytest.approx([0.8, 0.6], abs=1e-6)
 
 
 def test_encoding_needs_no_map_and_does_not_change_with_it():
@@ -151,48 +140,6 @@ def test_grey_is_taken_from_rgb():
 def test_patch_normalised_pixels_are_those_of_sad():
     picture = images(frames(3, height=40, width=50))
     assert np.array_equal(PCA().encode(picture), SAD().encode(picture))
-
-
-def test_a_stored_projection_answers_as_the_learnt_one():
-    queries = images(frames(4, seed=2))
-    learnt = fitted(frames(20), components=5, whiten=True)
-    restored = grey_pca(components=5, whiten=True).restore(learnt.state())
-    assert np.array_equal(restored.query(queries), learnt.query(queries))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mean": np.zeros(31)}, r"mean of the stored network is float64 of shape \(31,\); wanted"),
-        ({"projection": np.zeros((30, 3))}, r"references of the stored network .* wanted float32 of shape \(9, 3\)"),
-        ({"places": np.arange(9.0)}, "places of the stored network is float64"),
-        ({"weights": np.zeros(3)}, "holds mean, places, projection, references, weights; wanted mean, places"),
-    ],
-)
-def test_arrays_of_another_method_are_refused(change, message):
-    state = {**fitted(frames(9), components=4).state(), **change}
-    with pytest.raises(BadInput, match=message):
-        grey_pca().restore(state)
-
-
-def test_after_a_refused_restore_nothing_is_left_of_the_earlier_fit():
-    method = fitted(frames(9))
-    with pytest.raises(BadInput):
-        method.restore({})
-    with pytest.raises(NotFittedError):
-        method.state()
-
-
-def test_fit_keeps_its_own_copy_of_the_places():
-    places = np.array([0, 1, 2, 3])
-    method = grey_pca(1, 2).fit(images(CROSS), places)
-    places[:] = 0
-    assert method.query(images([[[130, 140]]])).shape == (1, 4)
-
-
-def test_matching_before_fit_is_refused_with_what_to_do():
-    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        PCA().match(np.zeros((1, 784), np.uint8))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from vprbench.cli import main
 from vprbench.plugins import registry
 
 ENTRIES = registry.entries("method")
-NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]  # type: ignore[arg-type]
+NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]
 DINOV2 = "https://dl.fbaipublicfiles.com/dinov2"
 PATCH_NETVLAD = "https://huggingface.co/TobiasRobotics/Patch-NetVLAD/resolve/main"
 
@@ -246,5 +246,5 @@ def test_without_its_file_a_run_ends_in_one_line(
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
     assert main([f"method={name}", "dataset.places=12", "dataset.first_query_place=0", "threads=1"]) == 2
     captured = capsys.readouterr()
-    assert FILES[name][1] in captured.err.strip().splitlines()[-1]  # type: ignore[operator]
+    assert FILES[name][1] in captured.err.strip().splitlines()[-1]
     assert "Traceback" not in captured.err

@@ -87,7 +87,7 @@ def test_chunks_and_tiles_leave_nothing_out(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(sad, "_CHUNK", 60)
     references, queries = codes(31, 200, seed=1), codes(5, 200, seed=2)
     similarity = np.full((5, 31), np.nan, np.float32)
-    sad._compare.py_func(queries, references, 0, 31, similarity)  # type: ignore[attr-defined]
+    sad._compare.py_func(queries, references, 0, 31, similarity)
     assert similarity == pytest.approx(oracle(queries, references), rel=1e-6)
 
 
@@ -219,4 +219,4 @@ def test_matching_takes_little_more_memory_than_its_scores() -> None:
 def test_codes_that_do_not_fit_the_map_are_refused(wrong: npt.NDArray[np.generic], came: str) -> None:
     method = fitted(codes(3, 10, seed=1))
     with pytest.raises(ValueError, match=came + r" came; this map compares uint8 \(n_queries, 10\)"):
-        method.match(wrong)  # type: ignore[arg-type]
+        method.match(wrong)

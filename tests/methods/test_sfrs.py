@@ -8,8 +8,7 @@ from pathlib import Path
 import backbones_oracle as oracle
 import numpy as np
 import torch
-from described_images import distance, drawn_images, encoded
-from PIL import Image as PillowImage
+from described_images import distance, drawn_images, encoded, pillow
 from published_networks import PublishedNetwork, with_checks
 
 MEAN = (0.48501960784313836, 0.4579568627450961, 0.4076039215686255)  # of RGB, 0 to 1, as its authors have it
@@ -80,6 +79,6 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
 
 def test_images_are_seen_as_pillow_resizes_them(folder: Path) -> None:
     (seen,) = drawn_images((90, 130))
-    resized = np.asarray(PillowImage.fromarray(seen).resize((64, 48), PillowImage.Resampling.BILINEAR))
+    resized = pillow(seen, 48, 64)
     method = NETWORK.method(NETWORK.file(folder), height=48, width=64)
     assert distance(encoded(method, seen), expected(NETWORK.tensors, [resized])) < TOLERANCE

@@ -15,8 +15,6 @@ from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import distance, encoded, image
 from published_networks import PublishedNetwork, with_checks
 
-from vprbench.errors import BadInput
-
 TOLERANCE = 1e-5
 DIM, CLUSTERS = 128, 4
 IMAGES = [image(56, 98, seed) for seed in range(5)]
@@ -104,13 +102,6 @@ def test_the_encoder_joins_as_many_images_as_asked(folder: Path, n: int) -> None
     assert distance(together(tensors, IMAGES[:1]), together(tensors, IMAGES[:2])[:1]) > 100 * TOLERANCE
 
 
-@pytest.mark.parametrize(
-    ("network", "other", "told"),
-    [
-        (PLAIN, CROSS_IMAGE, r"24 unexpected \(encoder.layers.0"),
-        (CROSS_IMAGE, PLAIN, "no encoder.layers.0.linear1.weight"),
-    ],
-)
-def test_the_file_of_the_other_is_refused(network, other, told: str, folder: Path) -> None:
-    with pytest.raises(BadInput, match=told):
-        network.method(folder).load(other.file(folder))
+@pytest.mark.parametrize(("network", "other"), [(PLAIN, CROSS_IMAGE), (CROSS_IMAGE, PLAIN)])
+def test_the_file_of_the_other_is_refused(network: PublishedNetwork, other: PublishedNetwork, folder: Path) -> None:
+    assert "encoder.layers.0" in network.refusal(other.file(folder))

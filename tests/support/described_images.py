@@ -9,6 +9,7 @@ import hydra
 import numpy as np
 import numpy.typing as npt
 from omegaconf import OmegaConf
+from PIL import Image as PillowImage
 
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
@@ -18,6 +19,11 @@ from vprbench.api.method import Method
 def image(height: int, width: int, seed: int = 0) -> Image:
     """Return noise."""
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def pillow(image: Image, height: int, width: int, how: Any = PillowImage.Resampling.BILINEAR) -> Image:
+    """Return an image as Pillow resizes it, antialiased."""
+    return np.asarray(PillowImage.fromarray(image).resize((width, height), how))
 
 
 def drawn_images(*sizes: tuple[int, int], seed: int = 0) -> list[Image]:

@@ -44,6 +44,8 @@ class PublishedNetwork:
     expected: Expected
     write: Callable[[Path, Tensors], Path] = saved
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    #: Arguments that are further files, and what writes each beside the file of weights.
+    beside: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
     tolerance: float = 1e-5
     batch_tolerance: float = 2e-6
     traps: Sequence[Mapping[str, Any]] = ()
@@ -54,8 +56,8 @@ class PublishedNetwork:
     misshapen: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     #: What messages may leave out of the names of tensors.
     hidden_prefixes: tuple[str, ...] = ()
-    #: Options, and a smaller network if the suite takes too long with this one, under which the contract is checked.
-    contract: Mapping[str, Any] = field(default_factory=dict)
+    #: Options under which the contract is checked (None: it is not), and a smaller network if this one takes too long.
+    contract: Mapping[str, Any] | None = field(default_factory=dict)
     draw_for_contract: Callable[[], Tensors] | None = None
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -74,8 +76,12 @@ class PublishedNetwork:
     def method(self, path: Path, **arguments: Any) -> NeuralDescriptor:
         """Return the method with these weights; what the yaml says of the size of images is left out."""
         kind = registry.entries("method")[self.name].target()
-        weights = Weights(file=path.name, licence="none", trained_on="nothing", path=str(path))
-        return kind(weights=weights, **{**self.arguments, **arguments})  # type: ignore[operator, no-any-return]
+        files = {"weights": path} | {name: write(path) for name, write in self.beside.items()}
+        given = {
+            name: Weights(file.name, licence="none", trained_on="nothing", path=str(file))
+            for name, file in files.items()
+        }
+        return kind(**{**given, **self.arguments, **arguments})
 
     def codes(self, folder: Path) -> npt.NDArray[np.float32]:
         """Return the descriptors of the images, computed once."""
@@ -95,8 +101,9 @@ class PublishedNetwork:
         """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
         draw = self.draw_for_contract
         path = self.write(folder / "contract.weights", draw()) if draw else self.file(folder)
-        config = composed(f"method={self.name}") | dict(self.contract) | options
-        config["weights"]["path"] = str(path)
+        config = composed(f"method={self.name}") | dict(self.contract or {}) | options
+        for name, file in ({"weights": path} | {name: write(path) for name, write in self.beside.items()}).items():
+            config[name]["path"] = str(file)
         made = registry.make_method(config)
         assert isinstance(made, NeuralDescriptor)
         network = made.load(path)
@@ -117,7 +124,8 @@ class PublishedNetwork:
             yield f"missing {name}", partial(self._names, name, None)
         for name, shape in (dict.fromkeys(self.unexpected, (3, 3)) | dict(self.misshapen)).items():
             yield f"other {name}", partial(self._names, name, shape)
-        yield "contract", self._keeps_the_contract
+        if self.contract is not None:
+            yield "contract", self._keeps_the_contract
 
     def _has_the_descriptors_of_the_slow_computation(self, folder: Path) -> None:
         codes = self.codes(folder)
@@ -136,12 +144,14 @@ class PublishedNetwork:
 
     def _half_the_precision_keeps_the_descriptor(self, folder: Path) -> None:
         method = self.method(self.file(folder))
+        network = method.load(self.file(folder))
+        method.use(network)
         height, width = method.target(*self.images[0].shape[:2])
         seen = method.pixels(torch.from_numpy(image(height, width)).permute(2, 0, 1)[None].float())
         with torch.inference_mode():
-            network = method.load(self.file(folder)).eval()
             exact = network(seen)
-            half = network.to(torch.bfloat16)(seen.to(torch.bfloat16)).float()
+            self.method(self.file(folder), precision="bfloat16").use(network)
+            half = network(seen.to(torch.bfloat16)).float()
         assert torch.nn.functional.cosine_similarity(half, exact).min() > self.alike_in_half
 
     def _falls_into_no(self, trap: Mapping[str, Any], folder: Path) -> None:

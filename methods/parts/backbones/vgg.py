@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from torch import nn
 
-from vprbench.api import BadInput
-
 N_CHANNELS = 512
-N_LAYERS = 31  # convolutions, ReLUs and pools
 
 _GROUPS = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))  # channels, convolutions; a pool ends each group
 
 
-def vgg16_features(n_layers: int = N_LAYERS) -> nn.Sequential:
+def vgg16_features(n_layers: int = 31) -> nn.Sequential:
     """Return the first layers of VGG16's `features`, in evaluation mode and without gradients.
 
     The keys are "0.weight", "0.bias", "2.weight" and so on: every convolution, ReLU and pool has a number. With 31
     layers images (n, 3, height, width) become (n, 512, height // 32, width // 32). With 29 they end after conv5_3,
-    before its ReLU and the last pool: (n, 512, height // 16, width // 16). Raises BadInput outside 1 to 31.
+    before its ReLU and the last pool: (n, 512, height // 16, width // 16).
     Source: Simonyan and Zisserman 2015, configuration D, in torchvision's numbering.
     """
-    if not 1 <= n_layers <= N_LAYERS:
-        raise BadInput(f"n_layers={n_layers}: VGG16 has layers 1 to {N_LAYERS}")
     layers: list[nn.Module] = []
     n_inputs = 3
     for n_channels, n_convolutions in _GROUPS:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vprbench.api import BadInput
+from ..published import Tensors, size
 
 _HEAD = 64  # dimensions of an attention head, in all published sizes
 _EPSILON = 1e-6
@@ -56,7 +56,7 @@ class VisionTransformer(nn.Module):
     """DINOv2's Vision Transformer, in evaluation mode and without gradients.
 
     Images are (n, 3, height, width) of the parameters' type, both sides multiples of the patch size. `norm` and
-    `mask_token` say whether there are parameters for the final norm and for the token that masks patches in training,
+    `mask_token` say if there are parameters for the final norm and for the token that masks patches in training,
     which has no use here: some published files hold it and some don't.
     Source: Oquab et al. 2024 and facebookresearch/dinov2; no register tokens.
     """
@@ -73,52 +73,43 @@ class VisionTransformer(nn.Module):
             OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=sizes.patch, stride=sizes.patch))
         )
         self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
-        self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else None
+        self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else nn.Identity()
         self.eval().requires_grad_(False)
 
     @classmethod
-    def for_checkpoint(cls, tensors: Mapping[str, Tensor], n_blocks: int | None = None) -> Self:
-        """Build the transformer that these tensors fit, or its first `n_blocks` blocks; nothing is loaded yet.
+    def sized(
+        cls, tensors: Tensors, published: str = "vitb14", *, norm: bool = True, n_blocks: int | None = None
+    ) -> Self:
+        """Build the transformer of a checkpoint's tensors, or its first `n_blocks` blocks; nothing is loaded.
 
-        The names are DINOv2's own, without a prefix. `load_state_dict` then takes `first_blocks(tensors, n_blocks)`
-        strictly. Raises BadInput for tensors that are no DINOv2 transformer's and for more blocks than there are.
+        The names are DINOv2's own, without a prefix; sizes that no tensor has are the ones of `published`.
         """
-        sizes = _sizes(tensors)
-        if n_blocks is not None:
-            if not 1 <= n_blocks <= sizes.n_blocks:
-                raise BadInput(f"n_blocks={n_blocks}: the checkpoint has blocks 1 to {sizes.n_blocks}")
-            sizes = replace(sizes, n_blocks=n_blocks)
-        return cls(sizes, norm="norm.weight" in tensors, mask_token="mask_token" in tensors)
+        sizes = _sizes(tensors, SIZES[published])
+        sizes = sizes if n_blocks is None else replace(sizes, n_blocks=n_blocks)
+        return cls(sizes, norm=norm, mask_token="mask_token" in tensors)
 
     def tokens(self, images: Tensor, *, normalised: bool) -> Tokens:
-        """Return the tokens after the last block, with or without the final norm.
-
-        Raises BadInput for sides that are no multiples of the patch size, and where a norm is wanted that the
-        checkpoint had not.
-        """
-        if normalised and self.norm is None:
-            raise BadInput("the checkpoint holds no norm.weight: normalised tokens are not to be had from it")
+        """Return the tokens after the last block, with or without the final norm."""
         x, grid = self._embedded(images)
         for block in self.blocks:
             x = block(x)
-        if normalised and self.norm is not None:
+        if normalised:
             x = self.norm(x)
         return Tokens(cls=x[:, 0], patches=_on_grid(x[:, 1:], grid))
 
-    def values(self, images: Tensor, block: int = -1) -> Tensor:
-        """Return the value facet of a block's attention, (n, rows, columns, dim); nothing after it is computed.
+    def values(self, images: Tensor) -> Tensor:
+        """Return the value facet of the last block's attention, (n, rows, columns, dim).
 
-        It is the last third of what `qkv` puts out, of the patches alone (Amir et al. 2022; AnyLoc takes block 31 of
-        ViT-g). Blocks count from 0, or from the last with -1. Raises BadInput as `tokens` does.
+        It is the last third of what `qkv` puts out, of the patches alone (Amir et al. 2022).
         """
         x, grid = self._embedded(images)
-        for earlier in self.blocks[:block]:
+        for earlier in self.blocks[:-1]:
             x = earlier(x)
-        return _on_grid(cast(_Block, self.blocks[block]).values(x[:, 1:]), grid)
+        return _on_grid(cast(_Block, self.blocks[-1]).values(x[:, 1:]), grid)
 
     def _embedded(self, images: Tensor) -> tuple[Tensor, tuple[int, int]]:
         """Return the first block's input (n, 1 + rows * columns, dim), the CLS token first, and (rows, columns)."""
-        grid = _grid(images, self.sizes.patch)
+        grid = (images.shape[2] // self.sizes.patch, images.shape[3] // self.sizes.patch)
         patches = self.patch_embed(images).flatten(2).transpose(1, 2)
         x = torch.cat([self.cls_token.expand(len(images), -1, -1), patches], 1)
         return x + self._positions(*grid).to(x.dtype), grid
@@ -140,12 +131,10 @@ class VisionTransformer(nn.Module):
         return torch.cat([embedding[:, :1], stretched.flatten(2).transpose(1, 2)], 1)
 
 
-def first_blocks(tensors: Mapping[str, Tensor], n_blocks: int | None) -> dict[str, Tensor]:
-    """Return the tensors without those of the blocks from number `n_blocks` on; None keeps all."""
+def first_blocks(tensors: Tensors, n_blocks: int) -> dict[str, Tensor]:
+    """Return the tensors without the tensors of the blocks from number `n_blocks` on."""
     return {
-        key: tensor
-        for key, tensor in tensors.items()
-        if n_blocks is None or not (found := _BLOCK.match(key)) or int(found[1]) < n_blocks
+        key: tensor for key, tensor in tensors.items() if not (found := _BLOCK.match(key)) or int(found[1]) < n_blocks
     }
 
 
@@ -226,51 +215,24 @@ class _SwiGLU(nn.Module):
         return out
 
 
-def _grid(images: Tensor, patch: int) -> tuple[int, int]:
-    """Return how many patches images (n, 3, height, width) have down and across; raises BadInput for a broken one."""
-    height, width = images.shape[-2:]
-    rows, columns = height // patch, width // patch
-    if not (rows and columns) or (height, width) != (rows * patch, columns * patch):
-        near_height, near_width = (max(1, round(side / patch)) * patch for side in (height, width))
-        raise BadInput(
-            f"images of {width}x{height} pixels: this network needs both sides to be multiples of {patch}, "
-            f"such as {near_width}x{near_height}"
-        )
-    return rows, columns
-
-
 def _on_grid(patches: Tensor, grid: tuple[int, int]) -> Tensor:
     """Return (n, rows * columns, dim) as (n, rows, columns, dim)."""
     return patches.reshape(len(patches), *grid, patches.shape[-1])
 
 
-def _sizes(tensors: Mapping[str, Tensor]) -> Sizes:
-    """Read the sizes off a checkpoint's tensors; raises BadInput where they are no DINOv2 transformer's."""
-    dim, _, patch, _ = _shape(tensors, "patch_embed.proj.weight", 4)
-    n_patches = _shape(tensors, "pos_embed", 3)[1] - 1
-    grid = math.isqrt(max(0, n_patches))
-    if grid < 1 or grid**2 != n_patches:
-        raise BadInput(f"the checkpoint's pos_embed is for {n_patches} patches and a CLS token: wanted a square number")
-    if dim % _HEAD:
-        raise BadInput(
-            f"the checkpoint's tokens have {dim} dimensions: wanted a multiple of {_HEAD}, one head for each"
-        )
+def _sizes(tensors: Tensors, published: Sizes) -> Sizes:
+    """Read the sizes off a checkpoint's tensors; a size that no tensor of DINOv2 has is the published one."""
+    if not tensors:
+        return published
+    dim = size(tensors, "patch_embed.proj.weight", 0, published.dim)
     swiglu = "blocks.0.mlp.w3.weight" in tensors
-    n_hidden = (
-        _shape(tensors, "blocks.0.mlp.w3.weight", 2)[1] if swiglu else _shape(tensors, "blocks.0.mlp.fc1.weight", 2)[0]
+    hidden, axis = ("blocks.0.mlp.w3.weight", 1) if swiglu else ("blocks.0.mlp.fc1.weight", 0)
+    return Sizes(
+        dim if dim % _HEAD == 0 else published.dim,
+        # Counted, not the highest number: a file may hold any, and a gap is what strict loading finds.
+        len({found[1] for key in tensors if (found := _BLOCK.match(key))}) or published.n_blocks,
+        size(tensors, hidden, axis, published.n_hidden),
+        swiglu,
+        size(tensors, "patch_embed.proj.weight", 2, published.patch),
+        math.isqrt(size(tensors, "pos_embed", 1, 1 + published.grid**2) - 1) or published.grid,
     )
-    # Counted, not the highest number: a file may hold any, and a gap is what strict loading finds.
-    n_blocks = len({found[1] for key in tensors if (found := _BLOCK.match(key))})
-    return Sizes(dim, n_blocks, n_hidden, swiglu, patch, grid)
-
-
-def _shape(tensors: Mapping[str, Tensor], key: str, n_axes: int) -> tuple[int, ...]:
-    """Return the shape of a tensor that has to be there with so many axes."""
-    if key not in tensors:
-        raise BadInput(
-            f"the checkpoint ({len(tensors)} tensors) holds no {key}: wanted DINOv2's own names, without a prefix"
-        )
-    shape = tuple(tensors[key].shape)
-    if len(shape) != n_axes or 0 in shape:
-        raise BadInput(f"the checkpoint's {key} has the shape {shape}: wanted {n_axes} axes, none of length 0")
-    return shape

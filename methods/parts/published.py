@@ -1,0 +1,80 @@
+"""What all published networks share: a network in the sizes of its file's tensors, with their values or without."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from vprbench.api import BadInput, NeuralDescriptor, load_strictly, state_dict, without_prefix
+
+Tensors = Mapping[str, Tensor]
+
+
+@dataclass(kw_only=True)
+class PublishedNetwork(NeuralDescriptor):
+    """A descriptor whose network has the sizes that its file's tensors have; `network` is left to write."""
+
+    #: Names that the file may keep its tensors under.
+    nested: ClassVar[tuple[str, ...]] = ()
+    #: What a training on several devices puts before the names of tensors.
+    prefix: ClassVar[str] = ""
+    #: The part as which the file holds this network, of a larger one.
+    within: ClassVar[str] = ""
+
+    @abstractmethod
+    def network(self, tensors: Tensors) -> nn.Module:
+        """Return the network in the sizes of a file's tensors, and in the published ones if it holds no such tensor.
+
+        It is called on the device "meta". Raises BadInput for sizes that the method's arguments exclude.
+        """
+
+    def named(self, network: nn.Module) -> nn.Module:
+        """Return the parts of a network under the names that the file has for them."""
+        return network
+
+    def load(self, path: Path) -> nn.Module:
+        """Return the network with the values of a published file; raises BadInput for any other file."""
+        tensors = state_dict(path, *self.nested)
+        return self.loaded(without_prefix(tensors, self.prefix) if self.prefix else tensors, path)
+
+    def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
+        """Return the network with tensors that came from `path`; raises BadInput if they are another network's."""
+        try:
+            with torch.device("meta"):
+                network = self.network(under(tensors, f"{self.within}.") if self.within else tensors)
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+        named = self.named(network)
+        load_strictly(nn.ModuleDict({self.within: named}) if self.within else named, tensors, path)
+        return network
+
+    def blank(self) -> nn.Module:
+        """Return the network in its published sizes, on the device "meta"."""
+        with torch.device("meta"):
+            return self.network({})
+
+
+def size(tensors: Tensors, name: str, axis: int, published: int) -> int:
+    """Return a length of a file's tensor; the published one if the file has none, which strict loading then tells."""
+    tensor = tensors.get(name)
+    return published if tensor is None or tensor.ndim <= axis else tensor.shape[axis] or published
+
+
+def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
+    """Return the tensors whose names begin with `prefix`, under the rest of their names."""
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def insist_on_size(argument: str, asked: int, held: int) -> None:
+    """Raise BadInput if a file holds another size than a method's argument asks for."""
+    if held != asked:
+        raise BadInput(
+            f"a network of {held} {argument.removeprefix('n_')}: set method.{argument}={held}, "
+            f"or give weights of {asked}"
+        )

@@ -1,0 +1,89 @@
+"""What every method without a published network does with its map: places, copies, and asking too early."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from described_images import drawn_images
+
+from vprbench.api.images import Images
+from vprbench.api.method import Method
+from vprbench.errors import BadInput, NotFittedError
+from vprbench.methods.cohog import CoHOG
+from vprbench.methods.densevlad.method import DenseVLAD
+from vprbench.methods.hog import HOG
+from vprbench.methods.pca import PCA
+from vprbench.methods.sad import SAD
+
+IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
+METHODS = {
+    "cohog": lambda: CoHOG(size=64, cell=8, entropy_size=20, entropy_radius=3),
+    "densevlad": lambda: DenseVLAD(words=6, n_components=0),
+    "hog": lambda: HOG(height=32, width=40),
+    "pca": PCA,
+    "sad": SAD,
+}
+STORED = ["cohog", "densevlad", "pca"]
+
+
+@pytest.fixture(params=METHODS)
+def make(request: pytest.FixtureRequest) -> Callable[[], Method]:
+    return METHODS[request.param]
+
+
+def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make: Callable[[], Method]) -> None:
+    places = np.array([3, 0, 1, 2, 0, 1, 3, 2, 2, 0, 1, 3])
+    each = make().fit(IMAGES, np.arange(12)).query(IMAGES)
+    best = np.stack([each[:, places == place].max(1) for place in range(4)], axis=1)
+    assert make().fit(IMAGES, places).query(IMAGES) == pytest.approx(best, abs=1e-6)
+    assert np.array_equal(best.argmax(1), places)
+
+
+def test_fit_keeps_its_own_copy_of_the_places(make: Callable[[], Method]) -> None:
+    places = np.arange(12)[::-1].copy()
+    method = make().fit(IMAGES, places)
+    before = method.query(IMAGES)
+    places[:] = 0
+    assert np.array_equal(method.query(IMAGES), before)
+
+
+def test_no_queries_have_no_scores(make: Callable[[], Method]) -> None:
+    assert make().fit(IMAGES, np.arange(12)).query(IMAGES[:0]).shape == (0, 12)
+
+
+def test_matching_before_fit_is_refused_with_what_to_do(make: Callable[[], Method]) -> None:
+    codes = make().fit(IMAGES, np.arange(12)).encode(IMAGES)
+    with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
+        make().match(codes)
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_a_stored_map_answers_as_the_learnt_one(name: str) -> None:
+    learnt = METHODS[name]().fit(IMAGES, np.arange(12))
+    assert np.array_equal(METHODS[name]().restore(learnt.state()).query(IMAGES), learnt.query(IMAGES))
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_arrays_that_are_no_map_are_refused_by_name_and_leave_none(name: str) -> None:
+    method = METHODS[name]().fit(IMAGES, np.arange(12))
+    state = dict(method.state())
+    broken = [
+        *((array, state | {array: values[:-1]}) for array, values in state.items()),
+        *((array, state | {array: values.astype(np.float16)}) for array, values in state.items()),
+        *((array, {key: values for key, values in state.items() if key != array}) for array in state),
+        *(
+            (array, state | {array: np.full_like(values, np.nan)})
+            for array, values in state.items()
+            if array != "places"
+        ),
+        ("weights", state | {"weights": np.zeros(3)}),
+        ("places", state | {"places": state["places"] + 1}),
+        ("places", state | {"places": np.array(0)}),
+    ]
+    for array, wrong in broken:
+        with pytest.raises(BadInput, match=array):
+            method.restore(wrong)
+    with pytest.raises(NotFittedError):
+        method.state()
