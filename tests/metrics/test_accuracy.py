@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import permutations, product
 from math import comb
 from typing import Any
@@ -18,7 +18,6 @@ from sklearn.metrics import average_precision_score, precision_recall_curve, roc
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.accuracy import (
-    FullPrecision,
     PRCurve,
     Recall,
     auc,
@@ -32,7 +31,6 @@ from vprbench.metrics.accuracy import (
     precision_at_full_recall,
     recall_at,
     recall_at_full_precision,
-    tie_share,
 )
 from vprbench.metrics.ranking import Outcome, concatenate, outcome
 
@@ -77,14 +75,30 @@ def random_case(seed: int, n_queries: int, n_places: int, levels: int) -> tuple[
 WORKED = best_matches((0.9, True), (0.8, True), (0.7, False), (0.6, True), (0.5, None))
 
 
-def test_recall_counts_the_queries_with_a_right_place_among_the_best_n() -> None:
-    found = outcome(scored([3, 2, 1], [3, 2, 1], [3, 2, 1], [3, 2, 1]), places([0], [1], [2], [1, 2]))
-    assert [recall_of(recall_at(found, n)).expected for n in (1, 2, 3)] == [0.25, 0.75, 1.0]
-
-
 def test_recall_over_all_and_over_answerable_queries_differ_by_the_unanswerable_ones() -> None:
     assert recall_at(WORKED, 1, "all") == Recall(3 / 5, 3 / 5, 3 / 5, 5)
     assert recall_at(WORKED, 1, "answerable") == Recall(3 / 4, 3 / 4, 3 / 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("scores", "right", "ignored", "n", "hits"),
+    [
+        ([[3, 2, 1]] * 4, [[0], [1], [2], [1, 2]], None, 2, [1, 1, 0, 1]),
+        ([[3, 2, 1], [1, 1, 1]], [[2], [1]], None, 100, [1, 1]),  # as many as there are places
+        ([[1, -INF, -INF]], [[1]], None, 3, [0]),  # a right place that is no candidate
+        ([[1, 1, 0], [1, 1, 0]], [[0], [0, 0]], None, 1, [0.5, 0.5]),  # named twice, it counts once
+        ([[3, 2, 1]], [[1]], [[0, 1]], 1, [1]),  # the soft band is left out
+        ([[np.finfo(np.float32).max, np.finfo(np.float32).min]], [[0]], None, 1, [1]),
+    ],
+)
+def test_hits_of_worked_cases(
+    scores: list[list[float]], right: list[list[int]], ignored: list[list[int]] | None, n: int, hits: list[float]
+) -> None:
+    given = scored(*scores)
+    found = outcome(given, places(*right), None if ignored is None else places(*ignored))
+    assert hits_at(found, n).tolist() == hits
+    assert given.tolist() == scored(*scores).tolist()  # untouched
+    assert recall_of(recall_at(found, n)).expected == pytest.approx(np.mean(hits))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -132,12 +146,6 @@ def test_a_constant_output_is_right_once_in_as_many_places_as_there_are() -> Non
     assert recall.expected == pytest.approx(1 / 27592, rel=1e-9)
     assert (recall.pessimistic, recall.optimistic) == (0, 1)
     assert recall_of(recall_at(found, 20)).expected == pytest.approx(20 / 27592, rel=1e-9)
-    assert tie_share(found) == 1
-
-
-def test_more_answers_than_places_are_as_good_as_all_places() -> None:
-    found = outcome(scored([3, 2, 1], [1, 1, 1]), places([2], [1]))
-    assert recall_at(found, 100) == recall_at(found, 3) == Recall(1, 1, 1, 2)
 
 
 def test_half_a_point_between_the_ways_to_break_ties_is_not_yet_flagged_and_more_is() -> None:
@@ -148,19 +156,6 @@ def test_half_a_point_between_the_ways_to_break_ties_is_not_yet_flagged_and_more
 
     assert not with_one_tie(200).hangs_on_ties
     assert with_one_tie(199).hangs_on_ties
-
-
-def test_recall_below_the_first_place_is_refused() -> None:
-    with pytest.raises(BadInput, match="recall at 0 is not defined"):
-        recall_at(WORKED, 0)
-
-
-def test_a_tolerance_is_clamped_at_both_ends_of_the_traverse() -> None:
-    one_frame = places([0, 1], [0, 1, 2], [1, 2, 3], [2, 3])
-    near = outcome(scored([0, 9, 0, 0], [0, 0, 9, 0], [0, 9, 0, 0], [0, 0, 9, 0]), one_frame)
-    far = outcome(scored([0, 0, 9, 0], [0, 0, 0, 9], [9, 0, 0, 0], [0, 9, 0, 0]), one_frame)
-    assert recall_of(recall_at(near, 1)).expected == 1
-    assert recall_of(recall_at(far, 1)).expected == 0
 
 
 def test_places_of_the_soft_band_count_as_if_they_did_not_exist() -> None:
@@ -176,75 +171,60 @@ def test_places_of_the_soft_band_count_as_if_they_did_not_exist() -> None:
         assert (whole.top_tied, whole.top_tied_correct) == (smaller.top_tied, smaller.top_tied_correct)
 
 
-def test_the_soft_band_is_left_out_without_touching_the_scores() -> None:
-    scores = scored([3, 2, 1])
-    found = outcome(scores, places([1]), places([0, 1]))
-    assert recall_of(recall_at(found, 1)).expected == 1
-    np.testing.assert_array_equal(scores, [[3, 2, 1]])
-
-
-def test_a_right_place_that_is_no_candidate_is_never_retrieved() -> None:
-    found = outcome(scored([1, -INF, -INF]), places([1]))
-    assert recall_at(found, 3) == Recall(0, 0, 0, 1)
-
-
 def test_a_query_without_candidates_retrieves_nothing_but_stays_in_the_denominator() -> None:
     found = outcome(scored([1, 0], [-INF, -INF]), places([0], [0]))
     curve = curve_of(pr_curve(found, "A"))
     np.testing.assert_array_equal(found.top_tied, [1, 0])
     assert (curve.precision[-1], curve.recall[-1]) == (1, 0.5)
     assert recall_at(found, 2) == Recall(0.5, 0.5, 0.5, 2)
-    assert recall_at_full_precision(found) == FullPrecision(1, 0.5)
+    assert recall_at_full_precision(found) == 0.5
 
 
-def test_a_right_place_named_twice_counts_once() -> None:
-    once, twice = (outcome(scored([1, 1, 0]), places(right)) for right in ([0], [0, 0]))
-    assert hits_at(once, 1) == hits_at(twice, 1) == [0.5]
-    assert twice.n_positives == [1]
+UNREAL = ("complex64", "object", "U4", "S4", "datetime64[s]")
 
 
-@pytest.mark.parametrize(("value", "name"), [(np.nan, "NaN"), (INF, r"\+inf")])
-def test_scores_that_are_not_numbers_are_refused_and_the_query_is_named(value: float, name: str) -> None:
-    scores = np.zeros((4, 3), np.float32)
-    scores[2, 1] = value
+@pytest.mark.parametrize(
+    ("scores", "right", "error", "named"),
+    [
+        *(([[0, 0], [value, 0]], [[0], [0]], BadInput, name) for value, name in ((np.nan, "NaN"), (INF, r"\+inf"))),
+        (np.array([[0, 0], [1e300, 0]]), [[0], [0]], BadInput, r"\+inf"),  # beyond float32
+        *((np.array([[1, 0], [0, 1]]).astype(kind), [[0], [1]], BadInput, "0 ") for kind in UNREAL),
+        *(([[0, 0]] * 2, [[0], [1, place]], BadInput, f"query 1 .* {place},") for place in (-1, 3)),
+        ([[0, 0]] * 2, [[0]] * 3, ValueError, "2 queries .* 3"),
+        *((np.zeros(shape, np.float32), [[0]], ValueError, "scores") for shape in ((3,), (3, 0), (1, 3, 3))),
+    ],
+)
+def test_scores_and_places_that_cannot_be_are_refused_by_name(
+    scores: Any, right: list[list[int]], error: type[Exception], named: str
+) -> None:
+    given = np.array(scores, np.float32) if isinstance(scores, list) else scores
     for judge in (outcome, pr_curve_multi):
-        with pytest.raises(BadInput, match=rf"of 1 of 4 queries hold {name} \(the first is query 2\)"):
-            judge(scores, places([0], [0], [0], [0]))
+        with pytest.raises(error, match=named) as refused:
+            judge(given, places(*right))
+    if error is BadInput and "0 " in named:
+        assert str(given.dtype) in str(refused.value)
+    if named in ("NaN", r"\+inf"):
+        assert "query 1" in str(refused.value)
 
 
-def test_scores_beyond_float32_are_refused_as_infinite() -> None:
-    with pytest.raises(BadInput, match=r"hold \+inf"):
-        outcome(np.array([[1e300, 0.0]]), places([0]))
-
-
-@pytest.mark.parametrize("kind", ["complex64", "object", "U4", "S4", "datetime64[s]"])
-def test_scores_that_are_no_real_numbers_are_refused_and_the_type_is_named(kind: str) -> None:
-    scores = np.array([[1, 0], [0, 1]]).astype(kind)
-    for judge in (outcome, pr_curve_multi):
-        with pytest.raises(BadInput, match=re.escape(str(scores.dtype))):
-            judge(scores, places([0], [1]))
+@pytest.mark.parametrize(
+    "refused",
+    [
+        lambda: concatenate([outcome(np.zeros((1, n), np.float32), places([0])) for n in (2, 3)]),
+        lambda: pr_curve(WORKED, "C"),
+        lambda: recall_at(WORKED, 1, "some"),
+        lambda: hits_at(WORKED, 1, "lucky"),
+        lambda: hits_at(WORKED, 0),
+    ],
+)
+def test_unknown_names_a_rank_of_0_and_other_maps_are_refused(refused: Callable[[], object]) -> None:
+    with pytest.raises((ValueError, BadInput)):
+        refused()
 
 
 @pytest.mark.parametrize("kind", ["bool", "uint8", "int64", "float16", "float64"])
 def test_real_scores_of_any_type_are_ranked(kind: str) -> None:
     assert list(hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
-
-
-@pytest.mark.parametrize("place", [-1, 3])
-def test_ground_truth_outside_the_map_is_refused_and_the_query_is_named(place: int) -> None:
-    with pytest.raises(BadInput, match=f"positives of query 1 name place {place}, but .* from 0 to 2"):
-        outcome(np.zeros((2, 3), np.float32), places([0], [1, place]))
-
-
-def test_ground_truth_for_another_number_of_queries_is_refused() -> None:
-    with pytest.raises(ValueError, match="scores of 2 queries came with positives of 3"):
-        outcome(np.zeros((2, 3), np.float32), places([0], [0], [0]))
-
-
-@pytest.mark.parametrize("shape", [(3,), (3, 0), (1, 3, 3)])
-def test_scores_that_are_no_matrix_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="scores must be"):
-        outcome(np.zeros(shape, np.float32), places([0]))
 
 
 def assert_same(first: Outcome, second: Outcome) -> None:
@@ -264,22 +244,6 @@ def test_blocks_of_queries_give_what_the_whole_gives(monkeypatch: pytest.MonkeyP
     assert_same(outcome(scores, positives, band), whole)
 
 
-def test_outcomes_over_different_maps_are_not_joined() -> None:
-    small, large = (outcome(np.zeros((1, n), np.float32), places([0])) for n in (2, 3))
-    with pytest.raises(ValueError, match=r"maps of \[2, 3\] places"):
-        concatenate([small, large])
-
-
-def test_the_order_of_queries_moves_their_hits_and_no_metric() -> None:
-    scores, positives = random_case(11, 30, 8, 6)
-    order = np.random.default_rng(0).permutation(30)
-    found, moved = outcome(scores, positives), outcome(scores[order], [positives[query] for query in order])
-    np.testing.assert_array_equal(hits_at(found, 2)[order], hits_at(moved, 2))
-    assert average_precision(curve_of(pr_curve(moved, "A"))) == pytest.approx(
-        average_precision(curve_of(pr_curve(found, "A"))), abs=1e-12
-    )
-
-
 def test_the_single_match_curves_of_the_worked_case() -> None:
     precision = [1, 1, 1, 2 / 3, 3 / 4, 3 / 5]
     recalls = {"A": [0, 1 / 4, 2 / 4, 2 / 4, 3 / 4, 3 / 4], "B": [0, 1 / 3, 2 / 3, 2 / 3, 1, 1]}
@@ -289,30 +253,6 @@ def test_the_single_match_curves_of_the_worked_case() -> None:
         np.testing.assert_allclose(curve.recall, recall, atol=1e-15)
         np.testing.assert_array_equal(curve.threshold, np.float32([INF, 0.9, 0.8, 0.7, 0.6, 0.5]))
         assert curve.kind == kind
-
-
-def test_the_areas_of_the_worked_case() -> None:
-    curve_a, curve_b = curve_of(pr_curve(WORKED, "A")), curve_of(pr_curve(WORKED, "B"))
-    assert average_precision(curve_a) == pytest.approx(1 / 2 + 1 / 4 * 3 / 4)
-    assert average_precision(curve_b) == pytest.approx(2 / 3 + 1 / 3 * 3 / 4)
-    assert auc(curve_a) == pytest.approx(1 / 2 + 1 / 4 * (2 / 3 + 3 / 4) / 2)
-
-
-def test_the_single_numbers_of_the_worked_case() -> None:
-    assert recall_at_full_precision(WORKED) == FullPrecision(2, 2 / 4)
-    assert extended_precision(WORKED) == pytest.approx((1 + 2 / 3) / 2)
-    assert auc_roc(WORKED) == pytest.approx(5 / 6)
-    assert auc_roc(best_matches((0.5, True), (0.5, False))) == 0.5
-    assert recall_at_full_precision(best_matches((0.9, False), (0.8, True))) == FullPrecision(0, 0)
-    assert precision_at_full_recall(WORKED) == pytest.approx(3 / 5)
-    assert f1_max(WORKED) == pytest.approx(3 / 4)
-    assert tie_share(WORKED) == 0
-
-
-def test_a_query_without_a_right_place_is_a_false_positive_and_not_in_the_recall() -> None:
-    curve = curve_of(pr_curve(best_matches((0.9, None), (0.8, True)), "A"))
-    np.testing.assert_array_equal(curve.precision, [1, 0, 1 / 2])
-    np.testing.assert_array_equal(curve.recall, [0, 0, 1])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -375,12 +315,6 @@ def test_the_multi_match_curve_is_that_of_scikit_learn_over_all_pairs(levels: in
     assert average_precision(curve) == pytest.approx(average_precision_score(right[~soft], scores[~soft]), abs=1e-12)
 
 
-def test_a_right_pair_that_is_no_candidate_lowers_the_multi_match_recall() -> None:
-    curve = curve_of(pr_curve_multi(scored([2, -INF], [1, -INF]), places([0, 1], [1])))
-    np.testing.assert_array_equal(curve.recall, [0, 1 / 3, 1 / 3])
-    np.testing.assert_array_equal(curve.precision, [1, 1, 1 / 2])
-
-
 def test_all_equal_scores_give_one_threshold_and_the_share_of_right_pairs() -> None:
     scores, right = np.ones((3, 4), np.float32), places([0], [1, 2], [3])
     single, multi = curve_of(pr_curve(outcome(scores, right), "A")), curve_of(pr_curve_multi(scores, right))
@@ -390,81 +324,53 @@ def test_all_equal_scores_give_one_threshold_and_the_share_of_right_pairs() -> N
     np.testing.assert_array_equal(multi.recall, [0, 1])
 
 
-def test_the_widest_range_of_scores_passes_without_overflow() -> None:
-    least, most = np.finfo(np.float32).min, np.finfo(np.float32).max
-    found = outcome(scored([most, least], [least, least]), places([0], [1]))
-    assert average_precision(curve_of(pr_curve(found, "A"))) == pytest.approx(1 / 2 + 1 / 4 * 3 / 4)
+def numbers_of(found: Outcome) -> list[Any]:
+    """Return AP and area of curve A, AP of curve B, R@100P, P@100R, EP, AUC-ROC and F1."""
+    curves = pr_curve(found, "A"), pr_curve(found, "B")
+    return [
+        None if curves[0] is None else average_precision(curves[0]),
+        None if curves[0] is None else auc(curves[0]),
+        None if curves[1] is None else average_precision(curves[1]),
+        recall_at_full_precision(found),
+        *(metric(found) for metric in (precision_at_full_recall, extended_precision, auc_roc, f1_max)),
+    ]
 
 
-def test_answers_that_tie_with_an_error_do_not_count_as_free_of_error() -> None:
-    found = best_matches((0.9, True), (0.8, True), (0.8, False), (0.7, True))
-    assert recall_at_full_precision(found) == FullPrecision(1, 1 / 4)
-    assert extended_precision(found) == pytest.approx((1 + 1 / 3) / 2)
-
-
-def test_an_answer_whose_best_place_ties_with_a_wrong_one_is_an_error() -> None:
-    found = outcome(scored([9, 0, 0], [8, 8, 0], [7, 0, 0]), places([0], [0], [0]))
-    assert recall_at_full_precision(found) == FullPrecision(1, 1 / 3)
-    both_right = outcome(scored([9, 0, 0], [8, 8, 0], [7, 0, 0]), places([0], [0, 1], [0]))
-    assert recall_at_full_precision(both_right) == FullPrecision(3, 1)
+NINES = scored([9, 0, 0], [8, 8, 0], [7, 0, 0])
 
 
 @pytest.mark.parametrize(
-    ("matches", "expected"),
+    ("found", "expected"),
     [
-        ([(0.9, False), (0.8, True)], 0.0),
-        ([(0.9, None), (0.8, True)], 0.0),
-        ([(0.9, True), (0.9, False), (0.8, True)], 0.25),
-        ([(0.9, True), (0.8, False)], 1.0),
+        (WORKED, [11 / 16, 1 / 2 + 17 / 96, 11 / 12, 2 / 4, 3 / 5, 5 / 6, 5 / 6, 3 / 4]),
+        (best_matches((0.9, None), (0.8, True)), [1 / 2, 1 / 4, 1 / 2, 0, 1 / 2, 0, 0, 2 / 3]),
+        (best_matches((0.9, False), (0.8, True)), [1 / 4, 1 / 8, 1 / 2, 0, 1 / 2, 0, 0, 1 / 2]),
+        (best_matches((0.5, True), (0.5, False)), [1 / 4, 3 / 8, 1 / 2, 0, 1 / 2, 1 / 4, 1 / 2, 1 / 2]),
+        # what ties with an error does not count as free of error
+        (
+            best_matches((0.9, True), (0.8, True), (0.8, False), (0.7, True)),
+            [29 / 48, 61 / 96, 29 / 36, 1 / 4, 3 / 4, 2 / 3, 1 / 2, 3 / 4],
+        ),
+        # nor does an answer whose best place ties with a wrong one
+        (outcome(NINES, places([0], [0], [0])), [53 / 72, 107 / 144, 53 / 60, 1 / 3, 5 / 6, 7 / 10, 1 / 2, 5 / 6]),
+        (outcome(NINES, places([0], [0, 1], [0])), [1, 1, 1, 1, 1, 1, None, 1]),
+        (best_matches((0.9, True), (0.8, False)), [1 / 2, 1 / 2, 1, 1 / 2, 1 / 2, 1, 1, 2 / 3]),
+        (best_matches((0.9, True), (0.8, True)), [1, 1, 1, 1, 1, 1, None, 1]),
+        (best_matches((0.9, False), (0.8, False)), [0, 0, None, 0, 0, 0, None, 0]),
+        (best_matches((0.9, None), (0.8, None)), [None] * 8),
+        (outcome(np.zeros((0, 3), np.float32), []), [None] * 8),
     ],
 )
-def test_an_error_among_the_most_confident_halves_the_extended_precision(matches: list[Any], expected: float) -> None:
-    assert extended_precision(best_matches(*matches)) == pytest.approx(expected)
+def test_the_single_numbers_of_worked_cases(found: Outcome, expected: list[float | None]) -> None:
+    assert numbers_of(found) == pytest.approx(expected, abs=1e-12)
+    assert (recall_at(found, 1) is None) == (expected[3] is None)
 
 
-def test_nothing_is_defined_where_no_query_has_a_right_place() -> None:
-    found = best_matches((0.9, None), (0.8, None))
-    undefined = [recall_at(found, 1), recall_at(found, 1, "answerable"), pr_curve(found, "A")]
-    undefined += [pr_curve(found, "B"), recall_at_full_precision(found), extended_precision(found)]
-    undefined += [auc_roc(found), f1_max(found)]
-    assert undefined == [None] * 8
+def test_pairs_of_worked_cases() -> None:
     assert pr_curve_multi(np.zeros((2, 3), np.float32), places([], [])) is None
-
-
-def test_nothing_is_defined_without_queries() -> None:
-    found = outcome(np.zeros((0, 3), np.float32), [])
-    assert len(found) == 0
-    assert [recall_at(found, 1), pr_curve(found, "A"), tie_share(found), extended_precision(found)] == [None] * 4
-
-
-def test_all_right_is_a_full_area_and_leaves_the_roc_undefined() -> None:
-    found = best_matches((0.9, True), (0.8, True))
-    for kind in ("A", "B"):
-        curve = curve_of(pr_curve(found, kind))
-        assert average_precision(curve) == auc(curve) == 1
-    assert auc_roc(found) is None
-    assert extended_precision(found) == 1
-    assert f1_max(found) == 1
-    assert recall_at_full_precision(found) == FullPrecision(2, 1)
-    assert recall_at(found, 1) == Recall(1, 1, 1, 2)
-
-
-def test_all_wrong_is_no_area_under_a_and_leaves_b_undefined() -> None:
-    found = best_matches((0.9, False), (0.8, False))
-    assert average_precision(curve_of(pr_curve(found, "A"))) == 0
-    assert pr_curve(found, "B") is None
-    assert extended_precision(found) == 0
-    assert f1_max(found) == 0
-    assert auc_roc(found) is None
-
-
-def test_unknown_names_of_curves_denominators_and_ties_are_refused() -> None:
-    with pytest.raises(ValueError, match="kind='C' is not a curve of best matches"):
-        pr_curve(WORKED, "C")
-    with pytest.raises(ValueError, match="denominator='some' is unknown"):
-        recall_at(WORKED, 1, "some")
-    with pytest.raises(ValueError, match="ties='lucky' is unknown"):
-        hits_at(WORKED, 1, "lucky")
+    curve = curve_of(pr_curve_multi(scored([2, -INF], [1, -INF]), places([0, 1], [1])))
+    np.testing.assert_array_equal(curve.recall, [0, 1 / 3, 1 / 3])  # a right pair that is no candidate
+    np.testing.assert_array_equal(curve.precision, [1, 1, 1 / 2])
 
 
 def test_importing_the_metrics_loads_neither_scipy_nor_scikit_learn_nor_torch() -> None:

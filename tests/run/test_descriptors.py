@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -102,6 +103,10 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dat
     assert encoded_for_answers(method, found) == 0
     assert found.fit_seconds is None
     assert found.load_seconds is not None
+    plain = run(Counting(), dataset, None)
+    assert plain.scores is not None
+    assert np.array_equal(plain.scores, found.scores)
+    assert (plain.outcome.above == 0).all()
     (note,) = [note.text for note in found.notes if note.kind == "described"]
     assert note == (
         f"descriptors of {N_PLACES} references and {N_QUERIES} queries were kept from an earlier run: "
@@ -109,48 +114,53 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dat
     )
 
 
-def test_both_runs_give_the_answers_of_a_run_without_a_cache(dataset: Dataset, tmp_path: Path) -> None:
-    runs = [run(Counting(), dataset, folder) for folder in (None, tmp_path, tmp_path)]
-    scores = [found.scores for found in runs]
-    assert scores[0] is not None
-    assert all(np.array_equal(scores[0], other) for other in scores)
-    assert (runs[0].outcome.above == 0).all()
+def with_another_last_bit(dataset: Dataset) -> Dataset:
+    """Return the dataset with one image changed in its last pixel, which a glance at some of them leaves out."""
+    arrays = [image.copy() for image in dataset.references]
+    arrays[50][2, 3, 2] ^= 1
+    return replace(dataset, references=Images.from_arrays(arrays, dataset.references.names))
 
 
-def test_another_index_takes_the_same_descriptors(dataset: Dataset, tmp_path: Path) -> None:
-    run(Counting(), dataset, tmp_path)
-    method = Counting(index="hnsw")
-    found = run(method, dataset, tmp_path, arguments={"index": "hnsw"})
-    assert encoded_for_answers(method, found) == 0
+def renamed(dataset: Dataset) -> Dataset:
+    names = [f"other {i}" for i in range(N_PLACES)]
+    return replace(dataset, references=Images.from_arrays(list(dataset.references), names))
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{"arguments": {"turn": 0.02}}, {"files": [["weights.pth", "ab" * 32]]}],
-    ids=["argument", "weights"],
+    ("method", "of", "changes", "encoded"),
+    [
+        (Counting(index="hnsw"), lambda dataset: dataset, {"arguments": {"index": "hnsw"}}, 0),
+        (Counting(), lambda dataset: dataset, {"arguments": {"turn": 0.02}}, N_QUERIES + N_PLACES),
+        (Counting(), lambda dataset: dataset, {"files": [["weights.pth", "ab" * 32]]}, N_QUERIES + N_PLACES),
+        (Counting(), with_another_last_bit, {}, N_PLACES),
+        (Counting(), renamed, {}, 0),
+        (Counting(), lambda _: journey(40, N_PLACES, [[i] for i in range(40)]), {}, 40),
+    ],
+    ids=["index", "argument", "weights", "changed image", "names", "other queries"],
 )
-def test_other_arguments_and_other_weights_are_encoded_anew(
-    dataset: Dataset, tmp_path: Path, changes: dict[str, Any]
+def test_a_second_run_encodes_what_is_not_kept_under_its_arguments_weights_and_images(
+    dataset: Dataset,
+    tmp_path: Path,
+    method: Counting,
+    of: Callable[[Dataset], Dataset],
+    changes: dict[str, Any],
+    encoded: int,
 ) -> None:
     run(Counting(), dataset, tmp_path)
-    method = Counting()
-    assert encoded_for_answers(method, run(method, dataset, tmp_path, **changes)) == N_QUERIES + N_PLACES
+    found = run(method, of(dataset), tmp_path, **changes)
+    assert encoded_for_answers(method, found) == encoded
+    notes = [note.text for note in found.notes if note.kind == "described"]
+    assert len(notes) == (encoded < N_QUERIES)
+    if encoded == 40:
+        assert notes[0].startswith(f"descriptors of {N_PLACES} references were kept from an earlier run: none of these")
 
 
-def test_images_that_changed_under_their_names_are_encoded_anew(dataset: Dataset, tmp_path: Path) -> None:
-    run(Counting(), dataset, tmp_path)
-    arrays = [image.copy() for image in dataset.references]
-    arrays[50][2, 3, 2] ^= 1  # one that a glance at some of them leaves out, in its last pixel
-    changed = replace(dataset, references=Images.from_arrays(arrays, dataset.references.names))
-    method = Counting()
-    assert encoded_for_answers(method, run(method, changed, tmp_path)) == N_PLACES
-
-
-def test_the_same_images_under_other_names_are_not_encoded_again(dataset: Dataset, tmp_path: Path) -> None:
-    run(Counting(), dataset, tmp_path)
-    renamed = Images.from_arrays(list(dataset.references), [f"other {i}" for i in range(N_PLACES)])
-    method = Counting()
-    assert encoded_for_answers(method, run(method, replace(dataset, references=renamed), tmp_path)) == 0
+def test_where_a_file_of_weights_lies_does_not_count(dataset: Dataset, tmp_path: Path) -> None:
+    for path, encoded in (("here", N_QUERIES + N_PLACES), ("there", 0)):
+        method = Weighted(weights=Weights(file="w", licence="", trained_on="", path=path))
+        files = [[path, "ab" * 32]]
+        found = run(method, dataset, tmp_path, arguments={"weights": {"path": path}}, files=files)
+        assert encoded_for_answers(method, found) == encoded
 
 
 @pytest.mark.parametrize(
@@ -165,29 +175,9 @@ def test_other_code_and_another_device_encode_anew(
     assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
 
 
-def test_where_a_file_of_weights_lies_does_not_count(dataset: Dataset, tmp_path: Path) -> None:
-    def weighted(path: str) -> Weighted:
-        return Weighted(weights=Weights(file="w", licence="", trained_on="", path=path))
-
-    files = [["w", "ab" * 32]]
-    run(weighted("here"), dataset, tmp_path, arguments={"weights": {"path": "here"}}, files=files)
-    method = weighted("there")
-    found = run(method, dataset, tmp_path, arguments={"weights": {"path": "there"}}, files=[["v", "ab" * 32]])
-    assert encoded_for_answers(method, found) == 0
-
-
 def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(dataset: Dataset, tmp_path: Path) -> None:
     for folder in (None, tmp_path):
         method = Counting(index="ivfpq")
-        with pytest.raises(BadInput, match="ivfpq needs at least 256 reference images, 80 came"):
+        with pytest.raises(BadInput, match=r"ivfpq .* 256 .* 80 came"):
             run(method, dataset, folder)
         assert method.encoded == 0
-
-
-def test_other_queries_of_the_same_map_are_all_that_is_encoded(dataset: Dataset, tmp_path: Path) -> None:
-    run(Counting(), dataset, tmp_path)
-    method = Counting()
-    found = run(method, journey(40, N_PLACES, [[i] for i in range(40)]), tmp_path)
-    assert encoded_for_answers(method, found) == 40
-    (note,) = [note.text for note in found.notes if note.kind == "described"]
-    assert note.startswith(f"descriptors of {N_PLACES} references were kept from an earlier run: none of these was")

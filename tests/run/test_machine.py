@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, rise_in_a_window
 from little import a_run
-from little_runs import quiet_surroundings
 
 from vprbench.run import machine
 from vprbench.run.machine import Machine
 
-
-@pytest.fixture(scope="module", autouse=True)
-def surroundings() -> Iterator[SimpleNamespace]:
-    with quiet_surroundings() as stand_in:
-        yield stand_in
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 def _windows_of_memory_exist() -> bool:
@@ -37,15 +30,9 @@ in_a_window = pytest.mark.skipif(not _windows_of_memory_exist(), reason="this sy
 def test_the_machine_is_described_in_values_that_json_can_hold() -> None:
     described = machine.capture("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
-
-
-@pytest.mark.parametrize("name", ["processor", "python", "threads", "cores", "memory_bytes", "load_average"])
-def test_the_machine_is_described_by(name: str) -> None:
-    assert machine.capture("cpu", 1)[name]
-
-
-def test_a_fixed_computation_takes_some_time() -> None:
+    assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
     assert machine.canary_seconds() > 0
+    assert machine.peak_device_memory_bytes("cpu") is None
 
 
 def test_the_canary_takes_no_notice_of_an_interrupted_lap() -> None:
@@ -69,10 +56,6 @@ def test_a_run_knows_the_memory_that_its_method_took() -> None:
     before, large, small = in_a_new_process(peaks_of_runs)
     assert large - before >= 190e6
     assert small <= large - 150e6
-
-
-def test_a_cpu_has_no_device_memory() -> None:
-    assert machine.peak_device_memory_bytes("cpu") is None
 
 
 # Which machine

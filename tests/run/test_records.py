@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -56,6 +57,7 @@ def store(tmp_path: Path) -> Store:
 def processes() -> multiprocessing.context.ForkServerContext:
     """Processes that start in no time, because one that has imported what they call makes them."""
     context = multiprocessing.get_context("forkserver")
+    forkserver._forkserver._stop()  # one that other tests have started has imported nothing
     context.set_forkserver_preload(["little"])
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(little.__file__).parent), str(ROOT)]))
@@ -248,7 +250,7 @@ def test_a_run_of_another_layout_is_left_as_it_is_and_named(
 ) -> None:
     folder = store.save(a_run())
     _change(folder, "schema", layout)
-    with pytest.raises(OtherLayoutError, match=rf"version {layout}, this program reads {SCHEMA}"):
+    with pytest.raises(OtherLayoutError, match=rf"{layout}.*{SCHEMA}"):
         load(folder)
     assert [*store.runs()] == []
     assert folder.is_dir()

@@ -95,17 +95,10 @@ def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkey
 
 def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path: Path) -> None:
     found = kept(tmp_path, two_traverses())
-    assert [level(found.reference(place)) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
+    assert [level(found.references[place]) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
     assert found.reference_names == ("r1.png", "r0.png", "r2.png")
-    assert [level(found.query(i)) for i in range(2)] == pytest.approx([35, 15], abs=2)
+    assert [level(found.queries[i]) for i in range(2)] == pytest.approx([35, 15], abs=2)
     assert found.query_names == ("q0.png", "q1.png")
-
-
-def test_a_colour_stays_what_it_is(tmp_path: Path) -> None:
-    red = np.zeros((20, 40, 3), np.uint8)
-    red[..., 0] = 200
-    found = kept(tmp_path, world([red], [0], [red], [[0]]))
-    assert decoded(found.query(0)).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
 
 
 @pytest.mark.parametrize(
@@ -114,8 +107,11 @@ def test_a_colour_stays_what_it_is(tmp_path: Path) -> None:
 def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
     tmp_path: Path, size: tuple[int, int], small: tuple[int, int]
 ) -> None:
-    found = kept(tmp_path, world([plain(9, size)], [0], [plain(9, size)], [[0]]))
-    assert decoded(found.query(0)).shape[:2] == decoded(found.reference(0)).shape[:2] == small
+    red = plain(0, size)
+    red[..., 0] = 200
+    found = kept(tmp_path, world([red], [0], [red], [[0]]))
+    assert decoded(found.queries[0]).shape[:2] == decoded(found.references[0]).shape[:2] == small
+    assert decoded(found.queries[0]).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
 
 
 # A large dataset
@@ -137,16 +133,17 @@ def there(root: Path) -> tuple[list[int], list[int]]:
     return queries, places
 
 
-def test_of_a_large_dataset_what_a_run_shows_first_is_kept_and_no_more(tmp_path: Path, large: Dataset) -> None:
-    thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
-    assert there(tmp_path) == ([3, 4, 7], [1, 2, 5])
-    found = thumbnails.find(tmp_path, FINGERPRINT)
+def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it_until_a_page_holds_no_more(
+    tmp_path: Path, large: Dataset
+) -> None:
+    one = tmp_path / "one"
+    one.mkdir()
+    thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
+    assert there(one) == ([3, 4, 7], [1, 2, 5])
+    found = thumbnails.find(one, FINGERPRINT)
     assert found is not None
-    assert level(found.reference(5)) == pytest.approx(5, abs=2)
-    assert found.query(0) == b""
-
-
-def test_another_run_adds_its_frames_until_a_page_holds_no_more(tmp_path: Path, large: Dataset) -> None:
+    assert level(found.references[5]) == pytest.approx(5, abs=2)
+    assert found.queries[0] == b""
     thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
     thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
     assert there(tmp_path) == ([3, 7, 8], [1, 2, 5, 20, 21])
@@ -168,13 +165,6 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown(tmp_path: Path, l
     assert len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
 
 
-def test_a_small_dataset_is_kept_whole_whatever_a_run_shows(tmp_path: Path) -> None:
-    thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
-    found = thumbnails.find(tmp_path, FINGERPRINT)
-    assert found is not None
-    assert all([*found.queries, *found.references])
-
-
 # Examples
 
 
@@ -188,6 +178,8 @@ def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> N
     assert (example.query, example.place) == (1, 0)
     assert np.array_equal(example.query_image, noise(3))
     assert np.array_equal(example.reference_image, noise(1))
+    (large,) = kept(tmp_path / "large", world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
+    assert large.reference_image.shape == (200, 640, 3)
 
 
 @pytest.mark.parametrize(
@@ -203,11 +195,6 @@ def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(
 ) -> None:
     dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
     assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == examples
-
-
-def test_an_example_larger_than_640_pixels_is_made_smaller(tmp_path: Path) -> None:
-    (example,) = kept(tmp_path, world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
-    assert example.reference_image.shape == (200, 640, 3)
 
 
 # Small on disk
@@ -227,27 +214,14 @@ def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes
     references, queries = [detailed(i) for i in range(165)], [detailed(1000 + i) for i in range(135)]
     kept(tmp_path, world(references, range(165), queries, [[]] * 135))
     assert path(tmp_path).stat().st_size < 5e6 * 300 / 6000
-
-
-def test_simple_pictures_keep_more_pixels_than_the_most_detailed_ones(tmp_path: Path) -> None:
     simple, fine = (
-        decoded(kept(tmp_path / name, world([image], [0], [image], [[]])).query(0)).shape
+        decoded(kept(tmp_path / name, world([image], [0], [image], [[]])).queries[0]).shape
         for name, image in (("simple", plain(9, (180, 320))), ("fine", detailed(0)))
     )
     assert fine[1] < simple[1] == 96
 
 
 # Written once and whole
-
-
-def test_what_is_kept_already_is_not_read_again(tmp_path: Path) -> None:
-    kept(tmp_path, two_traverses())
-
-    def fail(_: int) -> NoReturn:
-        raise AssertionError("an image was read")
-
-    unread = Images(fail, ["a", "b"])
-    thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
 
 
 def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
@@ -257,7 +231,26 @@ def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
     assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
 
 
-def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
+    told: list[tuple[str, float]] = []
+    with progress.listening(lambda stage, done: told.append((stage, done))):
+        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
+    assert told == [("keeping small frames", i / 5) for i in range(5)]
+    found = thumbnails.find(tmp_path, FINGERPRINT)
+    assert found is not None
+    assert all([*found.queries, *found.references])  # a small dataset is kept whole
+    unread = Images(lambda _: pytest.fail("an image was read"), ["a", "b"])
+    thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
+
+
+def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = Images.from_files([tmp_path / "gone.png"])
+    with pytest.raises(BadInput, match=r"gone\.png"):
+        thumbnails.keep(tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {}))
+    assert list(tmp_path.iterdir()) == []
+
     def refuse(to: Path, _: bytes) -> NoReturn:
         to.touch()
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -268,31 +261,7 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.M
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_a_frame_that_cannot_be_read_leaves_nothing_behind(tmp_path: Path) -> None:
-    missing = Images.from_files([tmp_path / "gone.png"])
-    dataset = Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {})
-    with pytest.raises(BadInput, match=r"gone\.png"):
-        thumbnails.keep(tmp_path, FINGERPRINT, dataset)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
-    told: list[tuple[str, float]] = []
-    with progress.listening(lambda stage, done: told.append((stage, done))):
-        thumbnails.keep(tmp_path, FINGERPRINT, two_traverses())
-    assert told == [("keeping small frames", i / 5) for i in range(5)]
-
-
 # Found again
-
-
-def test_what_was_never_kept_is_none_without_a_word_whatever_its_hash_begins_with(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    assert thumbnails.find(tmp_path, FINGERPRINT) is None
-    assert caplog.records == []
-    kept(tmp_path, two_traverses())
-    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None
 
 
 DAMAGES = {
@@ -306,6 +275,7 @@ DAMAGES = {
 def test_a_damaged_file_is_none_and_named_and_made_anew(
     tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
+    assert (thumbnails.find(tmp_path, FINGERPRINT), caplog.records) == (None, [])
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
     assert thumbnails.find(tmp_path, FINGERPRINT) is None
@@ -313,6 +283,7 @@ def test_a_damaged_file_is_none_and_named_and_made_anew(
         (logging.WARNING, True)
     ]
     assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
+    assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
 
 
 def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> None:
@@ -329,12 +300,6 @@ def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> N
     assert lost > 50
 
 
-def test_nothing_of_it_is_a_pickle(tmp_path: Path) -> None:
-    kept(tmp_path, two_traverses())
-    with np.load(path(tmp_path), allow_pickle=False) as archive:
-        assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
-
-
 # A run keeps them
 
 
@@ -344,22 +309,17 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "results" / "frames"
 
 
-def test_a_run_keeps_the_frames_of_its_dataset(here: Path) -> None:
-    assert main(["method=sad", *QUICK]) == 0
-    assert len(list(here.glob("*.npz"))) == 1
-
-
-def test_a_run_from_the_store_makes_the_frames_that_are_missing(here: Path) -> None:
+def test_a_run_from_the_store_makes_the_frames_that_are_missing_and_are_asked_for(here: Path) -> None:
     main(["method=sad", *QUICK])
     (made,) = here.glob("*.npz")
+    with np.load(made, allow_pickle=False) as archive:
+        assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
     made.unlink()
     assert main(["method=sad", *QUICK]) == 0
     assert list(here.glob("*.npz")) == [made]
-
-
-def test_a_run_leaves_frames_out_where_that_is_asked_for(here: Path) -> None:
+    made.unlink()
     assert main(["method=sad", "frames=false", *QUICK]) == 0
-    assert not here.exists()
+    assert not list(here.glob("*.npz"))
 
 
 def test_a_disk_that_refuses_frames_costs_no_run(

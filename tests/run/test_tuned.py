@@ -56,7 +56,7 @@ def only_run() -> Run:
     return run
 
 
-@pytest.mark.parametrize("asked", [["method=mine"], ["method=mine", "method.patch=7"], ["method=upper"]])
+@pytest.mark.parametrize("asked", [["method=mine", "method.patch=7"], ["method=upper"]])
 def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, asked: list[str]) -> None:
     assert f"note: {NOTE}" in printed(asked).splitlines()
     told = json.loads(printed([*asked, "output=json"]))
@@ -64,9 +64,6 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, ask
     declared = {"dataset": "synthetic", "places": "every second place", "also_in": []}
     assert told["tuned_on"] == only_run().tuned_on == declared
     assert "tuned_on" not in only_run().config["method"]
-
-
-def test_a_run_of_a_method_that_declares_nothing_says_nothing(printed: Print) -> None:
     told = json.loads(printed(["method=sad", "output=json"]))
     assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
 
@@ -83,23 +80,31 @@ def test_a_run_that_was_stored_before_its_yaml_declared_it_is_told_when_it_is_as
     assert only_run().environment == before.environment
 
 
-@pytest.mark.parametrize("option", ["method.tuned_on=null", "~method.tuned_on", "method.tuned_on.dataset=street"])
-def test_the_command_line_cannot_change_it(
-    plug_in: Callable[[str, str], None], capsys: pytest.CaptureFixture[str], option: str
+@pytest.mark.parametrize(
+    ("asked", "declared", "named"),
+    [
+        *(
+            (["method=upper", option], "{dataset: a, places: b}", "method.tuned_on=")
+            for option in ("method.tuned_on=null", "~method.tuned_on", "method.tuned_on.dataset=street")
+        ),
+        *(
+            (["method=mine"], declared, "mine")
+            for declared in ("nordland", "{dataset: nordland}", "{dataset: a, places: b, colour: red}")
+        ),
+    ],
+)
+def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(
+    plug_in: Callable[[str, str], None],
+    capsys: pytest.CaptureFixture[str],
+    asked: list[str],
+    declared: str,
+    named: str,
 ) -> None:
-    assert main(["method=upper", option, *QUICK]) == 2
-    assert "method.tuned_on=" in capsys.readouterr().err
-    assert list(Store(Path("results"), read_only=True).runs()) == []
-
-
-@pytest.mark.parametrize("value", ["nordland", "{dataset: nordland}", "{dataset: a, places: b, colour: red}"])
-def test_what_is_no_declaration_is_refused_by_its_yaml(
-    plug_in: Callable[[str, str], None], capsys: pytest.CaptureFixture[str], value: str
-) -> None:
-    plug_in("mine", f"{NOT_TUNED}tuned_on: {value}\n")
-    assert main(["method=mine", *QUICK]) == 2
+    plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
+    assert main([*asked, *QUICK]) == 2
     error = capsys.readouterr().err
-    assert ("mine" in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
+    assert (named in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
+    assert list(Store(Path("results"), read_only=True).runs()) == []
 
 
 def test_it_stands_in_every_format_of_the_table_and_on_the_page(printed: Print) -> None:

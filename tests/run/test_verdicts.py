@@ -19,84 +19,53 @@ from vprbench.run.verdicts import Answers, by_interest, columns, judged, place_r
 NO = -np.inf  # the score of a place that is no candidate
 
 
-def judged_alone(scores: list[float], right: list[int], **changes: object) -> Answers:
-    return judged(answered([scores], [right], **changes))
+def judged_alone(scores: list[float], right: list[int], depth: int | None = None) -> Answers:
+    """Judge one query; with a `depth` only so many best places are kept."""
+    if depth is None:
+        return judged(answered([scores], [right]))
+    return judged(replace(answered([scores], [right], depth=depth), scores=None))
 
 
-def test_a_query_whose_best_place_is_right_is_right_by_the_gap_to_the_best_wrong_place() -> None:
-    answers = judged_alone([0.125, 0.875, 0.5, 0.25], [1])
-    assert (answers.verdicts, answers.margins.tolist(), answers.bounds) == ("r", [0.375], "=")
-    assert answers.places.tolist() == [[1, 2, 3]]
-    assert answers.scores.tolist() == [[0.875, 0.5, 0.25]]
-    assert (answers.right_places.tolist(), answers.ranks.tolist()) == ([1], [1])
+@pytest.mark.parametrize(
+    ("scores", "right", "depth", "judgement"),
+    [
+        ([0.125, 0.875, 0.5, 0.25], [1], None, ("r", 0.375, "=", [1, 2, 3], 1, 1)),
+        ([0.875, 0.5, 0.25, 0.125, 0.0], [3], None, ("w", -0.75, "=", [0, 1, 2], 3, 4)),  # beyond those shown
+        ([0.75, 0.75, 0.5, 0.0], [0], None, ("t", 0.0, "=", [1, 0, 2], 0, 1)),  # the wrong one is listed first
+        ([0.75, 0.75, 0.5, 0.0], [0, 1], None, ("r", 0.25, "=", [0, 1, 2], 0, 1)),
+        ([0.875, 0.0, 0.125, 0.5, 0.25], [2, 3, 4], None, ("w", -0.375, "=", [0, 3, 4], 3, 2)),  # the best right one
+        ([0.875, 0.5, 0.5, 0.5, 0.0], [2], None, ("w", -0.375, "=", [0, 1, 3], 2, 2)),
+        ([0.875, 0.5, 0.25, 0.0], [], None, ("u", None, "?", [0, 1, 2], -1, 0)),
+        ([NO, NO, NO, NO], [2], None, ("w", None, "?", [-1, -1, -1], 2, 0)),
+        ([0.875, NO, 0.5, NO], [1], None, ("w", NO, "=", [0, 2, -1], 1, 0)),
+        ([0.875, NO, NO, NO], [0], None, ("r", np.inf, "=", [0, -1, -1], 0, 1)),
+        ([0.875, 0.75, 0.5, 0.25], [3], 2, ("w", -0.125, "<", [0, 1, -1], 3, 4)),  # known as a bound
+        ([0.875, 0.75, 0.5, 0.25], [0, 1], 2, ("r", 0.125, ">", [0, 1, -1], 0, 1)),
+        ([0.875, 0.75, 0.5, 0.25], [1], 2, ("w", -0.125, "=", [0, 1, -1], 1, 2)),
+        ([0.5, 0.5, 0.5, 0.0], [2], 2, ("t", 0.0, "=", [0, 1, -1], 2, 1)),  # the right place of the tie is not kept
+        ([0.25, 0.5], [1], None, ("r", 0.25, "=", [1, 0, -1], 1, 1)),
+    ],
+)
+def test_a_query_is_judged(
+    scores: list[float],
+    right: list[int],
+    depth: int | None,
+    judgement: tuple[str, float | None, str, list[int], int, int],
+) -> None:
+    verdict, margin, bound, places, right_place, rank = judgement
+    answers = judged_alone(scores, right, depth)
+    assert (answers.verdicts, answers.bounds) == (verdict, bound)
+    assert answers.margins.tolist() == pytest.approx([float("nan") if margin is None else margin], nan_ok=True)
+    assert answers.places.tolist() == [places]
+    assert (answers.right_places.tolist(), answers.ranks.tolist()) == ([right_place], [rank])
 
 
-def test_a_wrong_query_has_the_negative_gap_to_its_right_place_which_may_stand_beyond_those_shown() -> None:
-    answers = judged_alone([0.875, 0.5, 0.25, 0.125, 0.0], [3])
-    assert (answers.verdicts, answers.margins.tolist(), answers.bounds) == ("w", [-0.75], "=")
-    assert (answers.right_places.tolist(), answers.right_scores.tolist(), answers.ranks.tolist()) == ([3], [0.125], [4])
-
-
-def test_a_tie_of_a_right_and_a_wrong_place_is_no_hit_and_lists_the_wrong_one_first() -> None:
-    answers = judged_alone([0.75, 0.75, 0.5, 0.0], [0])
-    assert (answers.verdicts, answers.margins.tolist(), answers.bounds) == ("t", [0.0], "=")
-    assert answers.places.tolist() == [[1, 0, 2]]
-    assert (answers.ranks.tolist(), answers.equals.tolist()) == ([1], [1])
-
-
-def test_right_places_that_tie_among_themselves_are_a_hit() -> None:
-    answers = judged_alone([0.75, 0.75, 0.5, 0.0], [0, 1])
-    assert (answers.verdicts, answers.margins.tolist()) == ("r", [0.25])
-
-
-def test_of_several_right_places_the_best_one_counts() -> None:
-    answers = judged_alone([0.875, 0.0, 0.125, 0.5, 0.25], [2, 3, 4])
-    assert (answers.verdicts, answers.right_places.tolist(), answers.margins.tolist()) == ("w", [3], [-0.375])
-
-
-def test_a_right_place_that_ties_with_wrong_ones_lower_down_shares_their_ranks() -> None:
-    answers = judged_alone([0.875, 0.5, 0.5, 0.5, 0.0], [2])
-    assert (answers.verdicts, answers.ranks.tolist(), answers.equals.tolist()) == ("w", [2], [2])
-
-
-def test_a_query_without_a_right_place_is_unanswerable_and_has_no_margin() -> None:
-    answers = judged_alone([0.875, 0.5, 0.25, 0.0], [])
-    assert (answers.verdicts, answers.bounds, answers.right_places.tolist()) == ("u", "?", [-1])
-    assert np.isnan(answers.margins[0])
-
-
-def test_a_query_without_any_candidate_is_wrong_and_has_no_margin() -> None:
-    answers = judged_alone([NO, NO, NO, NO], [2])
-    assert (answers.verdicts, answers.bounds, answers.ranks.tolist()) == ("w", "?", [0])
-    assert answers.places.tolist() == [[-1, -1, -1]]
-    assert answers.right_places.tolist() == [2]
-
-
-def test_a_right_place_that_is_no_candidate_has_a_margin_below_all_others() -> None:
-    answers = judged_alone([0.875, NO, 0.5, NO], [1])
-    assert (answers.verdicts, answers.margins.tolist(), answers.ranks.tolist()) == ("w", [-np.inf], [0])
-    assert answers.places.tolist() == [[0, 2, -1]]
-
-
-def test_a_right_place_without_a_wrong_candidate_has_a_margin_above_all_others() -> None:
-    answers = judged_alone([0.875, NO, NO, NO], [0])
-    assert (answers.verdicts, answers.margins.tolist(), answers.bounds) == ("r", [np.inf], "=")
-
-
-def test_where_the_best_places_alone_are_kept_a_margin_may_be_known_as_a_bound() -> None:
-    scores, best_two = [0.875, 0.75, 0.5, 0.25], {"depth": 2}
-    beyond = judged(replace(answered([scores], [[3]], **best_two), scores=None))
-    assert (beyond.verdicts, beyond.margins.tolist(), beyond.bounds) == ("w", [-0.125], "<")
-    assert beyond.right_scores.tolist() == [0.75]
-    all_right = judged(replace(answered([scores], [[0, 1]], **best_two), scores=None))
-    assert (all_right.verdicts, all_right.margins.tolist(), all_right.bounds) == ("r", [0.125], ">")
-    kept = judged(replace(answered([scores], [[1]], **best_two), scores=None))
-    assert (kept.verdicts, kept.margins.tolist(), kept.bounds) == ("w", [-0.125], "=")
-
-
-def test_a_tie_is_exact_even_where_the_right_place_of_it_is_not_kept() -> None:
-    answers = judged(replace(answered([[0.5, 0.5, 0.5, 0.0]], [[2]], depth=2), scores=None))
-    assert (answers.verdicts, answers.margins.tolist(), answers.bounds) == ("t", [0.0], "=")
+def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_counted() -> None:
+    assert judged_alone([0.125, 0.875, 0.5, 0.25], [1]).scores.tolist() == [[0.875, 0.5, 0.25]]
+    assert judged_alone([0.875, 0.5, 0.25, 0.125, 0.0], [3]).right_scores.tolist() == [0.125]
+    assert judged_alone([0.875, 0.75, 0.5, 0.25], [3], depth=2).right_scores.tolist() == [0.75]
+    tied = [judged_alone([0.75, 0.75, 0.5, 0.0], [0]), judged_alone([0.875, 0.5, 0.5, 0.5, 0.0], [2])]
+    assert [answers.equals.tolist() for answers in tied] == [[1], [2]]
 
 
 @pytest.mark.parametrize("depth", [2, 5, 9])
@@ -126,12 +95,6 @@ def test_verdicts_and_margins_agree_with_a_slow_count_under_many_ties(depth: int
         assert recall is not None
         assert answers.verdicts.count("r") == round(recall.pessimistic * 200)
         assert answers.verdicts.count("r") + answers.verdicts.count("t") == round(recall.optimistic * 200)
-
-
-def test_a_run_of_two_places_fills_the_third_with_nothing() -> None:
-    answers = judged(answered([[0.25, 0.5]], [[1]]))
-    assert answers.places.tolist() == [[1, 0, -1]]
-    assert columns(answers)["scores"] == [0.5, 0.25, None]
 
 
 def test_what_the_page_reads_is_plain_and_holds_every_query() -> None:
@@ -190,33 +153,16 @@ def test_two_runs_list_the_queries_that_both_answer_right_in_one_order() -> None
     assert sorted(common) != [query for query in first if query in common]  # from all over the journey
 
 
-def test_frames_that_fit_stay_as_they_are() -> None:
-    frames = [noise(seed) for seed in range(5)]
+def test_frames_become_coarser_only_if_they_do_not_fit() -> None:
+    frames = [noise(0), b"", *(noise(seed) for seed in range(1, 5))]
     assert fitting(frames, text_bytes(frames)) == frames
-
-
-def test_frames_that_do_not_fit_become_coarser_and_stay_images_of_the_same_shape() -> None:
-    frames = [noise(seed) for seed in range(5)]
     budget = text_bytes(frames) // 4
     made = fitting(frames, budget)
     assert made is not None
     assert text_bytes(made) <= budget
-    for frame in made:
+    assert [bool(frame) for frame in made] == [bool(frame) for frame in frames]
+    for frame in filter(None, made):
         with Image.open(io.BytesIO(frame)) as image:
             image.load()
             assert image.width / image.height == pytest.approx(96 / 54, rel=0.1)
-
-
-def test_frames_that_cannot_fit_are_none_at_all() -> None:
-    assert fitting([noise(0), noise(1)], 50) is None
-
-
-def test_frames_that_are_not_kept_stay_empty_where_the_others_become_coarser() -> None:
-    frames = [noise(0), b"", noise(1), b""]
-    made = fitting(frames, text_bytes(frames) // 4)
-    assert made is not None
-    assert [bool(frame) for frame in made] == [True, False, True, False]
-
-
-def test_no_frames_always_fit() -> None:
-    assert fitting([], -1) == []
+    assert (fitting(frames, 50), fitting([], -1)) == (None, [])

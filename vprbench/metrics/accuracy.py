@@ -33,7 +33,7 @@ class Recall:
 
 
 def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"] = "all") -> Recall | None:
-    """Return the share of queries with a right place among the best `n`; None where none has a right place.
+    """Return the share of queries with a right place among the best `n`; None if none has a right place.
 
     The field uses two denominators: all queries (VPR-methods-evaluation, VPR-Bench and others) and the
     answerable ones (VPR_Tutorial, VPRTempo). More than there are places is as good as all of them. Raises
@@ -77,7 +77,7 @@ def _chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Value
     """Return C(tied - correct, slots) / C(tied, slots) as a product of few factors.
 
     The ratio is the same with `correct` and `slots` exchanged, so the smaller one is the number of factors.
-    Where there are too few wrong places a factor is 0.
+    If there are too few wrong places a factor is 0.
     """
     fewer, more = np.minimum(correct, slots), np.maximum(correct, slots)
     chance = np.ones(len(tied))
@@ -85,11 +85,6 @@ def _chance_of_only_wrong(tied: Counts, correct: Counts, slots: Counts) -> Value
         going = drawn < fewer
         chance[going] *= (tied - more - drawn)[going] / (tied - drawn)[going]
     return chance
-
-
-def tie_share(outcome: Outcome) -> float | None:
-    """Return the share of queries whose best place is not one place but several; None without queries."""
-    return float(np.mean(outcome.top_tied > 1)) if len(outcome) else None
 
 
 @dataclass(frozen=True)
@@ -108,11 +103,11 @@ class PRCurve:
 
 
 def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
-    """Return the curve of the best match of each query; None where its recall has no denominator.
+    """Return the curve of the best match of each query; None if its recall has no denominator.
 
     A match counts as retrieved where its score reaches the threshold. A wrong one is a false positive, also
     that of a query without a right place: a good method would have kept silent. A query without any candidate
-    retrieves nothing. Where several places share the highest score, the match counts as right by the share of
+    retrieves nothing. If several places share the highest score, the match counts as right by the share of
     right ones among them, which is its chance under random tie-breaking. What is retrieved does not depend on
     ties, so precision and A's recall are exact expected values; B's recall is a ratio of two expected values.
 
@@ -189,41 +184,30 @@ def auc(curve: PRCurve) -> float:
     return float(np.trapezoid(curve.precision, curve.recall))
 
 
-@dataclass(frozen=True)
-class FullPrecision:
-    """What can be answered without a single error."""
-
-    count: int  # right answers above the first wrong one
-    recall: float  # the same over the answerable queries
-
-
-def recall_at_full_precision(outcome: Outcome) -> FullPrecision | None:
-    """Return R@100P, what is answered before the first error; None where no query has a right place.
+def recall_at_full_precision(outcome: Outcome) -> float | None:
+    """Return R@100P, the share of the answerable queries answered before the first error; None if none is answerable.
 
     Answers come in order of falling score. Those that tie with an error do not count, and neither does a
     query whose best place ties with a wrong one.
     """
     n_answerable = int(np.count_nonzero(outcome.answerable))
-    if not n_answerable:
-        return None
-    count = _n_before_first_error(outcome)
-    return FullPrecision(count, count / n_answerable)
+    return _n_before_first_error(outcome) / n_answerable if n_answerable else None
 
 
 def precision_at_full_recall(outcome: Outcome) -> float | None:
     """Return P@100R, the share of right answers where every query is answered that has a candidate (VPRSNN, VPRTempo).
 
-    None where no query has a right place or none retrieves anything.
+    None if no query has a right place or none retrieves anything.
     """
     _, right = _best_matches(outcome)
     return float(right.mean()) if len(right) and outcome.answerable.any() else None
 
 
 def extended_precision(outcome: Outcome) -> float | None:
-    """Return EP = (P_R0 + R_P100) / 2; None where no query has a right place or none retrieves anything.
+    """Return EP = (P_R0 + R_P100) / 2; None if no query has a right place or none retrieves anything.
 
     P_R0 is the precision at the highest threshold and R_P100 the share of the correct best matches that score
-    above the first error, 0 where P_R0 is below 1 (Ferrarini et al. 2020; VPR-Bench). Fragile: a single
+    above the first error, 0 if P_R0 is below 1 (Ferrarini et al. 2020; VPR-Bench). Fragile: a single
     wrong, most confident query takes it from above 0.5 to 0.
     """
     best, right = _best_matches(outcome)
@@ -256,7 +240,7 @@ def auc_roc(outcome: Outcome) -> float | None:
 
 
 def f1_max(outcome: Outcome) -> float | None:
-    """Return the highest harmonic mean of precision and recall on curve A; None where that is undefined."""
+    """Return the highest harmonic mean of precision and recall on curve A; None if that is undefined."""
     curve = pr_curve(outcome, "A")
     if curve is None:
         return None

@@ -17,7 +17,7 @@ def block_length(values: npt.ArrayLike) -> int:
     The automatic rule of Politis and White (2004) with the correction of Patton, Politis and White (2009):
     b = (2 G^2 / D)^(1/3) n^(1/3), D = 4/3 g(0)^2, where g(0) = sum of w(k / M) R(k) and G = sum of w(k / M) |k| R(k)
     over lags k = -M ... M of the autocovariance R, with the flat-top window w. M is twice the lag after which
-    K = max(5, sqrt(log10 n)) autocorrelations in a row are insignificant, twice the last significant one where there is
+    K = max(5, sqrt(log10 n)) autocorrelations in a row are insignificant, twice the last significant one if there is
     no such row; lags beyond sqrt(n) + K are not looked at. Rounded up, at least 1 and at most min(3 sqrt(n), n / 3). 1
     for equal values and for fewer than 20. Raises ValueError for values that are not finite or not (n,).
     """
@@ -41,7 +41,7 @@ def block_length(values: npt.ArrayLike) -> int:
 
 
 def finite_row(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return `values` as float64 (n,); raises ValueError where one is not finite or the shape is another."""
+    """Return `values` as float64 (n,); raises ValueError if one is not finite or the shape is another."""
     row = np.asarray(values, dtype=np.float64)
     if row.ndim != 1 or not np.isfinite(row).all():
         raise ValueError(f"values must be finite and (n_queries,), but {row.shape} came or one is not finite")

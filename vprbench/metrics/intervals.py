@@ -182,7 +182,7 @@ class McNemar:
 def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike) -> McNemar:
     """Return the exact McNemar test of two methods on the same queries: hits 0 or 1, each (n_queries,).
 
-    p = min(1, 2 sum_{i <= min(b, c)} C(b + c, i) / 2^(b + c)); 1 where they never disagree. A chance to be
+    p = min(1, 2 sum_{i <= min(b, c)} C(b + c, i) / 2^(b + c)); 1 if they never disagree. A chance to be
     right is no trial: where scores tie, give the pessimistic hits. Raises ValueError for other values or
     different lengths.
     """

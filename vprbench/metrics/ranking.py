@@ -11,7 +11,7 @@ import numpy.typing as npt
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
 
-PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty where there are none
+PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty if there are none
 Counts = npt.NDArray[np.int64]  # (n_queries,)
 
 _BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays near the processor's cache
@@ -21,13 +21,13 @@ _BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays n
 class Outcome:
     """Where the right places of each query stand, ties counted instead of broken. Arrays are (n_queries,).
 
-    A place that is no candidate (score -inf, or in the soft band) is neither above nor tied. Where no right
+    A place that is no candidate (score -inf, or in the soft band) is neither above nor tied. If no right
     place can be retrieved, because there is none or because all are no candidates, `above` is `n_places` and
     `tied` is 0.
     """
 
     best_score: npt.NDArray[np.float32]  # the highest score; -inf where no place is a candidate
-    top_tied: Counts  # places that share the highest score; 0 where no place is a candidate
+    top_tied: Counts  # places that share the highest score; 0 if no place is a candidate
     top_tied_correct: Counts  # right places among those
     above: Counts  # places that score higher than the best right place
     tied: Counts  # places that score the same as the best right place, itself included
@@ -91,7 +91,7 @@ def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
 
 
 def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
-    """Return `scores` (n_queries, n_places) as float32; raises BadInput where one is no real number, NaN or +inf.
+    """Return `scores` (n_queries, n_places) as float32; raises BadInput if one is no real number, NaN or +inf.
 
     `first_query` is the number of the first row in the whole traverse, for the message.
     """
@@ -121,8 +121,8 @@ def right_and_soft_cells(
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the right cells of a score matrix of `shape`, and those of the soft band that are not right.
 
-    Cells are positions in the flattened matrix, ascending, each once. Raises ValueError where the number of
-    queries differs and BadInput where a place does not exist.
+    Cells are positions in the flattened matrix, ascending, each once. Raises ValueError if the number of
+    queries differs and BadInput if a place does not exist.
     """
     right = _cells(shape, positives, "positives")
     if ignored is None:

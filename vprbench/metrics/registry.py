@@ -53,7 +53,7 @@ class Metric:
 
     name: str  # in options, JSON and CSV
     words: str  # at the head of a column, without the unit
-    function: Callable[[Outcome], float | None]  # None where it is undefined
+    function: Callable[[Outcome], float | None]  # None if it is undefined
     meaning: str  # in a few words, after the head
     digits: int = 1  # behind the point
     percent: bool = True  # how people read it; JSON and the CSV of runs hold 0 to 1
@@ -61,7 +61,7 @@ class Metric:
 
     @property
     def unit(self) -> str:
-        """Return the sign of the unit, empty where there is none."""
+        """Return the sign of the unit, empty if there is none."""
         return "%" if self.percent else ""
 
     @property
@@ -75,7 +75,7 @@ class Metric:
         return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
 
     def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run, 0 to 1; None where it is undefined."""
+        """Return the value of a run, 0 to 1; None if it is undefined."""
         return self.function(answers.outcome)
 
     def shown(self, value: float) -> float:
@@ -92,7 +92,7 @@ class PairMetric(Metric):
     """A metric of all pairs of a query and a place, which an `Outcome` does not hold."""
 
     def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run that kept every place of its map (`depth`); None where it kept fewer."""
+        """Return the value of a run that kept every place of its map (`depth`); None if it kept fewer."""
         n_queries, depth = answers.top_scores.shape
         if depth < answers.outcome.n_places:
             return None
@@ -112,28 +112,20 @@ def _area(outcome: Outcome, area: Callable[..., float]) -> float | None:
     return None if curve is None else area(curve)
 
 
-def _recall_at_full_precision(outcome: Outcome) -> float | None:
-    found = recall_at_full_precision(outcome)
-    return None if found is None else found.recall
+def _area_metric(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
+    return Metric(name, words, function, meaning, 3, percent=False)
 
 
 _BEST = "the share of queries with a right place among the best"
 _ALL = (
     *(Metric(f"recall_at_{n}", f"R@{n}", partial(_recall, n=n), f"{_BEST} {n}") for n in RECALLS),
-    Metric("auc_pr_a", "AUC-PR (A)", partial(_area, area=auc), "trapezoids under curve A", 3, percent=False),
-    Metric(
-        "average_precision_a",
-        "AP (A)",
-        partial(_area, area=average_precision),
-        "step sum under curve A",
-        3,
-        percent=False,
-    ),
-    Metric("r100p", "R@100P", _recall_at_full_precision, "the share answered before the first error"),
+    _area_metric("auc_pr_a", "AUC-PR (A)", partial(_area, area=auc), "trapezoids under curve A"),
+    _area_metric("average_precision_a", "AP (A)", partial(_area, area=average_precision), "step sum under curve A"),
+    Metric("r100p", "R@100P", recall_at_full_precision, "the share answered before the first error"),
     Metric("p100r", "P@100R", precision_at_full_recall, "precision where every query is answered"),
-    Metric("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one", 3, percent=False),
-    Metric("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2", 3, percent=False),
-    Metric("f1_max", "F1-max", f1_max, "the highest F1 on curve A", 3, percent=False),
+    _area_metric("auc_roc", "AUC-ROC", auc_roc, "the chance that a right match outscores a wrong one"),
+    _area_metric("ep", "EP", extended_precision, "extended precision, (P_R0 + R_P100) / 2"),
+    _area_metric("f1_max", "F1-max", f1_max, "the highest F1 on curve A"),
     PairMetric(
         "ap_c",
         "AP (C)",

@@ -26,7 +26,7 @@ def hits_within(
 
     Right under tolerance k is every place at most k from a place of the ground truth, inclusive; beyond the ends
     of the traverse there is none. `top_places` and `top_scores` (n_queries, depth) are the best places of each
-    query, best first. Where several share the highest score, the hit is the share of right ones among them, as
+    query, best first. If several share the highest score, the hit is the share of right ones among them, as
     in recall at 1; of more than `depth` such places only those that are stored count. A query without a right
     place or without any candidate is a miss. Places are counted along the journey by their `place_numbers`
     (n_places,), without these along the map. Raises BadInput for a tolerance below 0, ValueError for shapes that

@@ -31,7 +31,7 @@ from vprbench.text import printable
 def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
     """Find the run in the store or make it, and say it; `asked` is its configuration.
 
-    Raises BadInput for data that the cheap checks find wrong and where the run cannot be stored, and what a run raises.
+    Raises BadInput for data that the cheap checks find wrong and if the run cannot be stored, and what a run raises.
     """
     asked["method"], tuned_on = registry.declared(name, asked["method"])
     process, refused = os.getpid(), _refused(store)
@@ -90,7 +90,7 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
 
 
 def _refused(store: Store) -> BadInput | None:
-    """Return why nothing can be written to a store, None where it can; raises it where nothing can be read either."""
+    """Return why nothing can be written to a store, None if it can; raises it if nothing can be read either."""
     try:
         store.prepare()
     except BadInput as error:
@@ -101,7 +101,7 @@ def _refused(store: Store) -> BadInput | None:
 
 
 def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
-    """Return a stored run; None where it lacks a network that is to be saved, or what was asked for without a cache."""
+    """Return a stored run; None if it lacks a network that is to be saved, or what was asked for without a cache."""
     if run is None:
         return None
     if files.save is not None and not files.replace:
@@ -114,7 +114,7 @@ def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run |
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
-    """Keep small pictures of what the report shows of a run; where that fails, the run is stored all the same."""
+    """Keep small pictures of what the report shows of a run; if that fails, the run is stored all the same."""
     try:
         with progress_shown(dataset.name):
             thumbnails.keep(store.root, run.fingerprint, dataset, by_interest(run))

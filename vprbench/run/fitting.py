@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import chdir
 from dataclasses import dataclass
 
@@ -73,10 +73,18 @@ def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described
     computing = seconds - (_reading_seconds(read) - before)
     if destination is not None:
         networks.save(destination, method, key, seconds, computing)
-    notes = tuple(_fit_notes(resumed.seconds, held_out))
+    told: list[Note] = []
+    if resumed.seconds:
+        text = f"fit was resumed: the {resumed.seconds:.1f} s that an interrupted run had spent on it are counted"
+        told.append(Note("resumed", text))
+    if held_out is not None:
+        text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
+        told.append(Note("calibrated", text))
     if from_cache:
-        return Learnt(load_seconds=fit[0], notes=notes, from_cache=True)
-    return Learnt(fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=notes)
+        return Learnt(load_seconds=fit[0], notes=tuple(told), from_cache=True)
+    return Learnt(
+        fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(told)
+    )
 
 
 def _fit(method: Method, dataset: Dataset, described: Described | None) -> bool:
@@ -108,16 +116,6 @@ def _hidden(held_out: HeldOut) -> HeldOut:
 def _reading_seconds(read: Iterable[Images]) -> float:
     """Return how long somebody waited for images; views of one sequence share their waiting, which counts once."""
     return sum(waiting.seconds for waiting in {id(images.reading): images.reading for images in read}.values())
-
-
-def _fit_notes(resumed_seconds: float, held_out: HeldOut | None) -> Iterator[Note]:
-    """Yield what a reader of the training time and of the settings has to know."""
-    if resumed_seconds:
-        text = f"fit was resumed: the {resumed_seconds:.1f} s that an interrupted run had spent on it are counted"
-        yield Note("resumed", text)
-    if held_out is not None:
-        text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
-        yield Note("calibrated", text)
 
 
 def _read_only(places: Places) -> Places:

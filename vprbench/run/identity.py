@@ -111,9 +111,9 @@ class DataRecord(TypedDict):
     """The frames of a dataset, references first and then queries, each in its order."""
 
     names_sha256: str  # of all names, joined by line feeds, in UTF-8
-    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None where an image is no file
+    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None if an image is no file
     images: int  # a frame that is used twice counts twice
-    bytes: int | None  # of all files together; None where an image is no file
+    bytes: int | None  # of all files together; None if an image is no file
 
 
 def data_record(dataset: Dataset) -> DataRecord:

@@ -135,7 +135,7 @@ def machine_lines(surroundings: dict[str, Any]) -> list[str]:
 
 
 def cpu_pressure() -> float | None:
-    """Return the share of the last 10 s, in percent, in which some process waited for a core; None where unknown."""
+    """Return the share of the last 10 s, in percent, in which some process waited for a core; None if unknown."""
     for line in _read("/proc/pressure/cpu").splitlines():
         if line.startswith("some"):
             return float(line.split("avg10=")[1].split()[0])

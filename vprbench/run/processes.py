@@ -44,7 +44,7 @@ class Ending:
 def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: bool = True) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
-    A process that dies without a word is a failure: one line on standard error, and a record where it had begun a run.
+    A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
     Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
     """
     home = str(checkout_folder())
@@ -125,7 +125,7 @@ def _flags() -> list[str]:
 
 @contextlib.contextmanager
 def _slip() -> Iterator[Path]:
-    """Yield the file for the last words of a child; where the system can, one that no kill of this process leaves."""
+    """Yield the file for the last words of a child; if the system can, one that no kill of this process leaves."""
     with tempfile.TemporaryFile() as nameless:
         path = Path(f"/proc/{os.getpid()}/fd/{nameless.fileno()}")
         if path.exists():

@@ -10,24 +10,9 @@ import numpy as np
 from vprbench.run.stopwatch import Laps, Seconds
 
 
-@dataclass(frozen=True)
-class Rate:
-    """A rate with its percentiles; None where the sample is too small to carry one."""
-
-    hz: float
-    p50_seconds: float
-    p90_seconds: float | None
-    p99_seconds: float | None
-
-
-def streaming_rate(seconds: Seconds) -> Rate:
-    """Return 1 / median of single-query times, with upper 99 % bounds of p90 and p99 where the count allows them."""
-    return Rate(
-        1 / float(np.median(seconds)),
-        float(np.median(seconds)),
-        percentile_bound(seconds, 0.9),
-        percentile_bound(seconds, 0.99),
-    )
+def streaming_rate(seconds: Seconds) -> float:
+    """Return 1 / median of single-query times."""
+    return 1 / float(np.median(seconds))
 
 
 def offline_rate(seconds: Seconds, images_per_call: int) -> float:
@@ -46,7 +31,7 @@ class StageRates:
     @classmethod
     def streaming(cls, laps: Laps) -> StageRates:
         """Return 1 / median of single queries."""
-        return cls(*(streaming_rate(seconds).hz for seconds in laps.by_stage))
+        return cls(*(streaming_rate(seconds) for seconds in laps.by_stage))
 
     @classmethod
     def offline(cls, laps: Laps) -> StageRates:

@@ -20,7 +20,7 @@ METHOD = (
 def recall_interval(runs: Sequence[Run]) -> WiderInterval | None:
     """Return the 95 % interval of R@1 over all queries, 0 to 1; of several seeds, of the mean hits over them.
 
-    None where no query has a right place. At least one run, all of the same queries.
+    None if no query has a right place. At least one run, all of the same queries.
     """
     if not runs[0].outcome.answerable.any():
         return None

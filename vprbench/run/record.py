@@ -75,7 +75,7 @@ class Run:
     def training_seconds(self) -> float | None:
         """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
 
-        None where nothing was fitted.
+        None if nothing was fitted.
         """
         return None if self.fit_seconds is None else self.fit_seconds + self.timing.first_query_excess_seconds
 
@@ -107,7 +107,7 @@ def content_key(content: Mapping[str, Any]) -> str:
 def load(folder: Path) -> Run:
     """Read a run of this layout.
 
-    Raises DamagedRunError where a part is missing, changed or cannot be, UnreadableRunError where the system does not
+    Raises DamagedRunError if a part is missing, changed or cannot be, UnreadableRunError if the system does not
     let it be read, OtherLayoutError for any other layout.
     """
     try:
@@ -154,7 +154,7 @@ _PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN
 def write(run: Run, folder: Path) -> None:
     """Write a run into an empty folder, its summary last.
 
-    Raises OSError where the disk refuses, ValueError for a run that `load` would not take.
+    Raises OSError if the disk refuses, ValueError for a run that `load` would not take.
     """
     laps = {"streaming": run.timing.streaming}
     laps |= {f"offline_{number}": laps for number, laps in enumerate(run.timing.offline)}
@@ -218,12 +218,12 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
 
 
 def write_failure(failure: Failure, folder: Path) -> None:
-    """Write a failure into an empty folder; raises OSError where the disk refuses."""
+    """Write a failure into an empty folder; raises OSError if the disk refuses."""
     _write_json(folder / _FAILURE, asdict(failure))
 
 
 def read_failure(folder: Path) -> Failure | None:
-    """Read a failure; None where there is none or, with a warning, none whole."""
+    """Read a failure; None if there is none or, with a warning, none whole."""
     path = folder / _FAILURE
     try:
         content = json.loads(_content(path, _LARGEST_SUMMARY))

@@ -135,7 +135,7 @@ class _Batch(_Part):
 
 
 class _Timing(_Part):
-    first_query_seconds: float  # NaN where no query warmed up
+    first_query_seconds: float  # NaN if no query warmed up
     warmup_queries: _Count
     repeated_seconds: _Seconds
     unseen_seconds: _Seconds

@@ -10,7 +10,7 @@ import pandas as pd
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
 from vprbench.metrics.tolerance import hits_within
-from vprbench.run.rates import StageRates, best_batch, streaming_rate
+from vprbench.run.rates import StageRates, best_batch, percentile_bound
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
 from vprbench.run.tuned import tuned_note
@@ -65,7 +65,6 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
     interval = recall_interval([run])
     streaming, batch = run.timing.streaming, best_batch(run.timing.offline)
-    percentiles = streaming_rate(streaming.total_seconds)
     search = run.search or {}
     return {
         **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
@@ -85,8 +84,8 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
         **_named_rates("streaming", StageRates.streaming(streaming)),
-        "streaming_p90_seconds": percentiles.p90_seconds,
-        "streaming_p99_seconds": percentiles.p99_seconds,
+        "streaming_p90_seconds": percentile_bound(streaming.total_seconds, 0.9),
+        "streaming_p99_seconds": percentile_bound(streaming.total_seconds, 0.99),
         **_named_rates("offline", StageRates.offline(batch)),
         "offline_batch": batch.images_per_call,
         "index_recall_at_1": search.get("recall_at_1"),
@@ -132,7 +131,7 @@ def interval_line(run: Run) -> str | None:
 
 
 def tolerance_line(run: Run) -> str | None:
-    """Return in one line R@1 under the wider tolerances that the dataset asks for; None where it asks for none."""
+    """Return in one line R@1 under the wider tolerances that the dataset asks for; None if it asks for none."""
     wider = recall_at_1_within(run)
     if not wider:
         return None

@@ -35,7 +35,7 @@ def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
     """Return the statistics of layers over their queries, as plain values; None without a layer.
 
     Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and
-    `amplitude_mean`, of all spikes, None where only their number is known or there is none. Raises BadInput for
+    `amplitude_mean`, of all spikes, None if only their number is known or there is none. Raises BadInput for
     layers of different queries and for values that are not finite or below 0.
     """
     if not layers:

@@ -92,13 +92,13 @@ class Timing:
     streaming: Laps
     offline: tuple[Laps, ...]  # one per batch size
     sample: npt.NDArray[np.int64]  # (n_sample,), the queries that were timed
-    answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 where not reached
+    answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 if not reached
     repeated_seconds: float  # median of images asked a second time in a row
     unseen_seconds: float = 0.0  # median of images never shown before: a method that caches is slower there
 
     @property
     def first_query_excess_seconds(self) -> float:
-        """What the first query took beyond a usual one; 0 up to ten times the median, and where that is too brief.
+        """What the first query took beyond a usual one; 0 up to ten times the median, and if that is too brief.
 
         So much of the training can have been left to it, and a method gains nothing by that.
         """
@@ -141,7 +141,7 @@ class Stopwatch:
     def measure(self, method: Method, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
-        Where the method was asked before, `first_query_seconds` is what its first query took.
+        If the method was asked before, `first_query_seconds` is what its first query took.
         """
         chosen = _sample(images, self._protocol.sample)
         sample, count = images[chosen].in_memory(), len(chosen)
@@ -244,7 +244,7 @@ class Stopwatch:
 
 
 def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:
-    """Return `wanted` images spread over all, fewer where these would fill more than the bytes that may be held."""
+    """Return `wanted` images spread over all, fewer if these would fill more than the bytes that may be held."""
     count = min(len(images), wanted)
     while True:
         chosen = np.linspace(0, len(images) - 1, count).astype(np.int64)

@@ -79,7 +79,7 @@ class Store:
                 yield failure
 
     def save(self, run: Run) -> Path:
-        """Store a run, replacing one with the same key; raises BadInput where the disk refuses, or a run cannot be."""
+        """Store a run, replacing one with the same key; raises BadInput if the disk refuses, or a run cannot be."""
         self._insist_on_writing()
         folder = self.folder(run.dataset, run.method, run.key)
         try:
@@ -201,7 +201,7 @@ def _visible(folder: Path) -> list[Path]:
 
 
 def _identity(folder: Path, part: str = "") -> tuple[int, int] | None:
-    """Return what tells a folder from its replacement of the same name; None where there is none with this part."""
+    """Return what tells a folder from its replacement of the same name; None if there is none with this part."""
     try:
         (folder / part).stat()
         found = folder.stat()

@@ -45,21 +45,13 @@ class Example:
 
 @dataclass(frozen=True)
 class Thumbnails:
-    """Frames of a dataset, small: of queries, and the first reference image of places; empty where none is kept."""
+    """Frames of a dataset, small: of queries, and the first reference image of places."""
 
     query_names: tuple[str, ...]
     reference_names: tuple[str, ...]  # by place
     examples: tuple[Example, ...]  # spread over the queries that have a right place
-    queries: tuple[bytes, ...]
-    references: tuple[bytes, ...]
-
-    def query(self, i: int) -> bytes:
-        """Return query i as WebP; empty where it is not kept."""
-        return self.queries[i]
-
-    def reference(self, place: int) -> bytes:
-        """Return the first reference image of a place as WebP; empty where it is not kept."""
-        return self.references[place]
+    queries: tuple[bytes, ...]  # WebP, by query; empty if it is not kept
+    references: tuple[bytes, ...]  # WebP, by place
 
 
 Shown = Iterable[tuple[int, Collection[int]]]  # queries, what matters most first, each with the places beside it
@@ -70,7 +62,7 @@ def keep(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> N
 
     Of a large dataset only some frames are kept: those that `shown` names first. Several processes may do so at once; a
     reader finds a whole file or none, and what one adds while another does may have to be added again. Raises OSError
-    where the disk refuses and BadInput where a frame cannot be read.
+    if the disk refuses and BadInput if a frame cannot be read.
     """
     found = find(root, fingerprint)
     _, first_of_place = np.unique(dataset.places, return_index=True)
@@ -88,7 +80,7 @@ def keep(root: Path, fingerprint: str, dataset: Dataset, shown: Shown = ()) -> N
 
 
 def find(root: Path, fingerprint: str) -> Thumbnails | None:
-    """Return the pictures kept of a dataset; None where there are none or, with a warning, where they are damaged."""
+    """Return the pictures kept of a dataset; None if there are none or, with a warning, if they are damaged."""
     path = _path(root, fingerprint)
     try:
         with zipfile.ZipFile(path) as archive:

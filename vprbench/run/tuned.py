@@ -13,7 +13,7 @@ def tuned_here(run: Run) -> bool:
 
 
 def tuned_note(run: Run) -> str:
-    """Return what a reader has to know of the settings of a run's method; empty where none were chosen on a dataset."""
+    """Return what a reader has to know of the settings of a run's method; empty if none were chosen on a dataset."""
     if not run.tuned_on:
         return ""
     words = f"tuned on {run.tuned_on['places']} of {run.tuned_on['dataset']}"

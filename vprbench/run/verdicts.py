@@ -25,17 +25,17 @@ _DIGITS = 5  # significant ones of a score on the page
 class Answers:
     """How a run answered each query.
 
-    A margin is the score of the best right place less that of the best wrong place; infinite where the one or the
-    other is no candidate, NaN where it is undefined: without a right place, or without any candidate. Where a run
+    A margin is the score of the best right place less that of the best wrong place; infinite if the one or the
+    other is no candidate, NaN if it is undefined: without a right place, or without any candidate. If a run
     keeps too few of its scores it is only known to be at most or at least so much.
     """
 
     verdicts: str  # a letter a query; RIGHT: the best place is right and tied with no wrong one
     places: npt.NDArray[np.int64]  # (n_queries, SHOWN), best first, of equals the wrong ones first; NOWHERE: no more
-    scores: npt.NDArray[np.float64]  # (n_queries, SHOWN); NaN where the place is NOWHERE
-    right_places: npt.NDArray[np.int64]  # (n_queries,), the best right place, the middle one where none is ranked
-    right_scores: npt.NDArray[np.float64]  # (n_queries,); a bound where `bounds` is AT_MOST, NaN where there is none
-    ranks: Counts  # (n_queries,), of the best right place, from 1; 0 where none is a candidate
+    scores: npt.NDArray[np.float64]  # (n_queries, SHOWN); NaN if the place is NOWHERE
+    right_places: npt.NDArray[np.int64]  # (n_queries,), the best right place, the middle one if none is ranked
+    right_scores: npt.NDArray[np.float64]  # (n_queries,); a bound if `bounds` is AT_MOST, NaN if there is none
+    ranks: Counts  # (n_queries,), of the best right place, from 1; 0 if none is a candidate
     equals: Counts  # (n_queries,), wrong places with the score of the best right one
     margins: npt.NDArray[np.float64]  # (n_queries,)
     bounds: str  # a letter a query: whether the margin is EXACT, a bound or UNDEFINED
@@ -64,7 +64,7 @@ def judged(run: Run) -> Answers:
 
 @dataclass(frozen=True)
 class _Best:
-    """The best right and the best wrong score of a query: -inf where there is none, bounds where not all is kept."""
+    """The best right and the best wrong score of a query: -inf if there is none, bounds if not all is kept."""
 
     right_place: int
     right: float
@@ -77,7 +77,7 @@ class _Best:
 
 
 def _best_of_both_kinds(run: Run, query: int) -> _Best:
-    """Find the best right and the best wrong place, in all scores where they are kept, or else in the best ones."""
+    """Find the best right and the best wrong place, in all scores if they are kept, or else in the best ones."""
     outcome, positives = run.outcome, run.positives[query]
     if run.scores is not None:
         places, scores = np.arange(outcome.n_places), np.asarray(run.scores[query])
@@ -138,7 +138,7 @@ def columns(answers: Answers) -> dict[str, Any]:
 
 
 def rounded(values: npt.NDArray[np.float64]) -> list[float | None]:
-    """Return values to five significant digits; None where one is not finite."""
+    """Return values to five significant digits; None if one is not finite."""
     return [float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 

@@ -115,7 +115,7 @@ def measured_rates(title: str, method: Method, queries: Images, protocol: stopwa
     streaming = Laps.of(timing.streaming)
     best = Laps.of(best_batch(timing.offline))
     return Rates(
-        streaming.rates(lambda seconds, _: streaming_rate(seconds).hz),
+        streaming.rates(lambda seconds, _: streaming_rate(seconds)),
         best.rates(),
         best.images_per_call,
         all(laps.valid for laps in (timing.streaming, *timing.offline)),

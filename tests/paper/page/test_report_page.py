@@ -267,7 +267,7 @@ def test_a_page_of_3300_places_and_six_methods_with_figures_stays_below_10_mb() 
     assert len(text.encode()) < 10_000_000
     kept = embedded(text)
     assert [len(kept["queries"]), len(kept["places"])] == [2700, 3300]
-    assert base64.b64decode(kept["queries"][5]) == frames.query(5)
+    assert base64.b64decode(kept["queries"][5]) == frames.queries[5]
 
 
 def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -144,7 +144,7 @@ def _missing(kept: Thumbnails | None, n_queries: int, places: Iterable[int]) -> 
     """Return the sentence on frames that are not stored; empty where all are that the page shows."""
     if kept is None:
         return _FRAMES_MISSING
-    whole = all(kept.query(query) for query in range(n_queries)) and all(kept.reference(place) for place in places)
+    whole = all(kept.queries[:n_queries]) and all(kept.references[place] for place in places)
     return "" if whole else _SOME_MISSING
 
 
@@ -155,8 +155,8 @@ def _frames(section: Section, answers: Iterable[Answers]) -> _Frames:
         return _Frames()
     n_queries = len(section.series[0].runs[0].outcome)
     return _Frames(
-        tuple(kept.query(query) for query in range(n_queries)),
-        {place: frame for place in places_shown(answers) if (frame := kept.reference(place))},
+        kept.queries[:n_queries],
+        {place: frame for place in places_shown(answers) if (frame := kept.references[place])},
     )
 
 
