@@ -59,7 +59,7 @@ def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(
     sights = np.random.default_rng(0).integers(0, 256, (60, N)).astype(np.uint8)
     expected = counted(weak, sights, True)
     assert expected != counted(weak, sights, False)
-    monkeypatch.setattr(query, "_TOGETHER", 2)
+    monkeypatch.setattr(query, "_TOGETHER", 1)
     assert counted(weak, sights, True) == expected
 
 
