@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
+import torch
 
 from vprbench.api import BadInput, Variant
 
 Engine = Literal["compiled", "batched"]
 
-_POSITIVE = (
-    "places_per_module",
-    "n_excitatory",
-    "epochs",
-    "recorded_presentations",
-    "levels_per_hz",
-    "time_step_ms",
-    "presentation_ms",
-    "weight_sum",
-    "weight_max",
-)
-
-
+# More than 0, as all time constants
+_POSITIVE = {"places_per_module", "n_excitatory", "epochs", "recorded_presentations", "levels_per_hz"}
+_POSITIVE |= {"time_step_ms", "presentation_ms", "weight_sum", "weight_max"}
+# 0 or more, as all durations
+_NOT_NEGATIVE = {"weight_scale", "weight_offset", "excitatory_to_inhibitory_weight", "inhibitory_to_excitatory_weight"}
 _CHOICES = {
     "module_order": ("contiguous", "shuffled"),
     "assignment": ("standard", "weighted"),
@@ -96,83 +90,69 @@ class Arguments:
     seed: int = 0
     device: str = "cpu"
 
+    @property
+    def torch_device(self) -> torch.device | None:
+        """Where PyTorch simulates; None if the compiled loops do."""
+        device = torch.device(self.device)
+        engine = self.engine or ("compiled" if device.type == "cpu" else "batched")
+        return None if engine == "compiled" else device
+
     def given(self) -> dict[str, Any]:
         """Return the arguments by name."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.init}
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""
+        for complaints in (self._wrong_by_itself(), self._wrong_beside_others()):
+            for name, advice in complaints:
+                raise BadInput(f"method.{name}={getattr(self, name)}: {advice}")
+
+    def _wrong_by_itself(self) -> Iterator[tuple[str, str]]:
+        """Yield each argument whose value no network has, and what to give."""
         for name, value in self.given().items():
+            is_time_constant = name.endswith("_tau_ms")
             if isinstance(value, float) and not math.isfinite(value):
-                raise BadInput(f"method.{name}={value}: give a finite number")
-        positive = [*_POSITIVE, *(name for name in self.given() if name.endswith("_tau_ms"))]
-        for name in positive:
-            if getattr(self, name) <= 0:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give more than 0")
-        for name, value in self.given().items():
-            if name.endswith("_ms") and name not in positive and value < 0:
-                raise BadInput(f"method.{name}={value}: give 0 or more")
-            if name.endswith("_tau_ms") and value <= self.time_step_ms:
-                raise BadInput(
-                    f"method.{name}={value}: a time constant has to be longer than method.time_step_ms="
-                    f"{self.time_step_ms}, or the steps of Euler's method run away"
-                )
-        if self.levels_per_hz * 1000 <= 255 * self.time_step_ms:
-            raise BadInput(
-                f"method.levels_per_hz={self.levels_per_hz}: a level of 255 would fire in every step of "
-                f"method.time_step_ms={self.time_step_ms}: give more"
-            )
-        if self.input_delay_max_ms > self.rest_ms:
-            raise BadInput(
-                f"method.input_delay_max_ms={self.input_delay_max_ms}: spikes would still be under way after "
-                f"method.rest_ms={self.rest_ms}: give at most that"
-            )
-        if self.first_rest_ms < self.excitatory_minimum_interval_ms:
-            raise BadInput(
-                f"method.first_rest_ms={self.first_rest_ms}: neurons are not ready to fire before "
-                f"method.excitatory_minimum_interval_ms={self.excitatory_minimum_interval_ms}: give at least that"
-            )
-        most_steps = np.iinfo(np.int16).max
-        if self.input_delay_max_ms > most_steps * self.time_step_ms:
-            raise BadInput(
-                f"method.input_delay_max_ms={self.input_delay_max_ms}: give at most {most_steps} steps of "
-                f"method.time_step_ms={self.time_step_ms}"
-            )
-        if self.presentation_ms < self.time_step_ms:
-            raise BadInput(
-                f"method.presentation_ms={self.presentation_ms}: give at least method.time_step_ms={self.time_step_ms}"
-            )
-        for name in (
-            "weight_scale",
-            "weight_offset",
-            "excitatory_to_inhibitory_weight",
-            "inhibitory_to_excitatory_weight",
-        ):
-            if getattr(self, name) < 0:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give 0 or more")
-        for name, options in _CHOICES.items():
-            if getattr(self, name) not in options:
-                raise BadInput(f"method.{name}={getattr(self, name)}: there are {', '.join(map(str, options))}")
+                yield name, "give a finite number"
+            elif (name in _POSITIVE or is_time_constant) and value <= 0:
+                yield name, "give more than 0"
+            elif (name in _NOT_NEGATIVE or name.endswith("_ms")) and value < 0:
+                yield name, "give 0 or more"
+            elif is_time_constant and value <= self.time_step_ms:
+                step = f"method.time_step_ms={self.time_step_ms}"
+                yield name, f"a time constant has to be longer than {step}, or the steps of Euler's method run away"
+            elif name in _CHOICES and value not in _CHOICES[name]:
+                yield name, f"there are {', '.join(map(str, _CHOICES[name]))}"
         if not 0 <= self.seed < 2**32:
-            raise BadInput(f"method.seed={self.seed}: give 0 to {2**32 - 1}")
-        if self.theta_start_mv + self.excitatory_threshold_mv <= self.excitatory_rest_mv:
-            raise BadInput(
-                f"method.theta_start_mv={self.theta_start_mv}: with method.excitatory_threshold_mv="
-                f"{self.excitatory_threshold_mv} neurons would fire at rest, {self.excitatory_rest_mv} mV: give more"
-            )
-        if self.inhibitory_threshold_mv <= self.inhibitory_rest_mv:
-            raise BadInput(
-                f"method.inhibitory_threshold_mv={self.inhibitory_threshold_mv}: inhibitory neurons would fire at "
-                f"rest, {self.inhibitory_rest_mv} mV: give more"
-            )
-        if self.calibration_places < 0 or (self.calibration_places and self.module_order == "contiguous"):
-            raise BadInput(
-                f"method.calibration_places={self.calibration_places}: it tells how many places were set aside before "
-                "the others were shuffled; give 0, or more with method.module_order=shuffled"
-            )
+            yield "seed", f"give 0 to {2**32 - 1}"
         if self.hyperactive_threshold is not None and self.hyperactive_threshold < 0:
-            raise BadInput(f"method.hyperactive_threshold={self.hyperactive_threshold}: give 0 references or more")
+            yield "hyperactive_threshold", "give 0 references or more"
         if not self.hyperactive_candidates or min(self.hyperactive_candidates) < 0:
-            raise BadInput(
-                f"method.hyperactive_candidates={[*self.hyperactive_candidates]}: give at least one, 0 or more each"
-            )
+            yield "hyperactive_candidates", "give at least one, 0 or more each"
+
+    def _wrong_beside_others(self) -> Iterator[tuple[str, str]]:
+        """Yield each argument that another one bounds and that is beyond its bound, and what to give."""
+        step, most_steps = f"method.time_step_ms={self.time_step_ms}", np.iinfo(np.int16).max
+        if self.levels_per_hz * 1000 <= 255 * self.time_step_ms:
+            yield "levels_per_hz", f"a level of 255 would fire in every step of {step}: give more"
+        if self.input_delay_max_ms > self.rest_ms:
+            rest = f"method.rest_ms={self.rest_ms}"
+            yield "input_delay_max_ms", f"spikes would still be under way after {rest}: give at most that"
+        if self.input_delay_max_ms > most_steps * self.time_step_ms:
+            yield "input_delay_max_ms", f"give at most {most_steps} steps of {step}"
+        if self.first_rest_ms < self.excitatory_minimum_interval_ms:
+            interval = f"method.excitatory_minimum_interval_ms={self.excitatory_minimum_interval_ms}"
+            yield "first_rest_ms", f"neurons are not ready to fire before {interval}: give at least that"
+        if self.presentation_ms < self.time_step_ms:
+            yield "presentation_ms", f"give at least {step}"
+        if self.theta_start_mv + self.excitatory_threshold_mv <= self.excitatory_rest_mv:
+            threshold = f"method.excitatory_threshold_mv={self.excitatory_threshold_mv}"
+            rest = f"rest, {self.excitatory_rest_mv} mV"
+            yield "theta_start_mv", f"with {threshold} neurons would fire at {rest}: give more"
+        if self.inhibitory_threshold_mv <= self.inhibitory_rest_mv:
+            rest = f"rest, {self.inhibitory_rest_mv} mV"
+            yield "inhibitory_threshold_mv", f"inhibitory neurons would fire at {rest}: give more"
+        if self.calibration_places < 0 or (self.calibration_places and self.module_order == "contiguous"):
+            meaning = "it tells how many places were set aside before the others were shuffled"
+            yield "calibration_places", f"{meaning}; give 0, or more with method.module_order=shuffled"
+        if self.engine == "compiled" and torch.device(self.device).type != "cpu":
+            yield "engine", f"it runs on processors alone: set device=cpu, not {self.device}"

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from typing import Any, Literal
 
-from . import recipe, simulation, training
+from . import model, training
+from .synapses import sum_arrivals
 
 Part = Literal["input", "normalising", "arrivals", "without learning", "with learning"]
 Lap = Callable[[], AbstractContextManager[list[float]]]
 
 LOOKED = 7  # every so many presentations; coprime to the images of an epoch, so that each has its turn
 _PARTS: tuple[Part, ...] = ("input", "normalising", "arrivals", "without learning", "with learning")
-_HOMES = {"spike_train": recipe, "normalise": training, "present": training}
+_HOMES = {"spike_train": model, "normalise": training, "show": training}
 
 
 class Watch:
@@ -28,7 +30,7 @@ class Watch:
         self.presentations = self.input_spikes = self.excitatory_spikes = 0
         self.laps: dict[Part, list[float]] = {part: [] for part in _PARTS}
         self.own = {name: getattr(home, name) for name, home in _HOMES.items()}
-        self._lap, self._sum_arrivals = lap, simulation._sum_arrivals
+        self._lap = lap
 
     def spike_train(self, *arguments: Any) -> Any:
         """Draw the input of a presentation."""
@@ -42,18 +44,18 @@ class Watch:
         with self._part("normalising"):
             self.own["normalise"](*arguments)
 
-    def present(self, synapses: Any, state: Any, train: Any, room: Any, *arguments: Any) -> None:
-        """Show an image; the last two arguments say whether it is learnt, and whether a rest follows."""
-        *others, learning, resting = arguments
+    def show(self, module: Any, train: Any) -> None:
+        """Show an image that is learnt, with the rest that follows."""
         if self._looking:
-            copy = type(state)(*(array.copy() for array in state))
+            unchanged = copy(module)
+            unchanged.state, unchanged.learning = type(module.state)(*(array.copy() for array in module.state)), False
             with self._part("arrivals"):
-                self._sum_arrivals(synapses, train, room.ring, room.drive)
+                sum_arrivals(module.synapses, train, module.scratch.ring, module.scratch.drive)
             with self._part("without learning"):
-                self.own["present"](synapses, copy, train, room, *others, False, resting)
+                self.own["show"](unchanged, train)
         with self._part("with learning"):
-            self.own["present"](synapses, state, train, room, *others, learning, resting)
-        self.excitatory_spikes += int(state.counts.sum())
+            self.own["show"](module, train)
+        self.excitatory_spikes += int(module.state.counts.sum())
         self.presentations += 1
 
     @property

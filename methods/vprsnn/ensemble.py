@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from vprbench.api import BadInput
 
 from .method import VPRSNN
-from .recipe import Recipe
+from .model import Model
 
 
 @dataclass
@@ -30,9 +30,10 @@ class VPRSNNEnsemble(VPRSNN):
     def _thresholds(self) -> Sequence[int | None]:
         return self.member_thresholds or [self.hyperactive_threshold] * len(self.seeds)
 
-    def _recipes(self) -> list[Recipe]:
+    def _models(self) -> list[Model]:
         epochs = self.member_epochs or [self.epochs] * len(self.seeds)
-        return [self._recipe(self.seed + seed, times) for seed, times in zip(self.seeds, epochs, strict=True)]
+        members = zip(self.seeds, epochs, strict=True)
+        return [Model.of(self, seed=self.seed + seed, epochs=times) for seed, times in members]
 
     def check(self) -> None:
         """Raise BadInput for arguments under which there is no network."""

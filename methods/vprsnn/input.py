@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from vprbench.api import compiled
 
-from .module import Train
+from .arrays import Train
 
 _IMAGE = 4  # the purpose of its random numbers; a module's have others
 
@@ -29,15 +29,10 @@ def spike_train(
     first = np.zeros(len(levels) + 1, np.int32)
     while not _draw(hazard, generator, steps, first, room):
         room = np.empty(2 * len(room), np.int32)
-    return _in_order(first, room[: first[-1]], steps)
-
-
-def train_of(spikes: npt.NDArray[np.integer], sources: npt.NDArray[np.integer], n_inputs: int, steps: int) -> Train:
-    """Return spikes that were given as (n_spikes,) steps and inputs."""
-    order = np.lexsort((spikes, sources))
-    first = np.zeros(n_inputs + 1, np.int32)
-    np.cumsum(np.bincount(sources, minlength=n_inputs), out=first[1:])
-    return _in_order(first, spikes[order].astype(np.int32), steps)
+    of_source = room[: first[-1]]
+    step, source = np.empty_like(of_source), np.empty_like(of_source)
+    _sort(first, of_source, np.zeros(steps + 1, np.int32), step, source)
+    return Train(step, source, first, of_source)
 
 
 def generator_for(seed: int, *words: int) -> np.random.Generator:
@@ -49,12 +44,6 @@ def generator_of_image(seed: int, levels: npt.NDArray[np.uint8]) -> np.random.Ge
     """Return the generator of one image: the same image has the same spikes, whatever is asked before it."""
     words = np.frombuffer(hashlib.blake2b(levels.tobytes(), digest_size=16).digest(), np.uint32)
     return generator_for(seed, _IMAGE, *map(int, words))
-
-
-def _in_order(first: npt.NDArray[np.int32], of_source: npt.NDArray[np.int32], steps: int) -> Train:
-    step, source = np.empty_like(of_source), np.empty_like(of_source)
-    _sort(first, of_source, np.zeros(steps + 1, np.int32), step, source)
-    return Train(step, source, first, of_source)
 
 
 @compiled()

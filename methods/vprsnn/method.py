@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from vprbench.api import (
     BadInput,
@@ -28,14 +27,12 @@ from vprbench.api import (
 
 from . import published, scoring
 from .arguments import Arguments
-from .asking import Answers, Asked, ask, reactions
-from .network import Network, by_member
-from .physics import physics_of, steps, traces_of
-from .recipe import Recipe
-from .training import train_all
+from .model import Model
+from .network import Network, ReadyNetwork, by_member
+from .parallel import Stage
+from .query import Answers, Levels, ask
+from .training import Training
 from .training_sets import Lesson, lesson, modules
-
-Levels = npt.NDArray[np.uint8]  # (n_images, height * width)
 
 _ASIDE = 1_000_000  # numbers of modules that learn held-out places begin here
 _QUERY_TIME = frozenset(
@@ -65,7 +62,7 @@ class VPRSNN(Arguments, Method):
     stored_as: ClassVar[str] = "vprsnn"
     query_arguments: ClassVar[frozenset[str]] = _QUERY_TIME
 
-    _asked: list[Asked] = field(default_factory=list, init=False, repr=False, compare=False)
+    _ready: list[ReadyNetwork] = field(default_factory=list, init=False, repr=False, compare=False)
     #: The first image of each place, and what decided the training; None where nothing was fitted.
     _fitted: tuple[Levels, dict[str, Any]] | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -87,17 +84,17 @@ class VPRSNN(Arguments, Method):
     def fit(self, references: Images, places: Places) -> Self:
         """Train every module from its own images, and learn which place each neuron speaks for."""
         self.check()
-        self._asked = []
+        self._ready = []
         levels = self.encode(references)
         first_traverse = levels[np.unique(places, return_index=True)[1]]
         identity = self._identity(levels, places)
         networks = []
         with checkpoints.training(identity) as kept:
-            for recipe, threshold, part in self._members():
-                lessons = self._lessons(recipe, levels, places, 0)
-                network = train_all(recipe, lessons, kept, "training", self._engine(), self._published(), part)
+            for training, threshold in self._trainings(kept):
+                lessons = self._lessons(training.model, levels, places, 0)
+                network = training.network(lessons, "training", self._published())
                 if threshold:
-                    network = self._counted(network, recipe, first_traverse, kept, "counting reactions", part)
+                    network = training.counted(network, first_traverse, "counting reactions")
                 networks.append(replace(network, threshold=threshold or 0))
         self._fitted = (first_traverse, identity)
         return self._take(networks)
@@ -111,23 +108,24 @@ class VPRSNN(Arguments, Method):
         if self._fitted is None:
             raise NotFittedError("VPRSNN can choose a threshold only after fit(references, places)")
         shown, identity = self._fitted
-        levels, asked = self.encode(held_out.references), self.encode(held_out.queries)
+        levels, queries = self.encode(held_out.references), self.encode(held_out.queries)
         if not held_out.in_map:
             shown = np.concatenate([shown, levels[np.unique(held_out.places, return_index=True)[1]]])
         aside_from = {"map": identity, "shown": _digest(shown)}
-        networks = [member.network for member in self._asked]
+        networks = [member.network for member in self._ready]
         with checkpoints.training({**self._identity(levels, held_out.places), **aside_from}) as kept:
-            for number, (recipe, threshold, part) in enumerate(self._members()):
+            for number, (training, threshold) in enumerate(self._trainings(kept)):
                 if threshold is not None:
                     continue
-                lessons = self._lessons(recipe, levels, held_out.places, _ASIDE)
-                aside = train_all(recipe, lessons, kept, "calibration, training", self._engine(), within=part)
-                aside = self._counted(aside, recipe, shown, kept, "calibration, counting reactions", part, _ASIDE)
-                asking = Asked.of(recipe, aside, self._new_delays(), _ASIDE)
-                best = self._best_threshold(asking, asked, held_out.right, part)
+                lessons = self._lessons(training.model, levels, held_out.places, _ASIDE)
+                aside = training.network(lessons, "calibration, training")
+                aside = training.counted(aside, shown, "calibration, counting reactions", _ASIDE)
+                ready = ReadyNetwork.of(training.model, aside, _ASIDE)
+                answers = ask(ready, queries, training.stage("calibration, asking"))
+                best = self._best_threshold(ready, answers, held_out.right)
                 network = replace(networks[number], reactions=None)
                 if best:
-                    network = self._counted(network, recipe, shown, kept, "counting reactions", part)
+                    network = training.counted(network, shown, "counting reactions")
                 networks[number] = replace(network, threshold=best)
         return self._take(networks)
 
@@ -142,7 +140,7 @@ class VPRSNN(Arguments, Method):
         """
         self._insist_on_a_network()
         scores = np.sum(
-            [self._scores(member, self._answers(member, codes).excitatory) for member in self._asked], axis=0
+            [self._scores(member, ask(member, codes, Stage()).excitatory) for member in self._ready], axis=0
         )
         return scoring.no_match(scoring.normalised(scores) if self.probabilities else scores, scores)
 
@@ -151,8 +149,8 @@ class VPRSNN(Arguments, Method):
         notes = []
         if self.published_weights is not None:
             notes.append("the weights were not trained here: fit learnt only which place each neuron speaks for")
-        for member, asked in zip(self._thresholds(), self._asked, strict=True):
-            threshold, silenced = asked.network.threshold, asked.silenced
+        for member, ready in zip(self._thresholds(), self._ready, strict=True):
+            threshold, silenced = ready.network.threshold, ready.network.silenced
             if threshold:
                 chosen = "chosen by held-out places" if member is None else "given"
                 notes.append(
@@ -169,9 +167,9 @@ class VPRSNN(Arguments, Method):
         Raises NotFittedError before `fit`.
         """
         self._insist_on_a_network()
-        answer = self._answers(self._asked[0], codes)
+        answer, trains = ask(self._ready[0], codes, Stage()), self._ready[0].model.query_spikes(codes)
         return [
-            LayerSpikes("input", self._asked[0].input_counts(codes)),
+            LayerSpikes("input", np.array([np.diff(train.first) for train in trains])),
             LayerSpikes("excitatory", answer.excitatory.reshape(len(codes), -1)),
             LayerSpikes("inhibitory", answer.inhibitory.reshape(len(codes), -1)),
         ]
@@ -179,15 +177,15 @@ class VPRSNN(Arguments, Method):
     def state(self) -> Mapping[str, npt.NDArray[Any]]:
         """Return the arrays of the trained network, those of several numbered."""
         self._insist_on_a_network()
-        if len(self._asked) == 1:
-            return self._asked[0].network.state()
-        states = [member.network.state() for member in self._asked]
+        if len(self._ready) == 1:
+            return self._ready[0].network.state()
+        states = [member.network.state() for member in self._ready]
         return {f"member_{n}.{name}": array for n, state in enumerate(states) for name, array in state.items()}
 
     def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
         """Take over a stored network; where `hyperactive_threshold` is None, with the threshold that it has."""
         self.check()
-        self._asked, self._fitted = [], None
+        self._ready, self._fitted = [], None
         networks = []
         thresholds = self._thresholds()
         for arrays, threshold in zip(by_member(state, len(thresholds)), thresholds, strict=True):
@@ -207,43 +205,25 @@ class VPRSNN(Arguments, Method):
         with _named("published_weights"):
             return published.files_of(Path(self.published_weights))
 
-    def _members(self) -> list[tuple[Recipe, int | None, tuple[float, float]]]:
-        """Return how each network is trained, its threshold, and the part of the progress that it is."""
-        members = list(zip(self._recipes(), self._thresholds(), strict=True))
-        count = len(members)
-        return [(*member, (number / count, (number + 1) / count)) for number, member in enumerate(members)]
+    def _trainings(self, kept: checkpoints.Partial) -> list[tuple[Training, int | None]]:
+        """Return the training of each network, and its threshold."""
+        models = self._models()
+        parts = np.linspace(0, 1, len(models) + 1).tolist()
+        return [
+            (Training(model, kept, begin, end), threshold)
+            for model, begin, end, threshold in zip(models, parts, parts[1:], self._thresholds(), strict=False)
+        ]
 
     def _thresholds(self) -> Sequence[int | None]:
         return [self.hyperactive_threshold]
 
-    def _recipes(self) -> list[Recipe]:
-        return [self._recipe(self.seed, self.epochs)]
+    def _models(self) -> list[Model]:
+        return [Model.of(self)]
 
-    def _recipe(self, seed: int, epochs: int) -> Recipe:
-        physics = physics_of(self)
-        return Recipe(
-            physics=physics,
-            traces=traces_of(self),
-            seed=seed,
-            n_inputs=self.height * self.width,
-            n_neurons=self.n_excitatory,
-            intensity=self.levels_per_hz,
-            longest_delay=0.0 if self.fast else self.input_delay_max_ms / self.time_step_ms,
-            weight_scale=self.weight_scale,
-            weight_offset=self.weight_offset,
-            weight_sum=self.weight_sum,
-            theta_start=self.theta_start_mv,
-            v_start=self.excitatory_start_mv,
-            v_start_inhibitory=self.inhibitory_start_mv,
-            first_rest=steps(self.first_rest_ms, self.time_step_ms),
-            epochs=epochs,
-            recorded=self.recorded_presentations,
-        )
-
-    def _lessons(self, recipe: Recipe, levels: Levels, places: Places, first: int) -> list[Lesson]:
+    def _lessons(self, model: Model, levels: Levels, places: Places, first: int) -> list[Lesson]:
         """Return what each module is shown; their numbers begin with `first`."""
         n_places = int(places.max()) + 1
-        groups = modules(n_places, self.places_per_module, self.module_order, recipe.seed, self.calibration_places)
+        groups = modules(n_places, self.places_per_module, self.module_order, model.seed, self.calibration_places)
         lessons = [lesson(first + number, group, levels, places) for number, group in enumerate(groups)]
         most = max(len(each.levels) for each in lessons)
         if most > self.recorded_presentations:
@@ -259,64 +239,28 @@ class VPRSNN(Arguments, Method):
         with _named("published_weights"):
             return published.read_modules(Path(self.published_weights), self.height * self.width, self.n_excitatory)
 
-    def _counted(
-        self,
-        network: Network,
-        recipe: Recipe,
-        shown: Levels,
-        kept: checkpoints.Partial,
-        stage: str,
-        part: tuple[float, float],
-        first: int = 0,
-    ) -> Network:
-        """Return the network with the number of images in `shown` for which each neuron fired."""
-        name = f"reactions-{recipe.seed}-{first}"
-        found = kept.get(name)
-        if found is None:
-            asked = Asked.of(recipe, network, self._new_delays(), first)
-            found = {"reactions": reactions(asked, shown, self.carried_potentials, self._engine(), stage, part)}
-            kept.put(name, found)
-        return replace(network, reactions=found["reactions"])
-
-    def _best_threshold(self, aside: Asked, asked: Levels, right: Places, part: tuple[float, float]) -> int:
-        answers = ask(aside, asked, self.carried_potentials, self._engine(), "calibration, asking", part)
-
+    def _best_threshold(self, aside: ReadyNetwork, answers: Answers, right: Places) -> int:
         def scores(threshold: int) -> Scores:
             judged = replace(aside, network=replace(aside.network, threshold=threshold))
             found = self._scores(judged, answers.excitatory)
             return scoring.no_match(found, found)
 
-        return scoring.best_threshold(scores, right, self.hyperactive_candidates)[0]
+        return scoring.best_threshold(scores, right, self.hyperactive_candidates)
 
-    def _scores(self, member: Asked, responses: npt.NDArray[np.int32]) -> Scores:
+    def _scores(self, member: ReadyNetwork, responses: npt.NDArray[np.int32]) -> Scores:
         network = member.network
         if self.assignment == "weighted":
-            return scoring.weighted(responses, network.learnt, member.silenced, network.n_places)
-        return scoring.standard(responses, member.labels, member.silenced, network.n_places)
-
-    def _answers(self, member: Asked, codes: Levels) -> Answers:
-        return ask(member, codes, self.carried_potentials, self._engine())
+            return scoring.weighted(responses, network, network.silenced, network.n_places)
+        return scoring.standard(responses, member.labels, network.silenced, network.n_places)
 
     def _take(self, networks: Sequence[Network]) -> Self:
         """Make networks ready to be asked."""
-        members = zip(self._recipes(), networks, strict=True)
-        self._asked = [Asked.of(recipe, network, self._new_delays(), 0) for recipe, network in members]
+        self._ready = [ReadyNetwork.of(*member) for member in zip(self._models(), networks, strict=True)]
         return self
 
-    def _new_delays(self) -> bool:
-        return self.delays_at_query == "new"
-
     def _insist_on_a_network(self) -> None:
-        if not self._asked:
+        if not self._ready:
             raise NotFittedError("VPRSNN has no network yet: call fit(references, places) first")
-
-    def _engine(self) -> torch.device | None:
-        """Return where PyTorch simulates; None: the compiled loops do."""
-        device = torch.device(self.device)
-        engine = self.engine or ("compiled" if device.type == "cpu" else "batched")
-        if engine == "compiled" and device.type != "cpu":
-            raise BadInput(f"method.engine=compiled runs on processors alone: set device=cpu, not {self.device}")
-        return None if engine == "compiled" else device
 
     def _identity(self, levels: Levels, places: Places) -> dict[str, Any]:
         """Return what decides the outcome of a training, and who spends time on it, as plain values."""
@@ -324,7 +268,7 @@ class VPRSNN(Arguments, Method):
         digest = hashlib.sha256()
         for file in [*sorted(Path(__file__).parent.rglob("*.py")), *self.files()]:
             digest.update(file.read_bytes())
-        engine = self._engine()
+        engine = self.torch_device
         return {
             "method": type(self).__name__,
             "files": digest.hexdigest(),

@@ -1,9 +1,10 @@
-"""What VPRSNN has learnt: the modules' weights and thresholds, and which place each neuron answers for."""
+"""What VPRSNN has learnt: the modules' weights and thresholds, and which place each neuron speaks for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -11,33 +12,26 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput
 
-from .module import side_by_side, unpadded
-from .scoring import Learnt
+from .arrays import Synapses, side_by_side, unpadded
+from .model import Model
+from .scoring import Responses, hyperactive, labels
 
 
 @dataclass(frozen=True)
-class Network:
-    """Trained modules, one after the other. `reactions` are counted only where a threshold needs them."""
+class Network(Responses):
+    """Trained modules, one after the other. `reactions` are counted only if a threshold needs them."""
 
     weights: npt.NDArray[np.float64]  # (n_modules, n_blocks, n_inputs, SIDE), neurons side by side
     theta: npt.NDArray[np.float64]  # (n_modules, n_neurons) mV
-    sums: npt.NDArray[
-        np.float32
-    ]  # (n_modules, n_neurons, n_labels) spikes for each place in the recorded presentations
-    shown: npt.NDArray[np.int64]  # (n_modules, n_labels) those presentations
-    places: npt.NDArray[np.int64]  # (n_modules, n_labels); -1: the module has fewer places
     threshold: int = 0  # a neuron that fired for so many references is silenced; 0: none is
     reactions: npt.NDArray[np.int64] | None = None  # (n_modules, n_neurons) references for which a neuron fired
 
     @property
-    def learnt(self) -> Learnt:
-        """What the neurons responded to in training."""
-        return Learnt(self.sums, self.shown, self.places)
-
-    @property
-    def n_places(self) -> int:
-        """The number of places, 0 to n_places - 1."""
-        return int(self.places.max()) + 1
+    def silenced(self) -> npt.NDArray[np.bool_]:
+        """Which neurons are hyperactive, (n_modules, n_neurons)."""
+        if self.reactions is None:
+            return np.zeros(self.theta.shape, np.bool_)
+        return hyperactive(self.reactions, self.threshold)
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """Return the arrays of a stored network; its weights are (n_modules, n_inputs, n_neurons)."""
@@ -50,17 +44,15 @@ class Network:
     def from_state(cls, state: Mapping[str, npt.NDArray[Any]], n_inputs: int, n_neurons: int) -> Self:
         """Take the arrays of a stored network; raises BadInput where they are no network of this size."""
         required = {field.name for field in fields(cls)} - {"reactions"}
-        if not required <= set(state) <= {*required, "reactions"}:
+        if set(state) - {"reactions"} != required:
             raise BadInput(f"the stored network holds {sorted(state)}; wanted {sorted(required)}: train anew")
         modules, labels = state["weights"].shape[:1], state["places"].shape[-1:]
         shapes = {
             "weights": (*modules, n_inputs, n_neurons),
-            "theta": (*modules, n_neurons),
             "sums": (*modules, n_neurons, *labels),
-            "shown": (*modules, *labels),
-            "places": (*modules, *labels),
             "threshold": (),
-            "reactions": (*modules, n_neurons),
+            **dict.fromkeys(("theta", "reactions"), (*modules, n_neurons)),
+            **dict.fromkeys(("shown", "places"), (*modules, *labels)),
         }
         for name, array in state.items():
             if array.shape != shapes[name] or not np.isfinite(array).all():
@@ -79,13 +71,13 @@ class Network:
         if (state["sums"].swapaxes(1, 2)[state["places"] < 0] != 0).any() or (state["sums"] < 0).any():
             raise BadInput("the stored network has spikes for places that its modules do not have: train anew")
         return cls(
-            np.stack([side_by_side(weights.astype(np.float64)) for weights in state["weights"]]),
-            np.ascontiguousarray(state["theta"], np.float64),
-            state["sums"].astype(np.float32),
-            state["shown"].astype(np.int64),
-            state["places"].astype(np.int64),
-            threshold,
-            state["reactions"].astype(np.int64) if "reactions" in state else None,
+            weights=np.stack([side_by_side(weights.astype(np.float64)) for weights in state["weights"]]),
+            theta=np.ascontiguousarray(state["theta"], np.float64),
+            sums=state["sums"].astype(np.float32),
+            shown=state["shown"].astype(np.int64),
+            places=state["places"].astype(np.int64),
+            threshold=threshold,
+            reactions=state["reactions"].astype(np.int64) if "reactions" in state else None,
         )
 
     @classmethod
@@ -93,21 +85,51 @@ class Network:
         """Lay trained modules side by side; the last may have fewer places than the others."""
         most = max(len(module["places"]) for module in modules)
 
-        def padded(name: str, axis: int, value: int) -> npt.NDArray[Any]:
-            parts = []
-            for module in modules:
-                missing = [(0, 0)] * module[name].ndim
-                missing[axis] = (0, most - module[name].shape[axis])
-                parts.append(np.pad(module[name], missing, constant_values=value))
-            return np.stack(parts)
+        def stacked(name: str, value: int) -> npt.NDArray[Any]:
+            return np.stack([_lengthened(module[name], most, value) for module in modules])
 
         return cls(
-            np.stack([module["weights"] for module in modules]),
-            np.stack([module["theta"] for module in modules]),
-            padded("sums", 1, 0),
-            padded("shown", 0, 0),
-            padded("places", 0, -1),
+            weights=np.stack([module["weights"] for module in modules]),
+            theta=np.stack([module["theta"] for module in modules]),
+            sums=stacked("sums", 0),
+            shown=stacked("shown", 0),
+            places=stacked("places", -1),
         )
+
+
+@dataclass(frozen=True)
+class ReadyNetwork:
+    """A trained network with the delays of its input, ready to be asked."""
+
+    model: Model
+    network: Network
+    synapses: Sequence[Synapses]  # of each module
+    labels: npt.NDArray[np.int64]  # (n_modules, n_neurons) the place that each neuron speaks for; -1: none
+
+    @classmethod
+    def of(cls, model: Model, network: Network, first: int = 0) -> Self:
+        """Draw the delays, new ones or those of the training, of modules whose numbers begin with `first`."""
+        new = model.delays_at_query == "new"
+        synapses = [
+            Synapses(weights, side_by_side(model.delays(first + number, new)))
+            for number, weights in enumerate(network.weights)
+        ]
+        return cls(model, network, synapses, labels(network))
+
+    @cached_property
+    def stacked(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int16]]:
+        """Weights and delays as PyTorch simulates them, (n_modules, n_inputs, n_neurons)."""
+        n = self.model.n_excitatory
+        return (
+            np.stack([unpadded(module.weights, n) for module in self.synapses]),
+            np.stack([unpadded(module.delays, n) for module in self.synapses]),
+        )
+
+
+def _lengthened(array: npt.NDArray[Any], length: int, value: int) -> npt.NDArray[Any]:
+    """Return an array whose last axis is filled up to a length with a value."""
+    missing = [(0, 0)] * (array.ndim - 1) + [(0, length - array.shape[-1])]
+    return np.pad(array, missing, constant_values=value)
 
 
 def by_member(state: Mapping[str, npt.NDArray[Any]], n_members: int) -> list[dict[str, npt.NDArray[Any]]]:

@@ -3,46 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import Arguments
+
 _NOTHING = 1e-12  # a trace that would change a weight by less is over
-
-
-class Constants(Protocol):
-    """What VPRSNN's arguments say of its neurons and synapses; the defaults there are the published values."""
-
-    time_step_ms: float
-    presentation_ms: float
-    rest_ms: float
-    excitatory_rest_mv: float
-    excitatory_reset_mv: float
-    excitatory_tau_ms: float
-    excitatory_refractory_ms: float
-    excitatory_threshold_mv: float
-    excitatory_minimum_interval_ms: float
-    theta_start_mv: float
-    theta_plus_mv: float
-    theta_tau_ms: float
-    inhibitory_rest_mv: float
-    inhibitory_reset_mv: float
-    inhibitory_tau_ms: float
-    inhibitory_refractory_ms: float
-    inhibitory_threshold_mv: float
-    excitation_reversal_mv: float
-    excitatory_inhibition_reversal_mv: float
-    excitation_tau_ms: float
-    inhibition_tau_ms: float
-    excitatory_to_inhibitory_weight: float
-    inhibitory_to_excitatory_weight: float
-    pre_trace_tau_ms: float
-    post_trace_tau_ms: float
-    slow_post_trace_tau_ms: float
-    pre_rate: float
-    post_rate: float
-    weight_max: float
 
 
 class Physics(NamedTuple):
@@ -88,48 +56,48 @@ def steps(milliseconds: float, step_ms: float) -> int:
     return math.floor(milliseconds / step_ms + 0.5)
 
 
-def physics_of(constants: Constants) -> Physics:
-    """Return the constants in steps and factors.
+def physics_of(arguments: Arguments) -> Physics:
+    """Return the constants that arguments give, in steps and factors.
 
     Source: VPRSNN (QVPR/VPRSNN), whose forward Euler steps give the decay factors 1 - step / time constant.
     """
-    step = constants.time_step_ms
-    refractory = steps(constants.excitatory_refractory_ms, step)
+    step = arguments.time_step_ms
+    refractory = steps(arguments.excitatory_refractory_ms, step)
     return Physics(
         step_ms=step,
-        shown=steps(constants.presentation_ms, step),
-        rest=steps(constants.rest_ms, step),
-        e_rest=float(constants.excitatory_rest_mv),
-        e_reset=float(constants.excitatory_reset_mv),
-        e_gain=step / constants.excitatory_tau_ms,
+        shown=steps(arguments.presentation_ms, step),
+        rest=steps(arguments.rest_ms, step),
+        e_rest=float(arguments.excitatory_rest_mv),
+        e_reset=float(arguments.excitatory_reset_mv),
+        e_gain=step / arguments.excitatory_tau_ms,
         e_refractory=refractory,
-        e_threshold=float(constants.excitatory_threshold_mv),
-        e_interval=max(_interval(constants.excitatory_minimum_interval_ms, step), refractory),
-        theta_plus=float(constants.theta_plus_mv),
-        theta_keep=1 - step / constants.theta_tau_ms,
-        i_rest=float(constants.inhibitory_rest_mv),
-        i_reset=float(constants.inhibitory_reset_mv),
-        i_gain=step / constants.inhibitory_tau_ms,
-        i_refractory=steps(constants.inhibitory_refractory_ms, step),
-        i_threshold=float(constants.inhibitory_threshold_mv),
-        excitation=float(constants.excitation_reversal_mv),
-        e_inhibition=float(constants.excitatory_inhibition_reversal_mv),
-        ge_keep=1 - step / constants.excitation_tau_ms,
-        gi_keep=1 - step / constants.inhibition_tau_ms,
-        e_to_i=float(constants.excitatory_to_inhibitory_weight),
-        i_to_e=float(constants.inhibitory_to_excitatory_weight),
-        slow_post_tau=float(constants.slow_post_trace_tau_ms),
-        post_rate=float(constants.post_rate),
-        weight_max=float(constants.weight_max),
+        e_threshold=float(arguments.excitatory_threshold_mv),
+        e_interval=max(_interval(arguments.excitatory_minimum_interval_ms, step), refractory),
+        theta_plus=float(arguments.theta_plus_mv),
+        theta_keep=1 - step / arguments.theta_tau_ms,
+        i_rest=float(arguments.inhibitory_rest_mv),
+        i_reset=float(arguments.inhibitory_reset_mv),
+        i_gain=step / arguments.inhibitory_tau_ms,
+        i_refractory=steps(arguments.inhibitory_refractory_ms, step),
+        i_threshold=float(arguments.inhibitory_threshold_mv),
+        excitation=float(arguments.excitation_reversal_mv),
+        e_inhibition=float(arguments.excitatory_inhibition_reversal_mv),
+        ge_keep=1 - step / arguments.excitation_tau_ms,
+        gi_keep=1 - step / arguments.inhibition_tau_ms,
+        e_to_i=float(arguments.excitatory_to_inhibitory_weight),
+        i_to_e=float(arguments.inhibitory_to_excitatory_weight),
+        slow_post_tau=float(arguments.slow_post_trace_tau_ms),
+        post_rate=float(arguments.post_rate),
+        weight_max=float(arguments.weight_max),
         nothing=1e-15,
     )
 
 
-def traces_of(constants: Constants) -> Traces:
+def traces_of(arguments: Arguments) -> Traces:
     """Return the traces that a spike leaves, step by step until they change no weight."""
     return Traces(
-        _decay(constants.pre_trace_tau_ms, constants.time_step_ms, 1.0),
-        _decay(constants.post_trace_tau_ms, constants.time_step_ms, constants.pre_rate),
+        _decay(arguments.pre_trace_tau_ms, arguments.time_step_ms, 1.0),
+        _decay(arguments.post_trace_tau_ms, arguments.time_step_ms, arguments.pre_rate),
     )
 
 

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from vprbench.api import Places, Scores
 
-Responses = npt.NDArray[np.integer[Any]]  # (n_queries, n_modules, n_neurons) spikes
+Spikes = npt.NDArray[np.integer[Any]]  # (n_queries, n_modules, n_neurons) spikes
 Mask = npt.NDArray[np.bool_]  # (n_modules, n_neurons)
 
 _LEAST_PART = 10  # a neuron speaks for a place that drew more than a 10th of its spikes in training
@@ -21,15 +21,20 @@ _BLOCK_CELLS = 1 << 22  # responses taken at once: bounds the memory
 
 
 @dataclass(frozen=True)
-class Learnt:
+class Responses:
     """What the neurons of one or more modules responded to; a module's labels number its own places from 0."""
 
     sums: npt.NDArray[np.float32]  # (n_modules, n_neurons, n_labels) spikes in the presentations of a label
     shown: npt.NDArray[np.int64]  # (n_modules, n_labels) those presentations
     places: npt.NDArray[np.int64]  # (n_modules, n_labels) the place of each label; -1: the module has fewer
 
+    @property
+    def n_places(self) -> int:
+        """The number of places, 0 to n_places - 1."""
+        return int(self.places.max()) + 1
 
-def labels(learnt: Learnt) -> npt.NDArray[np.int64]:
+
+def labels(learnt: Responses) -> npt.NDArray[np.int64]:
     """Return the place to which each neuron gave most spikes a presentation, (n_modules, n_neurons); -1: it gave none.
 
     Of equals it is the module's first.
@@ -45,7 +50,7 @@ def hyperactive(reactions: npt.NDArray[np.int64], threshold: int) -> Mask:
     return (reactions >= threshold) & (threshold > 0)
 
 
-def standard(responses: Responses, labels: npt.NDArray[np.int64], silenced: Mask, n_places: int) -> Scores:
+def standard(responses: Spikes, labels: npt.NDArray[np.int64], silenced: Mask, n_places: int) -> Scores:
     """Return the mean spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
 
     `labels` (n_modules, n_neurons) are the places that the neurons speak for, -1: none. Spikes of a silenced neuron do
@@ -58,7 +63,7 @@ def standard(responses: Responses, labels: npt.NDArray[np.int64], silenced: Mask
     return _by_blocks(lambda spikes: (spikes @ speaks).toarray() / np.maximum(assigned, 1), responses, n_places)
 
 
-def weighted(responses: Responses, learnt: Learnt, silenced: Mask, n_places: int) -> Scores:
+def weighted(responses: Spikes, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
     """Return the weighted spikes of the neurons of each place, (n_queries, n_places); 0 for a place that has none.
 
     A neuron speaks for each place that drew more than 0.1 of its spikes in training, and its spikes are weighed by that
@@ -90,7 +95,7 @@ def weighted(responses: Responses, learnt: Learnt, silenced: Mask, n_places: int
 
 
 def _by_blocks(
-    score: Callable[[sparse.csr_array], npt.NDArray[np.float64]], responses: Responses, n_places: int
+    score: Callable[[sparse.csr_array], npt.NDArray[np.float64]], responses: Spikes, n_places: int
 ) -> Scores:
     """Score queries some at a time; few neurons fire for a query, so their spikes are a sparse matrix."""
     n_queries, n_modules, n_neurons = responses.shape
@@ -124,15 +129,12 @@ def no_match(scores: Scores, responses: npt.NDArray[Any]) -> Scores:
     return np.where(np.expand_dims(spoke, 1), scores, np.float32(-np.inf))
 
 
-def best_threshold(
-    scores_of: Callable[[int], Scores], right: Places, candidates: Sequence[int]
-) -> tuple[int, dict[int, float]]:
-    """Return the candidate with the highest recall at 1, of equals the first, and the recall of each.
+def best_threshold(scores_of: Callable[[int], Scores], right: Places, candidates: Sequence[int]) -> int:
+    """Return the candidate with the highest recall at 1, of equals the first.
 
     `right` (n_queries,) are the right places. A query whose best place is tied counts as wrong.
     """
-    recalls = {threshold: _recall_at_1(scores_of(threshold), right) for threshold in candidates}
-    return max(recalls, key=recalls.__getitem__), recalls
+    return max(candidates, key=lambda threshold: _recall_at_1(scores_of(threshold), right))
 
 
 def _recall_at_1(scores: Scores, right: Places) -> float:

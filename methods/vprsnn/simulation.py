@@ -14,68 +14,19 @@ import numpy as np
 
 from vprbench.api import compiled
 
-from .module import SIDE, STRETCH
+from .arrays import SIDE, STRETCH
 
 _LOOKED = 32  # steps from one look for silence to the next
 
 
 @compiled()
-def _sum_arrivals(synapses, train, ring, drive):  # type: ignore[no-untyped-def]
-    """Fill `drive` (n_steps, n_padded) with the weights that arrive at each neuron in each step."""
-    last = len(ring) - 1
-    for block in range(len(synapses.weights)):
-        weights, delays = synapses.weights[block], synapses.delays[block]
-        if last == 0:  # all arrive at once
-            drive[:, block * SIDE : (block + 1) * SIDE] = 0
-            for spike in range(len(train.step)):
-                step, source = train.step[spike], train.source[spike]
-                for k in range(SIDE):
-                    drive[step, block * SIDE + k] += weights[source, k]
-            continue
-        ring[:] = 0
-        done = 0
-        for spike in range(len(train.step)):
-            step, source = train.step[spike], train.source[spike]
-            while done < step:
-                for k in range(SIDE):
-                    drive[done, block * SIDE + k] = ring[done & last, k]
-                    ring[done & last, k] = 0
-                done += 1
-            for k in range(SIDE):
-                ring[(step + delays[source, k]) & last, k] += weights[source, k]
-        while done < len(drive):
-            for k in range(SIDE):
-                drive[done, block * SIDE + k] = ring[done & last, k]
-                ring[done & last, k] = 0
-            done += 1
-
-
-@compiled()
-def _find_largest(weights, largest):  # type: ignore[no-untyped-def]
-    """Write the largest weight of each neuron."""
-    for block in range(weights.shape[0]):
-        most = largest[block * SIDE : (block + 1) * SIDE]
-        most[:] = 0.0
-        for i in range(weights.shape[1]):
-            for k in range(SIDE):
-                most[k] = weights[block, i, k] if weights[block, i, k] > most[k] else most[k]
-
-
-@compiled()
-def _follow(weights, room, j):  # type: ignore[no-untyped-def]
-    """Take the weights of neuron `j` aside: from now on they may change at every arrival."""
-    for i in range(weights.shape[1]):
-        room.running[j, i] = weights[j // SIDE, i, j % SIDE]
-
-
-@compiled()
-def _hear(synapses, train, room, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
-    """Let arrive at neuron `j` what arrives from step `first` to `until` - 1: sum it in `room.row`, change the weights.
+def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
+    """Let arrive at neuron `j` what arrives from step `first` to `until` - 1: sum it, change the weights.
 
     An arrival adds the trace `post` of the neuron's last spike, `since_spike` steps before the presentation, to the
     weight by which it has just acted.
     """
-    row, change, limit, weights = room.row, room.change, room.limit, room.running[j]
+    row, change, limit, weights = scratch.row, scratch.change, scratch.limit, scratch.running[j]
     length = until - first
     for slot in range(length):
         since = since_spike + first + slot
@@ -87,7 +38,7 @@ def _hear(synapses, train, room, post, since_spike, physics, j, first, until):  
     change[length] = 0.0
     limit[length] = np.inf
     delays = synapses.delays[j // SIDE, :, j % SIDE]
-    begin, end = np.searchsorted(train.step, first - len(room.ring) + 1), np.searchsorted(train.step, until)
+    begin, end = np.searchsorted(train.step, first - len(scratch.ring) + 1), np.searchsorted(train.step, until)
     for spike in range(begin, end):
         source = train.source[spike]
         arrives = min(np.uint64(train.step[spike] + delays[source] - first), np.uint64(length))
@@ -97,56 +48,56 @@ def _hear(synapses, train, room, post, since_spike, physics, j, first, until):  
 
 
 @compiled()
-def _sum_stretch(synapses, train, room, post, since_spike, physics, j, first, arriving):  # type: ignore[no-untyped-def]
+def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first, arriving):  # type: ignore[no-untyped-def]
     """Replace what arrives at neuron `j` in the stretch from step `first` on, each weight as it is by then."""
     until = min(first + STRETCH, arriving)
-    room.settled[j] = room.running[j]
-    room.since[j] = first
-    room.until[j] = max(first, until)
+    scratch.settled[j] = scratch.running[j]
+    scratch.since[j] = first
+    scratch.until[j] = max(first, until)
     if first < until:
-        _hear(synapses, train, room, post, since_spike, physics, j, first, until)
+        _hear(synapses, train, scratch, post, since_spike, physics, j, first, until)
         for step in range(first, until):
-            room.drive[step, j] = room.row[step - first]
+            scratch.drive[step, j] = scratch.row[step - first]
 
 
 @compiled()
-def _learn(synapses, train, room, physics, pre, now, j, t, since_spike):  # type: ignore[no-untyped-def]
+def _learn(synapses, train, scratch, physics, pre, now, j, t, since_spike):  # type: ignore[no-untyped-def]
     """Change the weights of neuron `j`, which fires in step `t`, for the first time since `since_spike` before `now`.
 
     By post_rate, times the trace `pre` of each synapse's last arrival, times the slow trace of the spike before.
     """
     slow = physics.post_rate * math.exp(-(since_spike + t) * physics.step_ms / physics.slow_post_tau)
-    delays, weights = synapses.delays[j // SIDE, :, j % SIDE], room.running[j]
+    delays, weights = synapses.delays[j // SIDE, :, j % SIDE], scratch.running[j]
     for i in range(len(weights)):
-        room.last[i] = room.passed[i] + delays[i] - now
-    begin, end = np.searchsorted(train.step, t - len(room.ring) + 1), np.searchsorted(train.step, t + 1)
+        scratch.last[i] = scratch.passed[i] + delays[i] - now
+    begin, end = np.searchsorted(train.step, t - len(scratch.ring) + 1), np.searchsorted(train.step, t + 1)
     for spike in range(begin, end):
         source = train.source[spike]
         if train.step[spike] + delays[source] <= t:
-            room.last[source] = train.step[spike] + delays[source]
+            scratch.last[source] = train.step[spike] + delays[source]
     for i in range(len(weights)):
-        since = t - room.last[i]
+        since = t - scratch.last[i]
         change = slow * pre[since] if since < len(pre) else 0.0
         weights[i] = min(max(weights[i] + change, 0.0), physics.weight_max)
 
 
 @compiled()
-def _release(state, room, physics, step, n_waiting):  # type: ignore[no-untyped-def]
+def _release(state, scratch, physics, step, n_waiting):  # type: ignore[no-untyped-def]
     """Let fire again in `step` those neurons that have waited long enough; returns how many wait on."""
     m = 0
     while m < n_waiting:
-        j = room.waiting[m]
+        j = scratch.waiting[m]
         if step - state.fired[j] < physics.e_interval:
             m += 1
         else:
-            room.limits[j] = state.theta[j]
+            scratch.limits[j] = state.theta[j]
             n_waiting -= 1
-            room.waiting[m] = room.waiting[n_waiting]
+            scratch.waiting[m] = scratch.waiting[n_waiting]
     return n_waiting
 
 
 @compiled()
-def _inhibit(state, room, physics, now, t, n_inhibiting):  # type: ignore[no-untyped-def]
+def _inhibit(state, scratch, physics, now, t, n_inhibiting):  # type: ignore[no-untyped-def]
     """Take inhibitory neurons through step `t`; those that fire act on all excitatory neurons but their partner.
 
     Returns on how many of them something still acts, and whether any fired.
@@ -154,7 +105,7 @@ def _inhibit(state, room, physics, now, t, n_inhibiting):  # type: ignore[no-unt
     fires = False
     m = 0
     while m < n_inhibiting:
-        j = room.inhibiting[m]
+        j = scratch.inhibiting[m]
         if now + t - state.fired_i[j] >= physics.i_refractory:
             x = state.v_i[j]
             x += physics.i_gain * ((physics.i_rest - x) + state.ge_i[j] * (physics.excitation - x))
@@ -175,7 +126,7 @@ def _inhibit(state, room, physics, now, t, n_inhibiting):  # type: ignore[no-unt
             state.ge_i[j] = 0.0
             state.left_i[j] = now + t
             n_inhibiting -= 1
-            room.inhibiting[m] = room.inhibiting[n_inhibiting]
+            scratch.inhibiting[m] = scratch.inhibiting[n_inhibiting]
         else:
             m += 1
     return n_inhibiting, fires
@@ -200,43 +151,41 @@ def _relax(state, physics, steps):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def present(synapses, state, train, room, physics, traces, now, learning, resting):  # type: ignore[no-untyped-def]
-    """Show one image, which begins at step `now`: change the state and, where `learning`, the weights, in place.
+def present(synapses, state, train, scratch, physics, traces, now, learning, resting):  # type: ignore[no-untyped-def]
+    """Show one image, which begins at step `now`: change the state and, if `learning`, the weights, in place.
 
-    Fills `state.counts`; spikes of the rest that follows are counted for the next image. Where not `resting`, the
-    simulation ends with the presentation. Order within a step (the default of Brian2): state update, thresholds,
-    synapses (presynaptic, then postsynaptic), resets.
+    `scratch` holds what arrives by the weights as they are and, if `learning`, the largest weight of each neuron. Fills
+    `state.counts`; spikes of the rest that follows are counted for the next image. If not `resting`, the simulation
+    ends with the presentation. Order within a step (the default of Brian2): state update, thresholds, synapses
+    (presynaptic, then postsynaptic), resets.
     """
-    v, ge, gi, limits, fired = state.v, state.ge, state.gi, room.limits, state.fired
+    v, ge, gi, limits, fired = state.v, state.ge, state.gi, scratch.limits, state.fired
     n = len(v)
     end = physics.shown + physics.rest if resting else physics.shown
-    arriving = min(len(room.drive), end)  # past the presentation for as long as delays last
-    _sum_arrivals(synapses, train, room.ring, room.drive[:arriving])
+    arriving = min(len(scratch.drive), end)  # past the presentation for as long as delays last
     state.counts[:] = state.late
     state.counts_i[:] = state.late_i
     state.late[:] = 0
     state.late_i[:] = 0
-    room.passed[:] = state.heard
+    scratch.passed[:] = state.heard
     n_passed = 0
-    room.until[:] = 0
-    if learning:
-        _find_largest(synapses.weights, room.largest)
+    scratch.until[:] = 0
     next_stretch = arriving
     n_changing = n_waiting = n_inhibiting = 0
     for j in range(n):
         limits[j] = state.theta[j]
         if now - fired[j] < physics.e_interval:
             limits[j] = np.inf
-            room.waiting[n_waiting] = j
+            scratch.waiting[n_waiting] = j
             n_waiting += 1
-        if learning and (now - fired[j] < len(traces.post) or room.largest[j] > physics.weight_max):
-            _follow(synapses.weights, room, j)
-            _sum_stretch(synapses, train, room, traces.post, now - fired[j], physics, j, 0, arriving)
-            next_stretch = min(next_stretch, room.until[j])
-            room.changing[n_changing] = j
+        if learning and (now - fired[j] < len(traces.post) or scratch.largest[j] > physics.weight_max):
+            scratch.running[j] = synapses.weights[j // SIDE, :, j % SIDE]
+            _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, 0, arriving)
+            next_stretch = min(next_stretch, scratch.until[j])
+            scratch.changing[n_changing] = j
             n_changing += 1
         if state.ge_i[j] > 0:
-            room.inhibiting[n_inhibiting] = j
+            scratch.inhibiting[n_inhibiting] = j
             n_inhibiting += 1
     inhibited = gi.max() > 0
     decayed = 1.0  # of theta since the presentation began
@@ -246,11 +195,11 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
         if t == next_stretch and t < arriving:
             next_stretch = arriving
             for m in range(n_changing):
-                j = room.changing[m]
-                if room.until[j] == t:
-                    _sum_stretch(synapses, train, room, traces.post, now - fired[j], physics, j, t, arriving)
-                next_stretch = min(next_stretch, room.until[j])
-        n_waiting = _release(state, room, physics, now + t, n_waiting)
+                j = scratch.changing[m]
+                if scratch.until[j] == t:
+                    _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, t, arriving)
+                next_stretch = min(next_stretch, scratch.until[j])
+        n_waiting = _release(state, scratch, physics, now + t, n_waiting)
 
         # Excitatory neurons: state update and what arrives
         if learning:
@@ -265,18 +214,18 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
                 gi[j] = h * physics.gi_keep
                 hot += v[j] > limits[j] * decayed + physics.e_threshold
             if t < arriving:
-                drive = room.drive[t]
+                drive = scratch.drive[t]
                 for j in range(n):
                     ge[j] += drive[j]
         else:
-            drive = room.drive[t]
+            drive = scratch.drive[t]
             for j in range(n):
                 x, g = v[j], ge[j]
                 v[j] = x + physics.e_gain * ((physics.e_rest - x) + g * (physics.excitation - x))
                 ge[j] = g * physics.ge_keep + drive[j]
                 hot += v[j] > limits[j] * decayed + physics.e_threshold
         for m in range(n_waiting):
-            j = room.waiting[m]
+            j = scratch.waiting[m]
             if now + t - fired[j] < physics.e_refractory:
                 v[j] = physics.e_reset
 
@@ -285,40 +234,40 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
         if hot > 0:
             for j in range(n):
                 if v[j] > limits[j] * decayed + physics.e_threshold:
-                    room.firing[n_firing] = j
+                    scratch.firing[n_firing] = j
                     n_firing += 1
 
-        n_inhibiting, inhibits = _inhibit(state, room, physics, now, t, n_inhibiting)
+        n_inhibiting, inhibits = _inhibit(state, scratch, physics, now, t, n_inhibiting)
         inhibited |= inhibits
 
         # What follows from the spikes of excitatory neurons
         if learning and n_firing > 0:
-            while n_passed < len(train.step) and train.step[n_passed] <= t - len(room.ring):
-                room.passed[train.source[n_passed]] = now + train.step[n_passed]
+            while n_passed < len(train.step) and train.step[n_passed] <= t - len(scratch.ring):
+                scratch.passed[train.source[n_passed]] = now + train.step[n_passed]
                 n_passed += 1
         for m in range(n_firing):
-            j = room.firing[m]
+            j = scratch.firing[m]
             if learning:
-                if room.until[j] == 0:
-                    _follow(synapses.weights, room, j)
-                    room.changing[n_changing] = j
+                if scratch.until[j] == 0:
+                    scratch.running[j] = synapses.weights[j // SIDE, :, j % SIDE]
+                    scratch.changing[n_changing] = j
                     n_changing += 1
-                elif room.until[j] > t + 1:
-                    room.running[j] = room.settled[j]
-                    first = room.since[j]
-                    _hear(synapses, train, room, traces.post, now - fired[j], physics, j, first, t + 1)
-                _learn(synapses, train, room, physics, traces.pre, now, j, t, now - fired[j])
-                _sum_stretch(synapses, train, room, traces.post, -t, physics, j, t + 1, arriving)
-                next_stretch = min(next_stretch, room.until[j])
+                elif scratch.until[j] > t + 1:
+                    scratch.running[j] = scratch.settled[j]
+                    first = scratch.since[j]
+                    _hear(synapses, train, scratch, traces.post, now - fired[j], physics, j, first, t + 1)
+                _learn(synapses, train, scratch, physics, traces.pre, now, j, t, now - fired[j])
+                _sum_stretch(synapses, train, scratch, traces.post, -t, physics, j, t + 1, arriving)
+                next_stretch = min(next_stretch, scratch.until[j])
                 state.theta[j] += physics.theta_plus / decayed
             fired[j] = now + t
             limits[j] = np.inf
-            room.waiting[n_waiting] = j
+            scratch.waiting[n_waiting] = j
             n_waiting += 1
             if state.ge_i[j] == 0:
                 relaxed = (1 - physics.i_gain) ** (now + t - state.left_i[j])
                 state.v_i[j] = physics.i_rest + (state.v_i[j] - physics.i_rest) * relaxed
-                room.inhibiting[n_inhibiting] = j
+                scratch.inhibiting[n_inhibiting] = j
                 n_inhibiting += 1
             state.ge_i[j] += physics.e_to_i
             v[j] = physics.e_reset
@@ -340,26 +289,11 @@ def present(synapses, state, train, room, physics, traces, now, learning, restin
                     t = end
 
     for m in range(n_changing):
-        j = room.changing[m]
+        j = scratch.changing[m]
         for i in range(synapses.weights.shape[1]):
-            synapses.weights[j // SIDE, i, j % SIDE] = room.running[j, i]
+            synapses.weights[j // SIDE, i, j % SIDE] = scratch.running[j, i]
     for j in range(n):
         state.theta[j] *= decayed
     for i in range(len(state.heard)):
         if train.first[i + 1] > train.first[i]:
             state.heard[i] = now + train.of_source[train.first[i + 1] - 1]
-
-
-@compiled()
-def normalise(weights, total):  # type: ignore[no-untyped-def]
-    """Scale the weights of each neuron to the sum `total`, in place; one without weights stays without."""
-    for block in range(weights.shape[0]):
-        sums = np.zeros(SIDE)
-        for i in range(weights.shape[1]):
-            for k in range(SIDE):
-                sums[k] += weights[block, i, k]
-        for k in range(SIDE):
-            sums[k] = total / sums[k] if sums[k] > 0 else 1.0
-        for i in range(weights.shape[1]):
-            for k in range(SIDE):
-                weights[block, i, k] *= sums[k]

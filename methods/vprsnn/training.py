@@ -3,169 +3,124 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
-import torch
 
-from vprbench.api import BadInput, checkpoints, progress
+from vprbench.api import BadInput, checkpoints
 
 from . import batched
-from .module import Room, Synapses, side_by_side
-from .network import Network
+from .arrays import Synapses
+from .model import Model
+from .module import show
+from .network import Network, ReadyNetwork
+from .parallel import Stage, Tell, for_each_module
 from .published import PublishedModule
-from .recipe import Recipe
-from .simulation import normalise, present
-from .threads import Tell, for_each_module
-from .training_sets import Lesson, Responses
+from .query import Levels, reactions
+from .synapses import normalise
+from .training_sets import Lesson, Recorder
 
-Module = Mapping[str, npt.NDArray[Any]]
+Arrays = Mapping[str, npt.NDArray[Any]]  # of a trained module
 
 
-def train_all(
-    recipe: Recipe,
-    lessons: Sequence[Lesson],
-    kept: checkpoints.Partial,
-    stage: str,
-    device: torch.device | None,
-    given: Sequence[PublishedModule] | None = None,
-    within: tuple[float, float] = (0.0, 1.0),
-) -> Network:
-    """Return a network of trained modules; those that `kept` holds are not trained again.
+@dataclass(frozen=True)
+class Training:
+    """The training of one network, `begin` to `end` of the progress; the parts in `kept` are not done again."""
 
-    On a `device` PyTorch trains as many modules at once as fit, else compiled loops train one a thread. Modules that
-    are `given` learn nothing but which place each neuron speaks for; for that the compiled loops suffice. Raises
-    BadInput where there are not as many as lessons.
-    """
-    if given is not None and len(given) != len(lessons):
-        raise BadInput(
-            f"method.published_weights holds {len(given)} modules, but the places make {len(lessons)}: give as many "
-            "places, and method.places_per_module, as they were trained with"
-        )
-    modules: dict[int, Module | None] = {
-        number: kept.get(_name(recipe, lesson)) for number, lesson in enumerate(lessons)
-    }
-    missing = [number for number, module in modules.items() if module is None]
+    model: Model
+    kept: checkpoints.Partial
+    begin: float = 0.0
+    end: float = 1.0
 
-    if len(missing) < len(modules):
-        stage = f"{stage}, {len(modules) - len(missing)} of {len(modules)} modules are there"
+    def network(self, lessons: Sequence[Lesson], stage: str, given: Sequence[PublishedModule] | None = None) -> Network:
+        """Return a network of trained modules.
 
-    def one(index: int, tell: Tell) -> Module:
-        number = missing[index]
-        shown = lessons[number]
-        if given is None:
-            module = train(recipe, shown, tell)
+        On a device of its own PyTorch trains as many modules at once as fit, else compiled loops train one a thread.
+        Modules that are `given` learn nothing but which place each neuron speaks for; for that the compiled loops
+        suffice. Raises BadInput if there are not as many as lessons.
+        """
+        if given is not None and len(given) != len(lessons):
+            raise BadInput(
+                f"method.published_weights holds {len(given)} modules, but the places make {len(lessons)}: give as "
+                "many places, and method.places_per_module, as they were trained with"
+            )
+        modules = {number: self.kept.get(self._name(lesson)) for number, lesson in enumerate(lessons)}
+        missing = [number for number, module in modules.items() if module is None]
+        if len(missing) < len(modules):
+            stage = f"{stage}, {len(modules) - len(missing)} of {len(modules)} modules are there"
+
+        def keep(number: int, module: Arrays) -> None:
+            modules[number] = dict(module)
+            self.kept.put(self._name(lessons[number]), module)
+
+        def one(index: int, tell: Tell) -> None:
+            number = missing[index]
+            keep(number, train(self.model, lessons[number], tell, None if given is None else given[number]))
+
+        device = self.model.torch_device
+        if device is None or given is not None:
+            for_each_module(one, len(missing), self.stage(stage))
         else:
-            module = assign(recipe, given[number].weights, given[number].theta_mv, shown, tell)
-        kept.put(_name(recipe, shown), module)
-        return module
+            for group, part in self._groups({number: lessons[number] for number in missing}):
+                together = [lessons[number] for number in group]
+                trained = batched.train(self.model, together, device, replace(part, name=stage).report)
+                for number, module in zip(group, trained, strict=True):
+                    keep(number, module)
+        return Network.of([module for module in modules.values() if module is not None])
 
-    if device is None or given is not None:
-        trained = for_each_module(one, len(missing), stage, within)
-    else:
-        trained = _train_at_once(recipe, [lessons[number] for number in missing], kept, stage, device, within)
-    modules |= zip(missing, trained, strict=True)
-    return Network.of([module for module in modules.values() if module is not None])
+    def counted(self, network: Network, shown: Levels, stage: str, first: int = 0) -> Network:
+        """Return the network with the number of images in `shown` for which each neuron fired.
+
+        Its modules have the numbers from `first` on.
+        """
+        name = f"reactions-{self.model.seed}-{first}"
+        found = self.kept.get(name)
+        if found is None:
+            found = {"reactions": reactions(ReadyNetwork.of(self.model, network, first), shown, self.stage(stage))}
+            self.kept.put(name, found)
+        return replace(network, reactions=found["reactions"])
+
+    def stage(self, name: str) -> Stage:
+        """Return this training's stretch of the progress of that name."""
+        return Stage(name, self.begin, self.end)
+
+    def _groups(self, lessons: Mapping[int, Lesson]) -> Iterator[tuple[list[int], Stage]]:
+        """Yield lessons that are learnt together, and their part: as many images each, as many lessons as fit."""
+        alike = defaultdict(list)
+        for number, lesson in lessons.items():
+            alike[len(lesson.levels)].append(number)
+        most, done = batched.modules_at_once(self.model), 0
+        images = sum(n_images * len(numbers) for n_images, numbers in alike.items())
+        for n_images, numbers in alike.items():
+            for first in range(0, len(numbers), most):
+                group = numbers[first : first + most]
+                until = done + n_images * len(group)
+                yield group, self.stage("").part(done / images, until / images)
+                done = until
+
+    def _name(self, lesson: Lesson) -> str:
+        return f"module-{self.model.seed}-{lesson.number}"
 
 
-def train(recipe: Recipe, shown: Lesson, tell: Tell) -> dict[str, npt.NDArray[Any]]:
+def train(model: Model, shown: Lesson, tell: Tell, given: PublishedModule | None = None) -> Arrays:
     """Return the weights (side by side), theta and responses of a module that learns its images, epoch after epoch.
 
+    A module that is `given` learns nothing: it is shown what it would have seen in its last presentations.
     Source: VPRSNN (Hussaini, Milford and Fischer, RA-L 2022; QVPR/VPRSNN), after Diehl and Cook (2015).
     """
-    physics, traces = recipe.physics, recipe.traces
-    synapses = Synapses.of(recipe.weights(shown.number), recipe.delays(shown.number))
-    state, now = recipe.untrained()
-    room = Room.of(physics, recipe.n_neurons, recipe.n_inputs, round(recipe.longest_delay), True)
-    kept = Responses(recipe, shown)
-    images = shown.images(0, kept.presentations)
-    for presentation, spikes in enumerate(recipe.spikes(shown.number, images)):
-        normalise(synapses.weights, recipe.weight_sum)
-        present(synapses, state, spikes, room, physics, traces, now, True, True)
-        now += physics.shown + physics.rest
-        kept.add(presentation, state.counts[: recipe.n_neurons])
-        tell((presentation + 1) / kept.presentations)
-    return {"weights": synapses.weights, "theta": state.theta[: recipe.n_neurons].copy(), **kept.arrays()}
-
-
-def assign(
-    recipe: Recipe, weights: npt.NDArray[np.float64], theta: npt.NDArray[np.float64], shown: Lesson, tell: Tell
-) -> dict[str, npt.NDArray[Any]]:
-    """Return what `train` returns for a module whose weights (n_inputs, n_neurons) and theta (mV) are given.
-
-    It learns nothing: it is shown what it would have seen in its last presentations.
-    """
-    physics, traces = recipe.physics, recipe.traces
-    synapses = Synapses.of(weights, recipe.delays(shown.number))
-    state, now = recipe.started(theta)
-    room = Room.of(physics, recipe.n_neurons, recipe.n_inputs, round(recipe.longest_delay), False)
-    kept = Responses(recipe, shown)
-    images = shown.images(kept.first, kept.presentations)
-    for presentation, spikes in enumerate(recipe.spikes(shown.number, images), kept.first):
-        present(synapses, state, spikes, room, physics, traces, now, False, True)
-        now += physics.shown + physics.rest
-        kept.add(presentation, state.counts[: recipe.n_neurons])
-        tell((presentation + 1 - kept.first) / (kept.presentations - kept.first))
-    return {"weights": synapses.weights, "theta": theta.copy(), **kept.arrays()}
-
-
-def _train_at_once(
-    recipe: Recipe,
-    lessons: Sequence[Lesson],
-    kept: checkpoints.Partial,
-    stage: str,
-    device: torch.device,
-    within: tuple[float, float],
-) -> list[Module]:
-    """Train modules in PyTorch, as many at once as fit; together are those that are shown as many images."""
-    alike = defaultdict(list)
-    for number, lesson in enumerate(lessons):
-        alike[len(lesson.levels)].append(number)
-    most = batched.modules_at_once(recipe.physics, recipe.n_inputs, recipe.n_neurons, round(recipe.longest_delay))
-    groups = [group[first : first + most] for group in alike.values() for first in range(0, len(group), most)]
-    modules: dict[int, Module] = {}
-    done, images = 0, sum(len(lesson.levels) for lesson in lessons)
-    for group in groups:
-        own = sum(len(lessons[number].levels) for number in group)
-
-        def report(share: float, before: int = done, own: int = own) -> None:
-            progress.report(stage, within[0] + (within[1] - within[0]) * (before + share * own) / images)
-
-        trained = _trained_together(recipe, [lessons[number] for number in group], device, report)
-        for number, module in zip(group, trained, strict=True):
-            kept.put(_name(recipe, lessons[number]), module)
-            modules[number] = module
-        done += own
-    return [modules[number] for number in range(len(lessons))]
-
-
-def _trained_together(recipe: Recipe, group: Sequence[Lesson], device: torch.device, report: Tell) -> list[Module]:
-    responses = [Responses(recipe, lesson) for lesson in group]
-    presentations, first = responses[0].presentations, responses[0].first
-    spikes = [recipe.spikes(lesson.number, lesson.images(0, presentations)) for lesson in group]
-    trained = batched.train(
-        np.stack([recipe.weights(lesson.number) for lesson in group]),
-        np.stack([recipe.delays(lesson.number) for lesson in group]),
-        *recipe.untrained(),
-        recipe.physics,
-        recipe.traces,
-        recipe.weight_sum,
-        lambda presentation: [next(own) for own in spikes],
-        presentations,
-        presentations - first,
-        device,
-        report,
-    )
-    for presentation, counts in enumerate(trained.counts, first):
-        for own, spiked in zip(responses, counts, strict=True):
-            own.add(presentation, spiked)
-    return [
-        {"weights": side_by_side(weights), "theta": theta, **own.arrays()}
-        for weights, theta, own in zip(trained.weights, trained.theta, responses, strict=True)
-    ]
-
-
-def _name(recipe: Recipe, lesson: Lesson) -> str:
-    return f"module-{recipe.seed}-{lesson.number}"
+    learning, recorder = given is None, Recorder(model, shown)
+    weights = model.weights(shown.number) if given is None else given.weights
+    start = model.untrained() if given is None else model.started(given.theta_mv)
+    synapses = Synapses.of(weights, model.delays(shown.number))
+    module = model.module(synapses, start, model.scratch(learning), learning)
+    first = 0 if learning else recorder.first
+    images = shown.images(first, recorder.presentations)
+    for presentation, spikes in enumerate(model.spikes(shown.number, images), first):
+        if learning:
+            normalise(synapses.weights, model.weight_sum)
+        show(module, spikes)
+        recorder.add(presentation, module.state.counts[: model.n_excitatory])
+        tell((presentation + 1 - first) / (recorder.presentations - first))
+    return {"weights": synapses.weights, "theta": module.state.theta[: model.n_excitatory].copy(), **recorder.arrays()}

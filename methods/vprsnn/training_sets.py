@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from .recipe import Recipe
+from .model import Model
 
 
 def modules(
@@ -55,25 +55,24 @@ def lesson(
 
     `levels` (n_references, n_inputs) and `places` (n_references,) are of all references.
     """
-    images, labels, times = [], [], []
-    for label, place in enumerate(members.tolist()):
-        for time, image in enumerate(np.flatnonzero(places == place).tolist()):
-            images.append(image)
-            labels.append(label)
-            times.append(time)
-    order = np.lexsort((labels, times))
-    return Lesson(number, levels[np.array(images)[order]], np.array(labels)[order], members)
+    shown = sorted(
+        (time, label, image)
+        for label, place in enumerate(members.tolist())
+        for time, image in enumerate(np.flatnonzero(places == place).tolist())
+    )
+    _, labels, images = np.array(shown).T
+    return Lesson(number, levels[images], labels, members)
 
 
-class Responses:
+class Recorder:
     """The spikes of a module in its last presentations, summed by place."""
 
-    def __init__(self, recipe: Recipe, shown: Lesson) -> None:
+    def __init__(self, model: Model, shown: Lesson) -> None:
         """Begin with none."""
-        self.presentations = recipe.epochs * len(shown.levels)
-        self.first = max(0, self.presentations - recipe.recorded)
+        self.presentations = model.epochs * len(shown.levels)
+        self.first = max(0, self.presentations - model.recorded_presentations)
         self._labels, self._places = shown.labels, shown.places
-        self._sums = np.zeros((recipe.n_neurons, len(shown.places)), np.float32)
+        self._sums = np.zeros((model.n_excitatory, len(shown.places)), np.float32)
         self._shown = np.zeros(len(shown.places), np.int64)
 
     def add(self, presentation: int, counts: npt.NDArray[np.integer]) -> None:

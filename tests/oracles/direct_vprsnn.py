@@ -6,7 +6,7 @@ the state update, the thresholds, the synapses (presynaptic before postsynaptic)
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,7 @@ def simulate(
     delays: npt.NDArray[np.integer],  # (n_inputs, n_neurons) steps
     theta: Floats,  # (n_neurons,) mV
     images: Sequence[Spikes],  # of each presentation: (n_steps, n_inputs) input spikes
-    constants: SimpleNamespace,
+    constants: Any,
     learning: bool,
     weight_sum: float | None = None,
 ) -> Run:

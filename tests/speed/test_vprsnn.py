@@ -12,7 +12,7 @@ from stopped_clock import Clock
 from vprbench import progress
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import benchmark, module, recipe, simulation, training
+from vprbench.methods.vprsnn import arrays, benchmark, model, training
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.run import machine
 from vprbench.run.stopwatch import Protocol
@@ -24,7 +24,7 @@ from vprbench.speed.settings import QUICK, SECTIONS, Bench, Settings
 from vprbench.speed.vprsnn import AskingCell, ModuleCell, affordable, asking_cell, copies, module_cell
 
 MODULE = {"height": 6, "width": 6, "patch": 3, "places_per_module": 2, "n_excitatory": 12, "epochs": 4, "seed": 3}
-WATCHED = {"spike_train": recipe, "normalise": training, "present": training}
+WATCHED = {"spike_train": model, "normalise": training, "show": training}
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ class Loops:
         self.shown = []  # learning or not, and the potential by then
         for name, home in WATCHED.items():
             patch.setattr(home, name, getattr(self, name))
-        patch.setattr(simulation, "_sum_arrivals", self.sum_arrivals)
+        patch.setattr(benchmark, "sum_arrivals", self.sum_arrivals)
 
     def spike_train(self, levels):
         self.clock.spend(1)
@@ -85,12 +85,12 @@ class Loops:
         assert (synapses, ring, drive) == ("synapses", "ring", "drive")
         self.clock.spend(4)
 
-    def present(self, synapses, state, train, room, number, learning, resting):
-        assert resting
-        self.shown.append((learning, state.v[0]))
+    def show(self, module, train):
+        state = module.state
+        self.shown.append((module.learning, state.v[0]))
         state.v[:] += 1
         state.counts[:] = 2
-        self.clock.spend(16 + number if learning else 8)
+        self.clock.spend(16 + module.number if module.learning else 8)
 
 
 @dataclass
@@ -105,12 +105,13 @@ class Trained(Method):
 
     def fit(self, references, places):
         progress.report("training", 0.0)
-        state = module.State.at_rest(SimpleNamespace(e_rest=0.0, i_rest=0.0), np.zeros(8), 5)
+        state = arrays.State.at_rest(SimpleNamespace(e_rest=0.0, i_rest=0.0), np.zeros(8), 5)
+        scratch = SimpleNamespace(ring="ring", drive="drive")
         for number in range(self.presentations):
-            train = recipe.spike_train("levels")
+            train = model.spike_train("levels")
             training.normalise("weights")
-            room = SimpleNamespace(ring="ring", drive="drive")
-            training.present("synapses", state, train, room, number, True, True)
+            module = SimpleNamespace(synapses="synapses", state=state, scratch=scratch, learning=True, number=number)
+            training.show(module, train)
         progress.report("training", 1.0)
         return self
 
@@ -150,7 +151,7 @@ def test_a_training_has_its_own_functions_back_whatever_happened():
 
     def interrupted():
         with watched():
-            assert training.present != own[-1]
+            assert training.show != own[-1]
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import ModuleType
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from vprsnn_constants import constants
+import torch
 
 from vprbench.api.arrays import Image, Places
+from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method
+from vprbench.methods.vprsnn import model
+from vprbench.methods.vprsnn.arrays import Train
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.module import Train
-from vprbench.methods.vprsnn.physics import physics_of, traces_of
-from vprbench.methods.vprsnn.recipe import Recipe
 from vprbench.plugins.rules import Journey
 
 Floats = npt.NDArray[np.float64]
@@ -39,6 +38,12 @@ def references(n_places: int, first: int = 0, world: Journey = WORLD) -> tuple[I
     return images([world.references[row] for row in rows]), world.places[rows] - first
 
 
+def held_out(n_places: int = 10, in_map: bool = False) -> HeldOut:
+    """Return places 10 to 19 of the made-up world, or the first of them."""
+    shown, places = references(n_places, 10)
+    return HeldOut(shown, places, images(WORLD.references[30 : 30 + n_places]), np.arange(n_places), in_map)
+
+
 def second_sight(n_places: int, first: int = 0) -> Images:
     """Return the second image of each of so many places."""
     return images(WORLD.references[20 + first : 20 + first + n_places])
@@ -58,33 +63,10 @@ def layers(method: Method, codes: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any
     return {layer.name: np.asarray(layer.values) for layer in found}
 
 
-def tiny_recipe(**changes: Any) -> Recipe:
-    """Return how two neurons with three inputs learn, as published but for the sizes."""
-    published: dict[str, Any] = {
-        "physics": physics_of(constants()),
-        "traces": traces_of(constants()),
-        "seed": 0,
-        "n_inputs": 3,
-        "n_neurons": 2,
-        "intensity": 4.0,
-        "longest_delay": 100.0,
-        "weight_scale": 0.3,
-        "weight_offset": 0.01,
-        "weight_sum": 78.0,
-        "theta_start": 20.0,
-        "v_start": -105.0,
-        "v_start_inhibitory": -100.0,
-        "first_rest": 5000,
-        "epochs": 30,
-        "recorded": 250,
-    }
-    return Recipe(**{**published, **changes})
-
-
-def recorded_trains(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> list[npt.NDArray[np.bool_]]:
-    """Return a list to which every train that a module of the method draws is added, as (n_steps, n_inputs)."""
+def recorded_trains(monkeypatch: pytest.MonkeyPatch) -> list[npt.NDArray[np.bool_]]:
+    """Return a list to which every train that a network draws is added, as (n_steps, n_inputs)."""
     trains: list[npt.NDArray[np.bool_]] = []
-    draw = module.spike_train
+    draw = model.spike_train
 
     def record(levels: Levels, generator: np.random.Generator, intensity: float, steps: int, step_ms: float) -> Train:
         train = draw(levels, generator, intensity, steps, step_ms)
@@ -93,8 +75,23 @@ def recorded_trains(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> list
         trains.append(spikes)
         return train
 
-    monkeypatch.setattr(module, "spike_train", record)
+    monkeypatch.setattr(model, "spike_train", record)
     return trains
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """Modules are trained one after the other, unless a test says otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def member(state: State, number: int) -> State:
+    """Return the arrays of one network of an ensemble."""
+    start = f"member_{number}."
+    return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
 
 
 # A network made by hand: `heard[j]` are the inputs that drive neuron j, `spoken_for[j]` the place that it learnt.

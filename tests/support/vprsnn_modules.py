@@ -1,15 +1,13 @@
 """A compiled VPRSNN module as tests handle it: boolean input spikes, unpadded arrays, spikes with their steps."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import numpy.typing as npt
-from vprsnn_constants import constants
 
-from vprbench.methods.vprsnn.input import train_of
-from vprbench.methods.vprsnn.module import Room, State, Synapses, Train, unpadded
+from vprbench.methods.vprsnn import module
+from vprbench.methods.vprsnn.arguments import Arguments
+from vprbench.methods.vprsnn.arrays import Scratch, State, Synapses, Train, unpadded
 from vprbench.methods.vprsnn.physics import physics_of, traces_of
-from vprbench.methods.vprsnn.simulation import normalise, present
+from vprbench.methods.vprsnn.synapses import normalise
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.bool_]  # (n_steps, n_inputs)
@@ -25,9 +23,9 @@ class Module:
         theta: float | Floats = 20.0,
         delays: npt.NDArray[np.integer] | None = None,  # none: all arrive at once
         learning: bool = True,
-        values: SimpleNamespace | None = None,
+        values: Arguments | None = None,
     ) -> None:
-        values = constants() if values is None else values
+        values = Arguments() if values is None else values
         n_inputs, self.n = weights.shape
         delays = np.zeros(weights.shape, np.int16) if delays is None else delays.astype(np.int16)
         self.physics, self.traces, self.learning = physics_of(values), traces_of(values), learning
@@ -54,18 +52,13 @@ class Module:
     def normalise(self, total: float) -> None:
         normalise(self.synapses.weights, total)
 
-    def show(self, spikes: Spikes | Train, resting: bool = True) -> npt.NDArray[np.int32]:
-        """Return the counts (n_neurons,) of an image and of the rest before it.
-
-        An image lasts as long as its `spikes`, or as the physics say where they come as a train.
-        """
-        physics = self.physics
-        if not isinstance(spikes, Train):
-            physics = physics._replace(shown=len(spikes))
-            spikes = train_of(*np.nonzero(spikes), self.n_inputs, len(spikes))
-        room = Room.of(physics, self.n, self.n_inputs, self.longest, self.learning)
-        present(self.synapses, self.state, spikes, room, physics, self.traces, self.now, self.learning, resting)
-        self.now += physics.shown + resting * physics.rest
+    def show(self, spikes: Spikes, resting: bool = True) -> npt.NDArray[np.int32]:
+        """Return the counts (n_neurons,) of an image, which lasts as long as its spikes, and of the rest before it."""
+        physics = self.physics._replace(shown=len(spikes))
+        scratch = Scratch.of(physics, self.n, self.n_inputs, self.longest, self.learning)
+        shown = module.Module(physics, self.traces, self.synapses, self.state, self.now, scratch, self.learning)
+        module.show(shown, train_of(*np.nonzero(spikes), self.n_inputs), resting)
+        self.now = shown.now
         return self.counts
 
     def fire_times(self, spikes: Spikes) -> list[list[int]]:
@@ -82,6 +75,14 @@ class Module:
             for j in np.flatnonzero(counts):
                 fired[j].append(int(self.state.fired[j]) - begin)
         return fired
+
+
+def train_of(steps: npt.NDArray[np.integer], sources: npt.NDArray[np.integer], n_inputs: int) -> Train:
+    """Return spikes that are given as (n_spikes,) steps and inputs."""
+    by_step, by_source = np.lexsort((sources, steps)), np.lexsort((steps, sources))
+    first = np.searchsorted(sources[by_source], np.arange(n_inputs + 1))
+    arrays = steps[by_step], sources[by_step], first, steps[by_source]
+    return Train(*(array.astype(np.int32) for array in arrays))
 
 
 def silence(n_steps: int, n_inputs: int) -> Spikes:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..module import Train
+from ..arrays import Train
 
 _NOT_YET = 1 << 60  # the step of what will not happen
 _AT_ONCE = 2**24  # arrivals that are summed at once: bounds the memory

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..module import NEVER
+from ..arrays import NEVER
 from ..physics import Physics, Traces
 from .arrivals import Arrivals, Spikes
 

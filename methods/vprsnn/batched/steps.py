@@ -1,4 +1,4 @@
-"""The steps of many VPRSNN modules in PyTorch: what `simulation.present` does, window by window.
+"""The steps of many VPRSNN modules in PyTorch: what `module.show` does, window by window.
 
 A window is so short that a neuron which fires in it cannot fire in it again, and acts through its one spike alone. So
 the steps know neither of learning nor of refractory periods: what arrives is summed before them, and a neuron that
@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..module import NEVER, State, Train
+from ..arrays import NEVER, State, Train
 from ..physics import Physics
 from .arrivals import Arrivals, Spikes
 from .learning import Learning

@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 from checkout import ROOT
+from vprsnn_modules import train_of
 
 from vprbench.methods.vprsnn import training
-from vprbench.methods.vprsnn.input import train_of
-from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.module import Room, State, Synapses, Train, unpadded
-from vprbench.methods.vprsnn.physics import physics_of, traces_of
-from vprbench.methods.vprsnn.simulation import normalise, present
-from vprbench.methods.vprsnn.training import Lesson
+from vprbench.methods.vprsnn.arguments import Arguments
+from vprbench.methods.vprsnn.arrays import Scratch, State, Synapses, Train, unpadded
+from vprbench.methods.vprsnn.model import Model
+from vprbench.methods.vprsnn.module import Module, show
+from vprbench.methods.vprsnn.physics import Physics, physics_of, traces_of
+from vprbench.methods.vprsnn.synapses import normalise
+from vprbench.methods.vprsnn.training_sets import Lesson
 
 pytestmark = [
     pytest.mark.slow,
@@ -58,7 +60,7 @@ def given(seed: int, rates: list[int], weight_sum: float) -> Given:
     trains = []
     for rate in rates:
         spikes = generator.random((SHOWN, N_INPUTS)) < rate * generator.uniform(0, 2, N_INPUTS) * 1e-4
-        trains.append(train_of(*np.nonzero(spikes), N_INPUTS, SHOWN))
+        trains.append(train_of(*np.nonzero(spikes), N_INPUTS))
     return Given(
         weights=weights * WEIGHT_SUM / weights.sum(axis=0),
         delays=generator.integers(0, LONGEST_DELAY + 1, shape),
@@ -98,17 +100,19 @@ class Compiled:
     """The compiled simulation of what is given, from the end of the first silence on."""
 
     def __init__(self, given: Given) -> None:
-        self.physics, self.traces = physics_of(VPRSNN()), traces_of(VPRSNN())
-        self.given, self.learning = given, given.weight_sum > 0
-        n_inputs, n_neurons = given.weights.shape
+        self.physics, self.traces = physics_of(Arguments()), traces_of(Arguments())
+        self.given, self.learning, self.now = given, given.weight_sum > 0, 0
         self.synapses = Synapses.of(given.weights, given.delays.astype(np.int16))
-        self.state = State.at_rest(self.physics, given.theta, n_inputs)
+        self.state = State.at_rest(self.physics, given.theta, len(given.weights))
         self.state.v[:], self.state.v_i[:] = -105, -100
-        silence = self.physics._replace(shown=SILENCE, rest=0)
-        room = Room.of(silence, n_neurons, n_inputs, LONGEST_DELAY, self.learning)
-        present(self.synapses, self.state, cut(given.trains[0], 0), room, silence, self.traces, 0, self.learning, True)
-        self.room = Room.of(self.physics, n_neurons, n_inputs, LONGEST_DELAY, self.learning)
+        self.show(self.physics._replace(shown=SILENCE, rest=0), cut(given.trains[0], 0), self.synapses, self.state)
         self.now = SILENCE
+
+    def show(self, physics: Physics, train: Train, synapses: Synapses, state: State) -> None:
+        """Show an image under other durations; `synapses` and `state` change."""
+        n_inputs, n_neurons = self.given.weights.shape
+        scratch = Scratch.of(physics, n_neurons, n_inputs, LONGEST_DELAY, self.learning)
+        show(Module(physics, self.traces, synapses, state, self.now, scratch, self.learning), train)
 
     def run(self) -> dict[str, Any]:
         """Return the spikes of both groups, (n_spikes, 2), the counts of each presentation, and the final state."""
@@ -148,15 +152,14 @@ class Compiled:
         """Return the state `end` steps into a presentation; `synapses` change."""
         physics = self.physics._replace(shown=min(end, SHOWN), rest=max(0, end - SHOWN))
         state = State(*(array.copy() for array in self.state))
-        heard = cut(train, physics.shown)
-        present(synapses, state, heard, self.room, physics, self.traces, self.now, self.learning, True)
+        self.show(physics, cut(train, physics.shown), synapses, state)
         return state
 
 
 def cut(train: Train, end: int) -> Train:
     """Return the input before step `end`."""
     heard = train.step < end
-    return train_of(train.step[heard], train.source[heard], len(train.first) - 1, end)
+    return train_of(train.step[heard], train.source[heard], len(train.first) - 1)
 
 
 def counted(found: dict[str, np.ndarray], presentations: int) -> np.ndarray:
@@ -199,23 +202,22 @@ def test_a_module_that_only_answers_spikes_step_for_step_as_in_brian2_and_stays_
 
 
 def test_the_training_of_a_module_leaves_what_brian2_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[tuple[np.ndarray, np.ndarray]] = []
     trains: list[Train] = []
 
-    def watched(synapses: Synapses, state: State, train: Train, *more: Any) -> None:
-        if not begun:
-            begun.append((unpadded(synapses.weights, N_NEURONS), unpadded(synapses.delays, N_NEURONS)))
+    def watched(module: Module, train: Train) -> None:
         trains.append(train)
-        present(synapses, state, train, *more)
+        show(module, train)
 
-    monkeypatch.setattr(training, "present", watched)
-    method = VPRSNN(height=6, width=8, n_excitatory=N_NEURONS, levels_per_hz=0.8, weight_sum=WEIGHT_SUM)
+    monkeypatch.setattr(training, "show", watched)
+    model = Model(height=6, width=8, n_excitatory=N_NEURONS, levels_per_hz=0.8, weight_sum=WEIGHT_SUM, epochs=2)
     levels = np.random.default_rng(2).integers(0, 200, (2, N_INPUTS)).astype(np.uint8)
     lesson = Lesson(0, levels, labels=np.arange(2), places=np.arange(2))
-    trained = training.train(method._recipe(0, 2), lesson, lambda share: None)
+    trained = training.train(model, lesson, lambda share: None)
 
-    theta = np.full(N_NEURONS, method.theta_start_mv)
-    theirs = by_brian2(Given(*begun[0], theta, trains, WEIGHT_SUM), tmp_path)
+    weights = model.weights(0)
+    weights *= WEIGHT_SUM / weights.sum(axis=0)
+    theta = np.full(N_NEURONS, model.theta_start_mv)
+    theirs = by_brian2(Given(weights, model.delays(0), theta, trains, WEIGHT_SUM), tmp_path)
     assert_same(unpadded(trained["weights"], N_NEURONS), theirs["weights"])
     assert_same(trained["theta"], theirs["theta"])
     counts = counted(theirs, 4)

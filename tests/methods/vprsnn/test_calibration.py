@@ -9,17 +9,18 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, references, same, tiny_recipe
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
+from little_vprsnn import held_out as others
 
-from vprbench.api.arrays import Places
 from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
 from vprbench.errors import NotFittedError
-from vprbench.methods.vprsnn import asking, method, training
-from vprbench.methods.vprsnn.asking import Asked, reactions
+from vprbench.methods.vprsnn import query, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.network import Network
+from vprbench.methods.vprsnn.model import Model
+from vprbench.methods.vprsnn.network import Network, ReadyNetwork
+from vprbench.methods.vprsnn.parallel import Stage
 
 # --- reactions --------------------------------------------------------------------------------------------------
 
@@ -35,22 +36,19 @@ def by_hand(threshold: int = 0, **arguments: Any) -> VPRSNN:
     return VPRSNN(height=1, width=N, n_excitatory=4, **arguments).restore(state)
 
 
-def asked(state: dict[str, npt.NDArray[Any]]) -> Asked:
-    return Asked.of(tiny_recipe(n_inputs=N, n_neurons=4), Network.from_state(state, N, 4), True, 0)
+def counted(state: dict[str, npt.NDArray[Any]], sights: npt.NDArray[np.uint8], carried: bool) -> list[list[int]]:
+    """Return for how many sights each neuron fires."""
+    model = Model(height=1, width=N, n_excitatory=4, carried_potentials=carried)
+    return query.reactions(ReadyNetwork.of(model, Network.from_state(state, N, 4)), sights, Stage()).tolist()
 
 
-def test_a_reaction_is_an_image_for_which_a_neuron_fires_however_often() -> None:
-    codes = SIGHTS
-    assert layers(by_hand(), codes)["excitatory"].max() > 1
-    assert reactions(asked(MADE), codes, False, None, "counting").tolist() == [[4, 1, 1, 0]]
-
-
-@pytest.mark.parametrize("together", [1, 4])
-def test_reactions_are_the_same_however_many_images_are_asked_together(
+@pytest.mark.parametrize("together", [1, 4, 256])
+def test_a_reaction_is_an_image_for_which_a_neuron_fires_however_often_and_in_whichever_company(
     monkeypatch: pytest.MonkeyPatch, together: int
 ) -> None:
-    monkeypatch.setattr(asking, "_TOGETHER", together)
-    assert reactions(asked(MADE), SIGHTS, False, None, "counting").tolist() == [[4, 1, 1, 0]]
+    monkeypatch.setattr(query, "_TOGETHER", together)
+    assert layers(by_hand(), SIGHTS)["excitatory"].max() > 1
+    assert counted(MADE, SIGHTS, False) == [[4, 1, 1, 0]]
 
 
 def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(
@@ -59,10 +57,10 @@ def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(
     # Weak synapses: whether a neuron fires hangs on what the images before have left.
     weak = {**MADE, "weights": 0.05 * MADE["weights"]}
     sights = np.random.default_rng(0).integers(0, 256, (60, N)).astype(np.uint8)
-    expected = reactions(asked(weak), sights, True, None, "counting").tolist()
-    assert expected != reactions(asked(weak), sights, False, None, "counting").tolist()
-    monkeypatch.setattr(asking, "_TOGETHER", 2)
-    assert reactions(asked(weak), sights, True, None, "counting").tolist() == expected
+    expected = counted(weak, sights, True)
+    assert expected != counted(weak, sights, False)
+    monkeypatch.setattr(query, "_TOGETHER", 1)
+    assert counted(weak, sights, True) == expected
 
 
 @pytest.mark.parametrize(("threshold", "fires_for"), [(0, [0, 1]), (1, []), (2, [1]), (4, [1]), (5, [0, 1])])
@@ -120,11 +118,10 @@ def calibrated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Raw]:
     """What calibrates a map of three places: its network, too, is as good as `ASIDE`, or as is said."""
 
     def calibrate(held_out: HeldOut, of_map: dict[str, npt.NDArray[Any]] = ASIDE, **arguments: Any) -> Raw:
-        def train_all(*called: Any, **_: Any) -> Network:
-            is_aside = called[3].startswith("calibration")
-            return Network.from_state(ASIDE if is_aside else of_map, PIXELS, 7)
+        def network(self: training.Training, lessons: object, stage: str, given: object = None) -> Network:
+            return Network.from_state(ASIDE if stage.startswith("calibration") else of_map, PIXELS, 7)
 
-        monkeypatch.setattr(method, "train_all", train_all)
+        monkeypatch.setattr(training.Training, "network", network)
         given = {"height": 1, "width": PIXELS, "n_excitatory": 7, "hyperactive_candidates": CANDIDATES, **arguments}
         return Raw(**given).fit(sights([], [], []), np.arange(3)).calibrate(held_out)
 
@@ -139,31 +136,29 @@ def chosen(calibrated: VPRSNN) -> int:
 # silent, and both queries are right; for 1 all are silent, for 0 and 6 none is, and one query is right.
 
 
+@pytest.mark.parametrize(
+    ("candidates", "best"),
+    [(CANDIDATES, 3), ([6, 5, 3], 5), ([0, 1, 6], 0)],
+    ids=["the best recall", "of equals the first", "none helps"],
+)
 def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(
-    calibrated: Callable[..., Raw],
+    calibrated: Callable[..., Raw], candidates: list[int], best: int
 ) -> None:
-    assert chosen(calibrated(held_out())) == 3
+    found = calibrated(held_out(), hyperactive_candidates=candidates)
+    assert chosen(found) == best
+    assert ("reactions" in found.state()) == (best > 0)
 
 
 def test_what_was_chosen_and_whom_it_silences_is_noted(calibrated: Callable[..., Raw]) -> None:
     # of the map's seven neurons those fire for 3 images or more that hear the background alone: one
-    (note,) = calibrated(held_out()).notes()
-    assert note == "neurons that fired for 3 references or more (chosen by held-out places) are silenced: 1 of 7"
-    (note,) = calibrated(held_out(), hyperactive_candidates=[0]).notes()
-    assert note.startswith("no neuron is silenced")
-    given = calibrated(held_out())
-    given.hyperactive_threshold = 3
-    assert given.notes() == ["neurons that fired for 3 references or more (given) are silenced: 1 of 7"]
-
-
-def test_of_thresholds_that_recall_as_much_the_first_candidate_is_chosen(calibrated: Callable[..., Raw]) -> None:
-    assert chosen(calibrated(held_out(), hyperactive_candidates=[6, 5, 3])) == 5
-
-
-def test_no_neuron_is_silenced_where_that_never_helps(calibrated: Callable[..., Raw]) -> None:
-    found = calibrated(held_out(), hyperactive_candidates=[0, 1, 6])
-    assert chosen(found) == 0
-    assert "reactions" not in found.state()
+    found = calibrated(held_out())
+    (note,) = found.notes()
+    assert "3 references" in note
+    assert "(chosen by" in note
+    assert "1 of 7" in note
+    found.hyperactive_threshold = 3
+    assert found.notes() == [note.replace("chosen by held-out places", "given")]
+    assert "no neuron" in calibrated(held_out(), hyperactive_candidates=[0]).notes()[0]
 
 
 @pytest.mark.parametrize(("in_map", "hyperactive"), [(False, 5), (True, 3)])
@@ -201,12 +196,6 @@ def test_the_choice_follows_what_is_right_of_the_held_out_queries(
 # --- the choice in a trained network ----------------------------------------------------------------------------
 
 
-def others(in_map: bool = False, n_places: int = 10) -> HeldOut:
-    """Return places 10 to 19 of the made-up world; the maps of these tests have the first five."""
-    shown, places = references(n_places, 10)
-    return HeldOut(shown, places, images(WORLD.references[30 : 30 + n_places]), np.arange(n_places), in_map)
-
-
 def certain(threshold: int = 5) -> VPRSNN:
     """Return a trained network of five places that has but one threshold to choose."""
     return fitted(hyperactive_candidates=[threshold])
@@ -230,14 +219,9 @@ def test_reactions_of_the_map_are_to_its_first_traverse_and_to_the_held_out_plac
     assert found.state()["reactions"].ravel().tolist() == fires.sum(axis=0).tolist()
 
 
-def test_a_calibration_is_the_same_again_and_forgets_an_earlier_one() -> None:
+def test_a_calibration_forgets_an_earlier_one() -> None:
     found = certain().calibrate(others(n_places=7)).calibrate(others())
     assert same(found.state(), certain().calibrate(others()).state())
-
-
-def test_a_calibration_that_silences_nobody_forgets_that_an_earlier_one_did() -> None:
-    found = certain().calibrate(others())
-    assert chosen(found) == 5
     found.hyperactive_candidates = [0]
     assert chosen(found.calibrate(others())) == 0
 
@@ -258,10 +242,16 @@ def test_the_modules_of_held_out_places_draw_other_random_numbers_than_those_of_
 
 
 @pytest.mark.parametrize("threshold", [0, 4])
-def test_a_threshold_that_is_given_stays(threshold: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_threshold_that_is_given_stays_and_counts_reactions_to_the_first_traverse(
+    threshold: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = fitted(hyperactive_threshold=threshold)
     state = dict(found.state())
     assert chosen(found) == threshold
+    fires = layers(found, found.encode(images(WORLD.references[:5])))["excitatory"] > 0
+    assert len(set(fires.sum(axis=0).tolist())) > 1
+    assert ("reactions" in state) == (threshold > 0)
+    assert threshold == 0 or state["reactions"].ravel().tolist() == fires.sum(axis=0).tolist()
 
     def train(*_: Any) -> NoReturn:
         raise AssertionError("there is nothing to choose")
@@ -270,26 +260,13 @@ def test_a_threshold_that_is_given_stays(threshold: int, monkeypatch: pytest.Mon
     assert same(found.calibrate(others()).state(), state)
 
 
-def test_a_threshold_that_is_given_counts_reactions_to_the_first_traverse() -> None:
-    found = fitted(hyperactive_threshold=4)
-    fires = layers(found, found.encode(images(WORLD.references[:5])))["excitatory"] > 0
-    assert len(set(fires.sum(axis=0).tolist())) > 1
-    assert found.state()["reactions"].ravel().tolist() == fires.sum(axis=0).tolist()
-
-
-def test_a_threshold_of_0_counts_nothing_and_silences_nobody() -> None:
+def test_without_held_out_places_and_for_0_or_too_many_references_nobody_is_silenced() -> None:
     none = fitted(hyperactive_threshold=0)
-    assert "reactions" not in none.state()
+    assert same(fitted().state(), none.state())
     codes = none.encode(images(WORLD.queries))
-    assert np.array_equal(
-        none.match(codes), fitted(hyperactive_threshold=6).match(codes)
-    )  # 5 images: nobody reacts to 6
-    assert not np.array_equal(none.match(codes), fitted(hyperactive_threshold=4).match(codes))
-
-
-def test_without_held_out_places_nobody_is_silenced() -> None:
-    assert chosen(fitted()) == 0
-    assert same(fitted().state(), fitted(hyperactive_threshold=0).state())
+    too_many, some = (fitted(hyperactive_threshold=threshold).match(codes) for threshold in (6, 4))  # of 5 images
+    assert np.array_equal(none.match(codes), too_many)
+    assert not np.array_equal(none.match(codes), some)
 
 
 def test_a_calibration_before_fit_is_refused() -> None:
@@ -298,22 +275,9 @@ def test_a_calibration_before_fit_is_refused() -> None:
 
 
 def test_each_member_of_an_ensemble_is_calibrated_as_it_would_be_alone() -> None:
-    given: dict[str, Any] = {**SMALL, "hyperactive_candidates": [5, 10]}
+    given: dict[str, Any] = {**SMALL, "epochs": 2, "hyperactive_candidates": [5, 10]}
     together = VPRSNNEnsemble(**given, seeds=[0, 10]).fit(*references(5)).calibrate(others()).state()
     for number, seed in enumerate((0, 10)):
         alone = VPRSNN(**given, seed=seed).fit(*references(5)).calibrate(others()).state()
-        own = {
-            name.partition(".")[2]: array for name, array in together.items() if name.startswith(f"member_{number}.")
-        }
-        assert same(own, alone)
+        assert same(member(together, number), alone)
         assert alone["threshold"] > 0
-
-
-def test_places_are_held_out_as_arrays_that_cannot_be_written() -> None:
-    shown, places = references(10, 10)
-    frozen: Places = places.copy()
-    frozen.flags.writeable = False
-    right = np.arange(10)
-    right.flags.writeable = False
-    given = HeldOut(shown.unnamed(), frozen, images(WORLD.references[30:40]).unnamed(), right, in_map=False)
-    assert same(certain().calibrate(given).state(), certain().calibrate(others()).state())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, State, fitted, images, layers, lit, made, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, member, references, same
 
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -28,40 +28,34 @@ def alone(**arguments: Any) -> VPRSNN:
     return fitted(7, **arguments)
 
 
-def member(state: State, number: int) -> State:
-    start = f"member_{number}."
-    return {name.removeprefix(start): array for name, array in state.items() if name.startswith(start)}
-
-
 # --- training ---------------------------------------------------------------------------------------------------
 
 
-def test_each_member_is_the_network_of_the_seed_added_to_its_own() -> None:
-    state = ensemble(seed=3).state()
-    assert same(member(state, 0), alone(seed=3).state())
-    assert same(member(state, 1), alone(seed=13).state())
+@pytest.mark.parametrize(
+    ("together", "first", "second"),
+    [
+        ({"seed": 3}, {"seed": 3}, {"seed": 13}),
+        ({"member_epochs": [2, 5]}, {"epochs": 2}, {"seed": 10, "epochs": 5}),
+        (
+            {"member_thresholds": [0, 4]},
+            {"hyperactive_threshold": 0},
+            {"seed": 10, "hyperactive_threshold": 4},
+        ),
+        (
+            {"hyperactive_threshold": 4},
+            {"hyperactive_threshold": 4},
+            {"seed": 10, "hyperactive_threshold": 4},
+        ),
+    ],
+    ids=lambda given: str(given),
+)
+def test_each_member_is_the_network_of_its_own_seed_epochs_and_threshold(
+    together: dict[str, Any], first: dict[str, Any], second: dict[str, Any]
+) -> None:
+    state = ensemble(**together).state()
+    assert same(member(state, 0), alone(**first).state())
+    assert same(member(state, 1), alone(**second).state())
     assert not same(member(state, 0), member(state, 1))
-
-
-def test_the_published_ensemble_has_five_seeds() -> None:
-    assert VPRSNNEnsemble().seeds == [0, 10, 20, 30, 40]
-
-
-def test_each_member_has_its_own_epochs() -> None:
-    state = ensemble(member_epochs=[2, 5]).state()
-    assert same(member(state, 0), alone(epochs=2).state())
-    assert same(member(state, 1), alone(seed=10, epochs=5).state())
-
-
-def test_each_member_has_its_own_threshold() -> None:
-    state = ensemble(member_thresholds=[0, 4]).state()
-    assert same(member(state, 0), alone(hyperactive_threshold=0).state())
-    assert same(member(state, 1), alone(seed=10, hyperactive_threshold=4).state())
-
-
-def test_one_threshold_is_that_of_all_members() -> None:
-    state = ensemble(hyperactive_threshold=4).state()
-    assert [int(member(state, number)["threshold"]) for number in (0, 1)] == [4, 4]
 
 
 def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_the_end() -> None:
@@ -178,6 +172,7 @@ def test_the_networks_of_an_ensemble_are_none_for_the_method_alone() -> None:
 @pytest.mark.parametrize(
     "change",
     [
+        {"weight_sum": 0.0},
         {"seeds": []},
         {"seeds": [0, 10, 0]},
         {"seeds": [0, -1]},
@@ -194,8 +189,3 @@ def test_what_does_not_fit_the_members_is_refused_by_name(change: dict[str, Any]
     with pytest.raises(BadInput) as error:
         ensemble(**change)
     assert str(error.value).startswith(f"method.{name}={value}: ")
-
-
-def test_the_arguments_of_the_method_alone_are_checked_too() -> None:
-    with pytest.raises(BadInput, match=r"method\.weight_sum=0"):
-        ensemble(weight_sum=0.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vprbench.methods.vprsnn.input import generator_for, generator_of_image, spike_train, train_of
-from vprbench.methods.vprsnn.module import Train
+from vprbench.methods.vprsnn.arrays import Train
+from vprbench.methods.vprsnn.input import generator_for, generator_of_image, spike_train
 
 SHOWN, STEP_MS = 3500, 0.1
 
@@ -24,14 +24,6 @@ def as_grid(train: Train, steps: int = SHOWN) -> np.ndarray:
 
 def five_sigma(n_draws: float, probability: float) -> float:
     return 5 * float(np.sqrt(n_draws * probability * (1 - probability)))
-
-
-@pytest.mark.parametrize(("level", "hertz"), [(255, 63.75), (127, 31.75), (4, 1.0), (1, 0.25)])
-def test_an_input_spikes_at_a_quarter_of_its_grey_level_in_hertz(level, hertz):
-    # 784 inputs for 10 times 350 ms
-    count = sum(len(drawn(np.full(784, level), seed).step) for seed in range(10))
-    draws, probability = 10 * 784 * SHOWN, hertz * 1e-4
-    assert count == pytest.approx(draws * probability, abs=five_sigma(draws, probability))
 
 
 def test_each_input_has_the_rate_of_its_own_level():
@@ -95,13 +87,6 @@ def test_an_input_says_nothing_of_its_neighbour():
     assert together == pytest.approx(draws * probability**2, abs=1.5 * five_sigma(draws, probability**2))
 
 
-def test_the_variance_of_counts_is_that_of_independent_steps():
-    probability = 0.25
-    counts = np.diff(drawn(np.full(4000, 250), 9, 250 * 1e-4 / probability, 100).first)
-    assert counts.mean() == pytest.approx(25, abs=5 * np.sqrt(18.75 / 4000))
-    assert counts.var() == pytest.approx(100 * 0.25 * 0.75, rel=5 * np.sqrt(2 / 4000))
-
-
 def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():
     train = drawn(np.random.default_rng(10).integers(0, 256, 784), 10)
     assert (np.diff(train.step) >= 0).all()
@@ -111,20 +96,6 @@ def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():
         own = train.of_source[train.first[source] : train.first[source + 1]]
         assert (np.diff(own) > 0).all()
         np.testing.assert_array_equal(train.step[train.source == source], own)
-
-
-def test_given_spikes_are_sorted_into_both_orders():
-    train = train_of(np.array([7, 3, 3, 0, 9]), np.array([1, 2, 0, 1, 1]), 4, 10)
-    assert train.step.tolist() == [0, 3, 3, 7, 9]
-    assert train.source.tolist() == [1, 0, 2, 1, 1]
-    assert train.first.tolist() == [0, 1, 4, 5, 5]
-    assert train.of_source.tolist() == [3, 0, 7, 9, 3]
-
-
-def test_no_spikes_are_a_train_too():
-    train = train_of(np.zeros(0, np.int64), np.zeros(0, np.int64), 3, 10)
-    assert len(train.step) == len(train.source) == len(train.of_source) == 0
-    assert train.first.tolist() == [0, 0, 0, 0]
 
 
 def same(one: Train, other: Train) -> bool:
@@ -141,14 +112,6 @@ def test_the_same_image_has_the_same_spikes_whatever_is_asked_before_it():
     of_image(other)
     assert same(of_image(image.copy()), before)
     assert not same(of_image(other), before)
-
-
-def test_one_level_more_gives_other_spikes_of_the_inputs_before_it_too():
-    image = np.full(784, 127, np.uint8)
-    brighter = image.copy()
-    brighter[-1] += 1
-    one, other = of_image(image), of_image(brighter)
-    assert not np.array_equal(one.of_source[: one.first[1]], other.of_source[: other.first[1]])
 
 
 def test_seeds_and_purposes_give_spikes_of_their_own():

@@ -62,10 +62,6 @@ def test_a_smaller_last_module_recognises_its_places() -> None:
     assert scores.argmax(1)[5:].tolist() == [5, 6]
 
 
-def test_one_place_alone_is_a_network() -> None:
-    assert fitted(1).query(QUERIES).shape == (len(WORLD.queries), 1)
-
-
 def test_weights_are_stored_by_input_and_neuron() -> None:
     heard = made([[0], [1, 2], []], [0, 1, 1], 4)
     state = VPRSNN(height=2, width=2, n_excitatory=3).restore(heard).state()
@@ -117,21 +113,9 @@ def refusal(state: Mapping[str, Array], asked: VPRSNN | None = None) -> str:
     return str(error.value)
 
 
-def test_the_little_network_of_these_tests_is_accepted() -> None:
-    assert small().restore(little()).match(np.full((2, 4), 200, np.uint8)).shape == (2, 5)
-
-
 @pytest.mark.parametrize("name", [name for name in little() if name != "reactions"])
 def test_a_missing_array_is_named(name: str) -> None:
     assert name in refusal({key: array for key, array in little().items() if key != name})
-
-
-def test_an_array_too_many_is_named() -> None:
-    assert "delays" in refusal({**little(), "delays": np.zeros((2, 4, 3))})
-
-
-def test_no_arrays_are_no_network() -> None:
-    refusal({})
 
 
 @pytest.mark.parametrize("name", little())
@@ -150,64 +134,41 @@ def test_an_array_of_another_shape_is_refused(name: str, spoil: Callable[[Array]
     refusal({**little(), name: np.asarray(spoil(little()[name]))})
 
 
-@pytest.mark.parametrize("name", ["weights", "theta", "sums", "shown", "places", "reactions"])
+@pytest.mark.parametrize("name", [name for name in little() if name != "threshold"])
 def test_arrays_of_different_numbers_of_modules_are_refused(name: str) -> None:
     refusal({**little(), name: little()[name][:1]})
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("name", ["weights", "theta", "sums"])
-def test_values_that_are_no_numbers_are_refused_by_the_name_of_their_array(name: str, value: float) -> None:
+def spoilt(name: str, at: tuple[int, ...], value: float) -> dict[str, Array]:
     state = little()
-    state[name][0, 1] = value
-    assert name in refusal(state)
+    state[name][at] = value
+    return state
 
 
 @pytest.mark.parametrize(
-    "places",
+    ("state", "culprit"),
     [
-        [[0, 3, 1], [4, 3, -1]],
-        [[0, 3, 1], [5, 2, -1]],
-        [[1, 3, 4], [5, 2, -1]],
-        [[-1, -1, -1], [-1, -1, -1]],
+        *((spoilt(name, (0, 1), value), name) for name in ("weights", "theta", "sums") for value in (np.nan, np.inf)),
+        (spoilt("places", (1, 1), 3), "places"),  # one twice
+        (spoilt("places", (1, 0), 5), "places"),  # one left out
+        ({**little(), "places": np.array([[1, 3, 4], [5, 2, -1]])}, "places"),  # not from 0
+        ({**little(), "places": np.full((2, 3), -1)}, "places"),  # none
+        (spoilt("sums", (1, 0, 2), 3), "spikes"),  # for a place that is not there
+        (spoilt("sums", (0, 0, 0), -3), "spikes"),
+        ({name: array for name, array in little().items() if name != "reactions"}, "reactions"),
+        ({**little(), "threshold": np.array(-1)}, "threshold"),
+        ({**little(), "delays": np.zeros((2, 4, 3))}, "delays"),
+        ({}, "holds"),
     ],
-    ids=["one twice", "one left out", "not from 0", "none"],
 )
-def test_damaged_places_are_refused(places: list[list[int]]) -> None:
-    assert "places" in refusal({**little(), "places": np.array(places)})
-
-
-def test_spikes_for_a_place_that_is_not_there_are_refused() -> None:
-    state = little()
-    state["sums"][1, 0, 2] = 3
-    assert "spikes" in refusal(state)
-
-
-def test_spikes_below_0_are_refused() -> None:
-    state = little()
-    state["sums"][0, 0, 0] = -3
-    assert "spikes" in refusal(state)
-
-
-def test_a_stored_threshold_without_reactions_is_refused() -> None:
-    state = little()
-    del state["reactions"]
-    assert "reactions" in refusal(state)
-
-
-def test_a_stored_threshold_below_0_is_refused() -> None:
-    assert "threshold" in refusal({**little(), "threshold": np.array(-1)})
+def test_values_that_no_network_has_are_refused(state: dict[str, Array], culprit: str) -> None:
+    assert culprit in refusal(state)
 
 
 @pytest.mark.parametrize("change", [{"height": 3}, {"n_excitatory": 4}])
 def test_another_size_is_refused_with_what_to_give(change: dict[str, int]) -> None:
     asked = VPRSNN(**{"height": 2, "width": 2, "n_excitatory": 3, **change})
     assert f"method.{next(iter(change))}" in refusal(little(), asked)
-
-
-def test_bad_arguments_are_refused_before_a_network_is_taken() -> None:
-    with pytest.raises(BadInput, match=r"method\.epochs=0"):
-        method(epochs=0).restore(fitted().state())
 
 
 # --- the layout of the authors ----------------------------------------------------------------------------------

@@ -71,7 +71,7 @@ def refusal(folder: Path, kind: type[BadInput] = BadInput) -> str:
 # What is read
 
 
-@pytest.mark.parametrize("layout", [by_input, by_neuron, mixed, lambda weights: weights])
+@pytest.mark.parametrize("layout", [by_input, by_neuron, mixed, lambda weights: weights, np.asfortranarray])
 @pytest.mark.parametrize("number", ["<f8", ">f8", "<f4"])
 def test_every_synapse_has_its_own_weight_whatever_the_layout(
     tmp_path: Path, layout: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]], number: str
@@ -85,37 +85,25 @@ def test_every_synapse_has_its_own_weight_whatever_the_layout(
     assert module.weights.flags.writeable
 
 
-def test_a_matrix_in_the_order_of_fortran_is_not_transposed(tmp_path: Path) -> None:
-    weights = random_weights()
-    publish(tmp_path, weights=np.asfortranarray(weights))
-    assert np.array_equal(read(tmp_path)[0].weights, weights)
-
-
 def test_thresholds_in_volts_become_millivolts(tmp_path: Path) -> None:
     publish(tmp_path)
     assert read(tmp_path)[0].theta_mv == pytest.approx([20, 35, 0, 61.5])
 
 
-def test_modules_are_sorted_by_number_and_not_by_text(tmp_path: Path) -> None:
-    offsets = range(0, 125, 25)  # as text 100 comes before 25
+@pytest.mark.parametrize(
+    ("offsets", "ending"),
+    [
+        pytest.param([0, 25, 50, 75, 100], "", id="as text 100 comes before 25"),
+        pytest.param([600, 625], "", id="behind the places for calibration"),
+        pytest.param([0, 25], "_S10", id="with a seed"),
+    ],
+)
+def test_modules_are_read_in_the_order_of_their_first_places(tmp_path: Path, offsets: list[int], ending: str) -> None:
     for offset in reversed(offsets):
-        publish(tmp_path, offset, by_input(random_weights(offset)))
+        publish(tmp_path, offset, by_input(random_weights(offset)), ending=ending)
     found = read(tmp_path)
-    assert len(found) == len(offsets)
     for offset, module in zip(offsets, found, strict=True):
         assert np.array_equal(module.weights, random_weights(offset))
-
-
-def test_modules_may_begin_behind_the_places_for_calibration(tmp_path: Path) -> None:
-    for offset in (600, 625):
-        publish(tmp_path, offset)
-    assert len(read(tmp_path)) == 2
-
-
-def test_modules_that_name_their_seed_are_read_too(tmp_path: Path) -> None:
-    for offset in (0, 25):
-        publish(tmp_path, offset, ending="_S10")
-    assert len(read(tmp_path)) == 2
 
 
 def test_whatever_else_lies_there_is_left_alone(tmp_path: Path) -> None:
@@ -124,17 +112,6 @@ def test_whatever_else_lies_there_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "weights_ne4_L25_offset50.zip").touch()
     (tmp_path / "random").mkdir()
     assert len(read(tmp_path)) == 1
-
-
-def test_the_files_are_those_that_are_read(tmp_path: Path) -> None:
-    for offset in (25, 0):
-        publish(tmp_path, offset)
-    assert [path.relative_to(tmp_path).as_posix() for path in files_of(tmp_path)] == [
-        "weights_ne4_L25_offset0/XeAe.npy",
-        "weights_ne4_L25_offset0/theta_A.npy",
-        "weights_ne4_L25_offset25/XeAe.npy",
-        "weights_ne4_L25_offset25/theta_A.npy",
-    ]
 
 
 # What is missing
@@ -150,38 +127,40 @@ def test_a_missing_file_is_named(tmp_path: Path, name: str, ask: Callable[[Path]
         ask(tmp_path)
 
 
-@pytest.mark.parametrize("place", ["nowhere", "file"])
-def test_a_folder_that_is_none_is_named(tmp_path: Path, place: str) -> None:
+@pytest.mark.parametrize(
+    ("offsets", "folder", "culprit"),
+    [
+        ([], "nowhere", "nowhere cannot be read"),
+        ([], "file", "file cannot be read"),
+        ([], "", "weights_ne400_L25_offset0"),
+        ([0, 25, 75], "", "place 50, before weights_ne4_L25_offset75"),
+    ],
+)
+def test_what_is_missing_is_named(tmp_path: Path, offsets: list[int], folder: str, culprit: str) -> None:
     (tmp_path / "file").touch()
-    assert f"{place} cannot be read" in refusal(tmp_path / place, NotThere)
-
-
-def test_a_folder_without_modules_says_what_was_wanted(tmp_path: Path) -> None:
-    assert "weights_ne400_L25_offset0" in refusal(tmp_path, NotThere)
-
-
-def test_a_missing_module_is_named(tmp_path: Path) -> None:
-    for offset in (0, 25, 75):
+    for offset in offsets:
         publish(tmp_path, offset)
-    assert "lacks the module from place 50, before weights_ne4_L25_offset75" in refusal(tmp_path, NotThere)
+    assert culprit in refusal(tmp_path / folder, NotThere)
 
 
 # What is refused
 
 
-def test_modules_that_hold_the_same_places_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("offset", "other", "culprit"),
+    [
+        (10, {}, "weights_ne4_L25_offset0 and weights_ne4_L25_offset10"),
+        (25, {"kind": "ne4_L100"}, "2 networks (weights_ne4_L100, weights_ne4_L25)"),
+        (25, {"kind": "ne8_L25"}, "2 networks (weights_ne4_L25, weights_ne8_L25)"),
+        (25, {"ending": "_S10"}, "2 networks (weights_ne4_L25, weights_ne4_L25_S10)"),
+    ],
+)
+def test_modules_of_the_same_places_or_of_two_networks_are_refused(
+    tmp_path: Path, offset: int, other: dict[str, Any], culprit: str
+) -> None:
     publish(tmp_path, 0)
-    publish(tmp_path, 10)
-    assert "weights_ne4_L25_offset0 and weights_ne4_L25_offset10 hold the same places" in refusal(tmp_path)
-
-
-@pytest.mark.parametrize("other", [{"kind": "ne4_L100"}, {"kind": "ne8_L25"}, {"ending": "_S10"}])
-def test_modules_of_two_networks_are_refused(tmp_path: Path, other: dict[str, str]) -> None:
-    publish(tmp_path, 0)
-    publish(tmp_path, 25, **other)  # type: ignore[arg-type]
-    complaint = refusal(tmp_path)
-    assert "holds modules of 2 networks (" in complaint
-    assert "weights_ne4_L25" in complaint
+    publish(tmp_path, offset, **other)
+    assert culprit in refusal(tmp_path)
 
 
 class Harmful:
@@ -253,19 +232,18 @@ def test_what_are_no_plain_numbers_is_refused(tmp_path: Path, name: str, kind: A
 
 
 @pytest.mark.parametrize(
-    "shape", [(INPUTS * NEURONS - 1, 3), (INPUTS * NEURONS, 2), (NEURONS, INPUTS), (INPUTS * NEURONS,), (0, 3), ()]
+    ("name", "shape"),
+    [
+        *(("weights", shape) for shape in ((23, 3), (24, 2), (4, 6), (24,), (0, 3), ())),
+        *(("theta", shape) for shape in ((5,), (4, 1), ())),
+    ],
 )
-def test_weights_of_another_shape_are_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
-    publish(tmp_path, weights=np.zeros(shape))
+def test_arrays_of_another_shape_are_refused(tmp_path: Path, name: str, shape: tuple[int, ...]) -> None:
+    publish(tmp_path, **{name: np.zeros(shape)})  # type: ignore[arg-type]
+    wanted = "(24, 3) or (6, 4)" if name == "weights" else "(4,)"
     complaint = refusal(tmp_path)
-    assert "XeAe.npy" in complaint
-    assert "6 inputs and 4 neurons have (24, 3) or (6, 4)" in complaint
-
-
-@pytest.mark.parametrize("shape", [(NEURONS + 1,), (NEURONS, 1), ()])
-def test_thresholds_of_another_shape_are_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
-    publish(tmp_path, theta=np.zeros(shape))
-    assert f"theta_A.npy has shape {shape}; wanted (4,)" in refusal(tmp_path)
+    assert f"has shape {shape}" in complaint
+    assert wanted in complaint
 
 
 @pytest.mark.parametrize(
@@ -297,13 +275,13 @@ def test_weights_that_cannot_be_are_refused(
     weights = random_weights()
     weights[2, 3] = value
     publish(tmp_path, weights=layout(weights))
-    assert "XeAe.npy holds weights that are negative or not finite" in refusal(tmp_path)
+    assert "XeAe.npy holds weights" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -0.02, 20.0])
 def test_thresholds_that_cannot_be_volts_are_refused(tmp_path: Path, value: float) -> None:
     publish(tmp_path, theta=np.array([0.02, value, 0.02, 0.02]))
-    assert "theta_A.npy holds thresholds from" in refusal(tmp_path)
+    assert "theta_A.npy holds thresholds" in refusal(tmp_path)
 
 
 def test_a_file_that_the_system_does_not_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

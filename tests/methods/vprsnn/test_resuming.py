@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
-from little_vprsnn import SMALL, WORLD, fitted, images, references, same
+from little_vprsnn import SMALL, WORLD, fitted, held_out, images, one_thread, references, same  # noqa: F401 - a fixture
 
 from vprbench.api import checkpoints
-from vprbench.api.dataset import HeldOut
-from vprbench.methods.vprsnn import batched, method, training
+from vprbench.methods.vprsnn import batched, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.recipe import Recipe
-from vprbench.methods.vprsnn.threads import Tell
+from vprbench.methods.vprsnn.model import Model
 from vprbench.methods.vprsnn.training import train
 from vprbench.methods.vprsnn.training_sets import Lesson
 
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Modules are trained one after the other, unless a test says otherwise."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 class Interrupted(Exception):
@@ -52,11 +42,11 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The `numbers` of modules in the order they are trained; at the one called `fatal` the training is interrupted."""
     seen = SimpleNamespace(numbers=[], fatal=None)
 
-    def watched(how: Recipe, shown: Lesson, tell: Tell) -> dict[str, npt.NDArray[Any]]:
+    def watched(model: Model, shown: Lesson, *others: Any) -> training.Arrays:
         if len(seen.numbers) == seen.fatal:
             raise Interrupted
         seen.numbers.append(shown.number)
-        return train(how, shown, tell)
+        return train(model, shown, *others)
 
     monkeypatch.setattr(training, "train", watched)
     return seen
@@ -84,21 +74,15 @@ def test_an_interrupted_training_trains_only_what_is_missing(trainings: Path, tr
     assert not list(trainings.iterdir())
 
 
-def test_interrupted_again_and_again_a_training_ends(trainings: Path, trained: SimpleNamespace) -> None:
+def test_interrupted_again_and_again_a_training_ends_with_other_threads(
+    trainings: Path, trained: SimpleNamespace
+) -> None:
     for _ in range(3):
         interrupt(trained, 1, lambda: fitted(20))
+    torch.set_num_threads(2)
     resumed = fitted(20)
     assert trained.numbers == [3]
     assert same(resumed.state(), fitted(20).state())
-
-
-def test_two_threads_go_on_with_what_one_had_trained(trainings: Path, trained: SimpleNamespace) -> None:
-    expected = fitted(20)
-    trained.numbers = []
-    interrupt(trained, 3, lambda: fitted(20))
-    torch.set_num_threads(2)
-    assert same(fitted(20).state(), expected.state())
-    assert trained.numbers == [3]
 
 
 def test_the_batched_engine_trains_only_what_is_missing(trainings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,11 +96,11 @@ def test_the_batched_engine_trains_only_what_is_missing(trainings: Path, monkeyp
         shown = images([WORLD.references[row] for row in rows])
         return VPRSNN(**{**SMALL, **few, "engine": "batched"}).fit(shown, WORLD.places[rows])
 
-    def watched(weights: npt.NDArray[np.float64], *others: Any) -> batched.Trained:
-        at_once.append(len(weights))
-        return learn(weights, *others)
+    def watched(model: Model, lessons: list[Lesson], *others: Any) -> list[training.Arrays]:
+        at_once.append(len(lessons))
+        return learn(model, lessons, *others)
 
-    def interrupted_after_two(*called: Any) -> batched.Trained:
+    def interrupted_after_two(*called: Any) -> list[training.Arrays]:
         return watched(*called) if len(at_once) < 2 else interrupted()
 
     expected = fit().state()
@@ -139,20 +123,17 @@ def test_a_training_does_not_go_on_with_another_ones_modules(
     assert len(trained.numbers) == 4
 
 
-def test_a_training_does_not_go_on_with_modules_of_other_images(trainings: Path, trained: SimpleNamespace) -> None:
-    interrupt(trained, 1, lambda: fitted(10))
-    _, places = references(10)
-    darker = [image // 2 if row == 15 else image for row, image in enumerate(references(10)[0])]
-    VPRSNN(**SMALL).fit(images(darker), places)
-    assert trained.numbers == [0, 1]
-
-
-def test_a_training_does_not_go_on_with_modules_of_the_same_images_at_other_places(
-    trainings: Path, trained: SimpleNamespace
+@pytest.mark.parametrize("changed", ["images", "places"])
+def test_a_training_does_not_go_on_with_modules_of_other_images_or_places(
+    trainings: Path, trained: SimpleNamespace, changed: str
 ) -> None:
     interrupt(trained, 1, lambda: fitted(10))
     shown, places = references(10)
-    VPRSNN(**SMALL).fit(shown, places[::-1].copy())
+    if changed == "images":
+        shown = images([image // 2 if row == 15 else image for row, image in enumerate(shown)])
+    if changed == "places":
+        places = places[::-1].copy()
+    VPRSNN(**SMALL).fit(shown, places)
     assert trained.numbers == [0, 1]
 
 
@@ -161,7 +142,7 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
 ) -> None:
     expected = fitted(10, hyperactive_threshold=9).state()
     with monkeypatch.context() as patch:
-        patch.setattr(method, "reactions", interrupted)
+        patch.setattr(training, "reactions", interrupted)
         with pytest.raises(Interrupted):
             fitted(10, hyperactive_threshold=9)
     trained.numbers = []
@@ -169,7 +150,7 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     assert trained.numbers == []
 
 
-@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"hyperactive_threshold": 9}])
+@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"hyperactive_threshold": 9}, {"engine": "compiled"}])
 def test_a_training_goes_on_under_other_arguments_of_the_query(
     trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
 ) -> None:
@@ -187,11 +168,6 @@ def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings: Pat
     interrupt(trained, 3, fit)
     assert same(fit().state(), expected)
     assert trained.numbers == [1]
-
-
-def held_out() -> HeldOut:
-    shown, places = references(10, 10)
-    return HeldOut(shown, places, images(WORLD.references[30:40]), np.arange(10), in_map=False)
 
 
 def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path, trained: SimpleNamespace) -> None:

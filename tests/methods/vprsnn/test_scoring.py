@@ -1,8 +1,9 @@
-"""What VPRSNN's neurons say of a query: standard and weighted scores, silenced neurons, silent queries, thresholds."""
+"""VPRSNN's neurons: which place each speaks for, what they say of a query, who is silenced, and for which threshold."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import pytest
 
 from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
-from vprbench.methods.vprsnn.scoring import Learnt, labels
+from vprbench.methods.vprsnn.scoring import Responses, labels
 from vprbench.methods.vprsnn.training_sets import modules
 from vprbench.metrics.accuracy import average_precision, pr_curve, recall_at
 from vprbench.metrics.ranking import outcome
@@ -19,7 +20,7 @@ Array = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 
-def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int = 9) -> Learnt:
+def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int = 9) -> Responses:
     """Return modules in shuffled order, the last with fewer places; neurons fired for none, some or all of theirs."""
     random = np.random.default_rng(seed)
     groups = modules(n_places, per_module, "shuffled", seed, 4)
@@ -29,22 +30,46 @@ def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int =
     shape = len(groups), n_neurons, per_module
     fired = random.random(shape) < random.choice([0, 0.3, 1], shape[:2])[:, :, None]
     sums = np.where(fired & (places >= 0)[:, None], random.integers(1, 40, shape), 0)
-    return Learnt(sums.astype(np.float32), np.where(places >= 0, 10, 0), places)
+    return Responses(sums.astype(np.float32), np.where(places >= 0, 10, 0), places)
 
 
-def drawn_responses(seed: int, n_queries: int, learnt: Learnt) -> Array:
+def drawn_responses(seed: int, n_queries: int, learnt: Responses) -> Array:
     random = np.random.default_rng([seed, 1])
     shape = n_queries, *learnt.sums.shape[:2]
     return random.integers(1, 8, shape) * (random.random(shape) < 0.3)
 
 
-def drawn_mask(seed: int, learnt: Learnt, share: float = 0.2) -> Mask:
+def drawn_mask(seed: int, learnt: Responses, share: float = 0.2) -> Mask:
     return np.random.default_rng([seed, 2]).random(learnt.sums.shape[:2]) < share
 
 
-def nobody(learnt_or_labels: Learnt | Array) -> Mask:
-    of = learnt_or_labels.sums[..., 0] if isinstance(learnt_or_labels, Learnt) else learnt_or_labels
+def nobody(learnt_or_labels: Responses | Array) -> Mask:
+    of = learnt_or_labels.sums[..., 0] if isinstance(learnt_or_labels, Responses) else learnt_or_labels
     return np.zeros(of.shape, np.bool_)
+
+
+def one_module(
+    sums: Sequence[Sequence[float]], shown: Sequence[int] | None = None, places: Sequence[int] | None = None
+) -> Responses:
+    """Return a module of neurons that gave `sums` (n_neurons, n_labels) in five presentations of each label."""
+    n = len(sums[0])
+    labelled = np.array([places or range(n)], np.int64)
+    return Responses(np.array([sums], np.float32), np.array([shown or [5] * n]), labelled)
+
+
+def label_by_label(learnt: Responses) -> Array:
+    """Assign as the authors do: a neuron goes over to a label that has a higher mean than all before it."""
+    found = np.full(learnt.sums.shape[:2], -1)
+    for module, neuron in np.ndindex(found.shape):
+        highest = Fraction(0)
+        for label, place in enumerate(learnt.places[module].tolist()):
+            presentations = int(learnt.shown[module, label])
+            if place < 0 or not presentations:
+                continue
+            mean = Fraction(int(learnt.sums[module, neuron, label]), presentations)
+            if mean > highest:
+                highest, found[module, neuron] = mean, place
+    return found
 
 
 def standard_one_by_one(responses: Array, spoken_for: Array, silenced: Mask, n_places: int) -> Scores:
@@ -59,7 +84,7 @@ def standard_one_by_one(responses: Array, spoken_for: Array, silenced: Mask, n_p
     return scores.astype(np.float32)
 
 
-def weighted_one_by_one(responses: Array, learnt: Learnt, silenced: Mask, n_places: int) -> Scores:
+def weighted_one_by_one(responses: Array, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
     """Score query by query and place by place, with a dictionary of training spikes for each neuron."""
     memory: list[dict[int, float]] = []
     for module, neurons in enumerate(learnt.sums):
@@ -84,51 +109,65 @@ def weighted_one_by_one(responses: Array, learnt: Learnt, silenced: Mask, n_plac
     return scores.astype(np.float32)
 
 
-# --- hyperactive neurons ----------------------------------------------------------------------------------------
+# --- which place a neuron speaks for ----------------------------------------------------------------------------
 
 
-def test_a_neuron_is_hyperactive_from_the_threshold_on() -> None:
-    assert scoring.hyperactive(np.array([[0, 19, 20], [21, 5, 40]]), 20).tolist() == [
-        [False, False, True],
-        [True, False, True],
-    ]
+@pytest.mark.parametrize(
+    ("learnt", "expected"),
+    [
+        pytest.param(one_module([[3, 9, 4], [7, 0, 1]]), [1, 0], id="most spikes"),
+        pytest.param(one_module([[8, 6]], shown=[4, 2]), [1], id="2 and 3 a presentation"),
+        pytest.param(one_module([[0, 6, 6, 2], [4, 1, 4, 4]]), [1, 0], id="of equals the first"),
+        pytest.param(one_module([[1, 2, 7]], shown=[3, 6, 21]), [0], id="equal means of different sums"),
+        pytest.param(one_module([[5, 5]], places=[17, 3]), [17], id="first in the module, not on the route"),
+        pytest.param(one_module([[0, 0, 0], [0, 0, 1]]), [-1, 2], id="never fired"),
+        pytest.param(one_module([[0, 2], [0, 0]], shown=[0, 3]), [1, -1], id="a label that was not shown"),
+        pytest.param(one_module([[2, 0, 0]], [5, 0, 0], [3, -1, -1]), [3], id="a smaller last module"),
+    ],
+)
+def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt: Responses, expected: list[int]) -> None:
+    assert labels(learnt).tolist() == [expected]
+    assert label_by_label(learnt).tolist() == [expected]
 
 
-def test_a_threshold_of_zero_silences_nobody() -> None:
-    assert not scoring.hyperactive(np.array([[0, 7, 3000]]), 0).any()
+@pytest.mark.parametrize("seed", range(4))
+def test_assignment_is_that_of_a_loop_over_neurons_and_labels(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    shape = 4, 30, 6  # few values, so that ties and silent neurons are frequent
+    sums = (random.integers(0, 5, shape) * (random.random(shape) < 0.5)).astype(np.float32)
+    shown = random.integers(0, 4, (4, 6))
+    places = random.permutation(24).reshape(4, 6)
+    places[-1, 4:] = -1
+    shown[places < 0] = 0
+    sums *= shown[:, None] > 0
+    learnt = Responses(sums, shown, places)
+    assert labels(learnt).dtype == np.int64
+    assert np.array_equal(labels(learnt), label_by_label(learnt))
 
 
 # --- standard ---------------------------------------------------------------------------------------------------
 
 
-def test_a_place_scores_the_mean_spikes_of_its_neurons_in_whichever_module_they_are() -> None:
-    spoken_for = np.array([[2, 0, 2], [1, -1, 1]])
-    responses = np.array([[[4, 1, 1], [0, 9, 3]], [[0, 0, 7], [6, 0, 0]]])
-    scores = scoring.standard(responses, spoken_for, nobody(spoken_for), 3)
-    assert scores.tolist() == [[1, 1.5, 2.5], [0, 3, 3.5]]
+@pytest.mark.parametrize(
+    ("responses", "spoken_for", "silenced", "expected"),
+    [
+        pytest.param([[4, 1, 1], [0, 9, 3]], [[2, 0, 2], [1, -1, 1]], [], [1, 1.5, 2.5], id="several modules"),
+        pytest.param([[2, 5]], [[3, 0]], [], [5, 0, 0, 2, 0], id="places that no neuron learnt"),
+        pytest.param([[9, 0, 9]], [[-1, 0, -1]], [], [0, 0], id="neurons that speak for no place"),
+        pytest.param([[6, 3, 1]], [[0, 0, 1]], [0], [1.5, 1], id="one silenced: the mean is over it too"),
+        pytest.param([[6, 3, 1]], [[0, 0, 1]], [0, 1], [0, 1], id="all of a place silenced"),
+        pytest.param([[120] * 600], [[0] * 600], [], [120], id="small whole numbers do not overflow"),
+    ],
+)
+def test_a_place_scores_the_mean_spikes_of_its_neurons(
+    responses: list[list[int]], spoken_for: list[list[int]], silenced: list[int], expected: list[float]
+) -> None:
+    mute = np.isin(np.arange(np.size(spoken_for)), silenced).reshape(np.shape(spoken_for))
+    given = np.array([responses], np.uint8)
+    scores = scoring.standard(given, np.array(spoken_for), mute, len(expected))
+    assert scores.tolist() == [expected]
     assert scores.dtype == np.float32
-
-
-def test_a_place_no_neuron_learnt_scores_zero() -> None:
-    spoken_for = np.array([[3, 0]])
-    assert scoring.standard(np.array([[[2, 5]]]), spoken_for, nobody(spoken_for), 5).tolist() == [[5, 0, 0, 2, 0]]
-
-
-def test_neurons_that_speak_for_no_place_are_not_heard() -> None:
-    spoken_for = np.array([[-1, 0, -1]])
-    assert scoring.standard(np.array([[[9, 0, 9]]]), spoken_for, nobody(spoken_for), 2).tolist() == [[0, 0]]
-
-
-def test_a_silenced_neuron_is_not_heard_but_the_mean_is_over_it_too() -> None:
-    spoken_for = np.array([[0, 0, 1]])
-    silenced = np.array([[True, False, False]])
-    assert scoring.standard(np.array([[[6, 3, 1]]]), spoken_for, silenced, 2).tolist() == [[1.5, 1]]
-
-
-def test_a_place_all_of_whose_neurons_are_silenced_scores_zero() -> None:
-    spoken_for = np.array([[0, 0, 1]])
-    silenced = np.array([[True, True, False]])
-    assert scoring.standard(np.array([[[6, 3, 1]]]), spoken_for, silenced, 2).tolist() == [[0, 1]]
+    assert standard_one_by_one(given, np.array(spoken_for), mute, len(expected)).tolist() == [expected]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -148,7 +187,7 @@ def test_a_weighted_score_by_hand() -> None:
     # Of 200 places a neuron counts as involved in many from 4 on. Neuron 0: 30 of its 40 spikes were for place 0, 10
     # for place 1. Neuron 1: 20 for place 0 alone. Neuron 2: four places, of which place 3 drew no more than a tenth.
     sums = np.array([[[30, 10, 0, 0], [20, 0, 0, 0], [20, 20, 50, 10]]], np.float32)
-    learnt = Learnt(sums, np.full((1, 4), 10), np.array([[0, 1, 2, 3]]))
+    learnt = Responses(sums, np.full((1, 4), 10), np.array([[0, 1, 2, 3]]))
     scores = scoring.weighted(np.array([[[4, 0, 2]]]), learnt, nobody(learnt), 200)
     place_0 = (4 * 30 / 40 + 2 / 4 * 20 / 100) * (30 + 20) / (30 + 20 + 20)
     place_1 = (4 * 10 / 40 + 2 / 4 * 20 / 100) * 1
@@ -159,37 +198,16 @@ def test_a_weighted_score_by_hand() -> None:
 
 def test_a_tenth_of_the_spikes_is_not_enough_to_speak_for_a_place_and_a_little_more_is() -> None:
     sums = np.array([[[9, 1], [0, 0]], [[17, 2], [0, 0]]], np.float32)  # 1 of 10, 2 of 19
-    learnt = Learnt(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
+    learnt = Responses(sums, np.full((2, 2), 10), np.array([[0, 1], [2, 3]]))
     scores = scoring.weighted(np.array([[[1, 0], [1, 0]]]), learnt, nobody(learnt), 1000)
     assert scores[0, :4] == pytest.approx([9 / 10, 0, 17 / 19, 2 / 19], rel=1e-6)
 
 
 @pytest.mark.parametrize(("n_places", "expected"), [(150, 1 / 3), (151, 1.0)])
 def test_spikes_are_divided_from_a_fiftieth_of_the_places_on(n_places: int, expected: float) -> None:
-    learnt = Learnt(np.array([[[90, 5, 5]]], np.float32), np.full((1, 3), 10), np.array([[7, 8, 9]]))
+    learnt = Responses(np.array([[[90, 5, 5]]], np.float32), np.full((1, 3), 10), np.array([[7, 8, 9]]))
     score = scoring.weighted(np.array([[[1]]]), learnt, nobody(learnt), n_places)[0, 7]
     assert score == pytest.approx(expected * 0.9, rel=1e-6)
-
-
-def test_a_place_scores_less_where_neurons_that_learnt_it_keep_silent() -> None:
-    sums = np.array([[[10, 0], [30, 0], [0, 10]]], np.float32)
-    learnt = Learnt(sums, np.full((1, 2), 10), np.array([[0, 1]]))
-    scores = scoring.weighted(np.array([[[3, 0, 3]], [[0, 3, 3]]]), learnt, nobody(learnt), 1000)
-    assert scores[:, :2] == pytest.approx(np.array([[3 / 4, 3], [9 / 4, 3]]), rel=1e-6)
-
-
-def test_a_silenced_neuron_counts_in_the_weighted_score_as_one_that_keeps_silent() -> None:
-    learnt = network(5)
-    responses, silenced = drawn_responses(5, 6, learnt), drawn_mask(5, learnt, 0.5)
-    silent = np.where(silenced, 0, responses)
-    assert not np.array_equal(silent, responses)
-    found = scoring.weighted(responses, learnt, silenced, 23)
-    assert np.allclose(found, scoring.weighted(silent, learnt, nobody(learnt), 23), rtol=1e-6)
-
-
-def test_a_place_that_drew_no_spikes_has_a_weighted_score_of_zero() -> None:
-    learnt = Learnt(np.array([[[4, 0], [0, 0]]], np.float32), np.full((1, 2), 10), np.array([[1, 0]]))
-    assert scoring.weighted(np.array([[[2, 6]]]), learnt, nobody(learnt), 1000)[0, :2].tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("n_places", [23, 180])  # neurons of one place are divided, or those of four alone
@@ -229,62 +247,34 @@ def test_no_query_has_no_scores() -> None:
     assert scoring.no_match(np.empty((0, 23), np.float32), none).shape == (0, 23)
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32])
-def test_small_whole_numbers_do_not_overflow(kind: type[np.integer]) -> None:
-    spoken_for = np.zeros((1, 600), np.int64)
-    scores = scoring.standard(np.full((1, 1, 600), 120, kind), spoken_for, nobody(spoken_for), 1)
-    assert scores.tolist() == [[120]]
+# --- normalisation and silent queries ---------------------------------------------------------------------------
 
 
-# --- several networks -------------------------------------------------------------------------------------------
-
-
-def test_scores_of_networks_that_shuffled_their_places_differently_add_up_place_by_place() -> None:
-    n_places = 40
-    total = np.zeros((n_places, n_places), np.float32)
-    for seed in (0, 10):
-        places = np.stack(modules(n_places, 10, "shuffled", seed, 5))
-        learnt = Learnt(np.tile(np.eye(10, dtype=np.float32), (4, 1, 1)), np.ones((4, 10), np.int64), places)
-        responses = np.zeros((n_places, 4, 10), np.int64)
-        for module, neuron in np.ndindex(4, 10):
-            responses[places[module, neuron], module, neuron] = 3  # the neuron that learnt the place that is shown
-        total += scoring.standard(responses, labels(learnt), nobody(learnt), n_places)
-    assert np.array_equal(total, 6 * np.eye(n_places))
-
-
-# --- normalisation ----------------------------------------------------------------------------------------------
-
-
-def test_a_query_is_normalised_from_its_lowest_score_to_its_highest_and_then_to_a_sum_of_one() -> None:
-    scores = np.array([[2, 5, 3, 2], [0, 0, 0, 8]], np.float32)
-    # (s - min) / (max - min): 0, 1, 1/3, 0, whose sum is 4/3
-    assert scoring.normalised(scores) == pytest.approx(np.array([[0, 3 / 4, 1 / 4, 0], [0, 0, 0, 1]]), rel=1e-6)
-
-
-def test_normalisation_leaves_the_order_of_places_and_its_input_as_they_are() -> None:
-    scores = np.random.default_rng(0).random((5, 30)).astype(np.float32)
+def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one() -> None:
+    scores = np.array([[2, 5, 3, 2], [0, 0, 0, 8], [0, 0, 0, 0], [-np.inf] * 4], np.float32)
     before = scores.copy()
-    result = scoring.normalised(scores)
-    assert np.array_equal(result.argsort(1), scores.argsort(1))
-    assert result.sum(1) == pytest.approx(np.ones(5), rel=1e-5)
+    # (s - min) / (max - min): 0, 1, 1/3, 0, whose sum is 4/3; where all are equal they stay
+    expected = np.array([[0, 3 / 4, 1 / 4, 0], [0, 0, 0, 1], [0, 0, 0, 0], [-np.inf] * 4])
+    assert scoring.normalised(scores) == pytest.approx(expected, rel=1e-6)
     assert np.array_equal(scores, before)
 
 
-def test_a_query_that_tells_no_places_apart_is_not_normalised() -> None:
-    scores = np.array([[0, 0], [-np.inf, -np.inf], [0, 4]], np.float32)
-    assert scoring.normalised(scores).tolist() == [[0, 0], [-np.inf, -np.inf], [0, 1]]
-
-
-# --- silent queries ---------------------------------------------------------------------------------------------
-
-
-def test_a_query_to_which_nobody_responds_matches_no_place_and_the_others_keep_their_scores() -> None:
-    responses = np.array([[[0, 0], [0, 0]], [[0, 0], [2, 0]]])
-    spoken_for = np.array([[0, 1], [2, 2]])
-    scores = scoring.standard(responses, spoken_for, nobody(spoken_for), 3)
-    given = scoring.no_match(scores, responses)
-    assert given.tolist() == [[-np.inf] * 3, [0, 0, 1]]
-    assert given.dtype == np.float32
+@pytest.mark.parametrize(
+    ("silenced", "expected"),
+    [
+        ([], [[-np.inf] * 2, [5, 0], [5, 1]]),
+        ([0], [[-np.inf] * 2, [-np.inf] * 2, [0, 1]]),
+        ([0, 1], [[-np.inf] * 2] * 3),
+    ],
+)
+def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place(
+    silenced: list[int], expected: list[list[float]]
+) -> None:
+    responses, mute = np.array([[[0, 0]], [[5, 0]], [[5, 1]]]), np.isin([[0, 1]], silenced)
+    scores = scoring.standard(responses, np.array([[0, 1]]), mute, 2)
+    found = scoring.no_match(scores, responses[:, ~mute])
+    assert found.tolist() == expected
+    assert found.dtype == np.float32
 
 
 def test_a_silent_query_is_judged_a_miss_even_where_the_right_place_is_the_first() -> None:
@@ -302,67 +292,32 @@ def test_a_silent_query_is_judged_a_miss_even_where_the_right_place_is_the_first
     assert average_precision(curve) == pytest.approx(1 / 3)
 
 
-def test_a_query_to_which_only_silenced_neurons_respond_matches_no_place() -> None:
-    responses = np.array([[[5, 0]], [[5, 1]]])
-    silenced = np.array([[True, False]])
-    scores = scoring.standard(responses, np.array([[0, 1]]), silenced, 2)
-    assert scoring.no_match(scores, responses[:, ~silenced]).tolist() == [[-np.inf, -np.inf], [0, 1]]
-
-
-def test_where_every_neuron_is_silenced_no_query_matches_a_place() -> None:
-    responses = np.ones((2, 1, 3), np.int64)
-    silenced = np.ones((1, 3), np.bool_)
-    scores = scoring.standard(responses, np.array([[0, 1, 1]]), silenced, 2)
-    assert np.isneginf(scoring.no_match(scores, responses[:, ~silenced])).all()
-
-
 # --- the threshold by held-out places ---------------------------------------------------------------------------
 
-
-def given(by_threshold: dict[int, list[list[float]]]) -> Callable[[int], Scores]:
-    return lambda threshold: np.array(by_threshold[threshold], np.float32)
+SILENT = [-np.inf, -np.inf]
 
 
-def test_the_threshold_with_the_highest_recall_at_one_is_chosen_and_all_recalls_are_told() -> None:
-    scores = given(
-        {
-            0: [[0, 1, 0], [1, 0, 0], [1, 0, 0]],
-            5: [[1, 0, 0], [0, 1, 0], [1, 0, 0]],
-            10: [[1, 0, 0], [0, 0, 1], [1, 0, 0]],
-        }
-    )
-    best, recalls = scoring.best_threshold(scores, np.array([0, 1, 2]), (0, 5, 10))
-    assert best == 5
-    assert recalls == pytest.approx({0: 0, 5: 2 / 3, 10: 1 / 3})
+@pytest.mark.parametrize(
+    ("reactions", "threshold", "expected"),
+    [([[0, 19, 20], [21, 5, 40]], 20, [[0, 0, 1], [1, 0, 1]]), ([[0, 7, 3000]], 0, [[0, 0, 0]])],
+)
+def test_a_neuron_is_hyperactive_from_the_threshold_on_and_none_for_a_threshold_of_0(
+    reactions: list[list[int]], threshold: int, expected: list[list[int]]
+) -> None:
+    assert scoring.hyperactive(np.array(reactions), threshold).astype(int).tolist() == expected
 
 
-@pytest.mark.parametrize("candidates", [(0, 5, 10), (10, 5, 0)])
-def test_of_equal_thresholds_it_is_the_first_candidate(candidates: tuple[int, ...]) -> None:
-    scores = given({0: [[1, 0]], 5: [[1, 0]], 10: [[1, 0]]})
-    assert scoring.best_threshold(scores, np.array([0]), candidates)[0] == candidates[0]
-
-
-def test_a_tie_for_the_best_place_counts_as_wrong_in_the_choice() -> None:
-    scores = given({0: [[3, 3, 0], [0, 3, 3]], 20: [[2, 1, 0], [3, 0, 0]]})
-    assert scoring.best_threshold(scores, np.array([0, 1]), (0, 20)) == (20, {0: 0, 20: 0.5})
-
-
-def test_a_silent_query_counts_as_wrong_in_the_choice() -> None:
-    silent = [-np.inf, -np.inf]
-    scores = given({0: [[1, 0], [0, 1], [0, 1]], 5: [silent, [1, 0], silent]})
-    assert scoring.best_threshold(scores, np.array([0, 0, 0]), (0, 5)) == (0, {0: 1 / 3, 5: 1 / 3})
-
-
-def test_silencing_a_neuron_that_fires_for_everything_is_found_to_help() -> None:
-    # Neuron 0 learnt place 0 and fires most, whatever is shown; the others fire for their places.
-    spoken_for = np.array([[0, 1], [0, 2]])
-    responses = np.array([[[9, 0], [1, 0]], [[9, 4], [0, 0]], [[9, 0], [0, 4]]])
-    reactions = np.array([[30, 6], [6, 5]])
-
-    def scores(threshold: int) -> Scores:
-        silenced = scoring.hyperactive(reactions, threshold)
-        return scoring.no_match(scoring.standard(responses, spoken_for, silenced, 3), responses[:, ~silenced])
-
-    best, recalls = scoring.best_threshold(scores, np.array([0, 1, 2]), (0, 5, 10, 40))
-    assert best == 10
-    assert recalls == pytest.approx({0: 1 / 3, 5: 0, 10: 1, 40: 1 / 3})
+@pytest.mark.parametrize(
+    ("scores", "right", "best"),
+    [
+        pytest.param({0: [[0, 1], [1, 0]], 5: [[1, 0], [0, 1]], 10: [[1, 0], [1, 0]]}, [0, 1], 5, id="highest recall"),
+        pytest.param({10: [[1, 0]], 0: [[1, 0]], 5: [[1, 0]]}, [0], 10, id="of equals the first"),
+        pytest.param({0: [[3, 3, 0], [0, 3, 3]], 20: [[2, 1, 0], [3, 0, 0]]}, [0, 1], 20, id="a tie is wrong"),
+        pytest.param({0: [SILENT, [1, 0], SILENT], 5: [[1, 0], [1, 0], SILENT]}, [0, 0, 0], 5, id="silence is wrong"),
+    ],
+)
+def test_the_threshold_with_the_highest_recall_at_one_is_chosen(
+    scores: dict[int, list[list[float]]], right: list[int], best: int
+) -> None:
+    found = scoring.best_threshold(lambda t: np.array(scores[t], np.float32), np.array(right), [*scores])
+    assert found == best

@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import torch
 
@@ -16,17 +17,31 @@ Result = TypeVar("Result")
 Tell = Callable[[float], None]  # the share of one module that is done, 0 to 1
 
 
+@dataclass(frozen=True)
+class Stage:
+    """A stretch of the progress called `name`, from share `begin` to share `end`; None: nobody is told."""
+
+    name: str | None = None
+    begin: float = 0.0
+    end: float = 1.0
+
+    def report(self, share: float) -> None:
+        """Tell that a share of the stretch is done, 0 to 1."""
+        if self.name is not None:
+            progress.report(self.name, self.begin + (self.end - self.begin) * share)
+
+    def part(self, begin: float, end: float) -> Self:
+        """Return the stretch from one share of this one to another."""
+        span = self.end - self.begin
+        return replace(self, begin=self.begin + span * begin, end=self.begin + span * end)
+
+
 class _InterruptedError(Exception):
     """Another module failed, or somebody pressed Ctrl-C."""
 
 
-def for_each_module(
-    work: Callable[[int, Tell], Result],
-    n_modules: int,
-    stage: str | None,
-    within: tuple[float, float] = (0.0, 1.0),
-) -> list[Result]:
-    """Return what `work` gives for each module, in order; `stage` names the progress, of which it is a part `within`.
+def for_each_module(work: Callable[[int, Tell], Result], n_modules: int, stage: Stage) -> list[Result]:
+    """Return what `work` gives for each module, in order.
 
     Raises what the first module to fail raises; the others end when they next tell their share.
     """
@@ -46,9 +61,8 @@ def for_each_module(
         shares[module] = 1.0
         return result
 
-    if stage is not None:
-        progress.report(stage, within[0])
-    if threads == 1 and stage is None:
+    stage.report(0.0)
+    if threads == 1 and stage.name is None:
         return [one(module) for module in range(n_modules)]
     with ThreadPoolExecutor(threads) as pool:
         futures = [pool.submit(one, module) for module in range(n_modules)]
@@ -58,8 +72,7 @@ def for_each_module(
                 done, left = wait(left, _LOOK_SECONDS, FIRST_COMPLETED)
                 for future in done:
                     future.result()
-                if stage is not None:
-                    progress.report(stage, within[0] + (within[1] - within[0]) * sum(shares) / n_modules)
+                stage.report(sum(shares) / n_modules)
         except BaseException:
             stopped.set()
             pool.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""How VPRSNN is asked: its answers against a direct simulation, its scores and its spikes."""
+"""How VPRSNN answers queries: against a direct simulation, its scores and its spikes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import direct_vprsnn as direct
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, recorded_trains, tiny_recipe
-from vprsnn_constants import constants
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, recorded_trains
 
-from vprbench.errors import BadInput
-from vprbench.methods.vprsnn import asking, scoring
+from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.method import VPRSNN
-from vprbench.methods.vprsnn.scoring import Learnt
+from vprbench.methods.vprsnn.model import Model
+from vprbench.methods.vprsnn.scoring import Responses
 
 QUERIES = images(WORLD.queries)
 
@@ -34,11 +33,11 @@ def asked_directly(
     method: VPRSNN, trains: list[npt.NDArray[np.bool_]], carried: bool
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the spikes of excitatory and inhibitory neurons, (n_images, n_neurons), of a method of one module."""
-    state, values = method.state(), constants(presentation_ms=120.0, rest_ms=30.0)
-    delays = tiny_recipe(n_inputs=trains[0].shape[1], n_neurons=method.n_excitatory).delays(0, new=True)
+    state, model = method.state(), Model.of(method)
+    delays = model.delays(0, new=True)
     excitatory, inhibitory = [], []
     for shown in [trains] if carried else [[train] for train in trains]:
-        run = direct.simulate(state["weights"][0], delays, state["theta"][0], shown, values, learning=False)
+        run = direct.simulate(state["weights"][0], delays, state["theta"][0], shown, model, learning=False)
         excitatory.append(run.counts)
         so_far = np.cumsum(run.inhibitory, axis=0)[[1200 + 1500 * number - 1 for number in range(len(shown))]]
         inhibitory.append(np.diff(so_far, axis=0, prepend=0))  # as they are counted: from image's end to image's end
@@ -48,7 +47,7 @@ def asked_directly(
 @pytest.fixture
 def trains(monkeypatch: pytest.MonkeyPatch) -> list[npt.NDArray[np.bool_]]:
     """A list to which every train that is drawn at a query is added, (n_steps, n_inputs)."""
-    return recorded_trains(monkeypatch, asking)
+    return recorded_trains(monkeypatch)
 
 
 @pytest.mark.parametrize("carried", [False, True], ids=["each from rest", "carried"])
@@ -56,6 +55,7 @@ def test_the_answers_are_those_of_the_direct_simulation(trains: list[npt.NDArray
     # The first silence is so long that nothing is left of the start.
     method = fitted(carried_potentials=carried, **{**SHORT, "first_rest_ms": 5000.0})
     codes = method.encode(QUERIES)[:4]
+    trains.clear()  # of the training
     found = layers(method, codes)
     excitatory, inhibitory = asked_directly(method, trains[:4], carried)
     assert excitatory.sum() > 20
@@ -67,7 +67,7 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() 
     v = -105.0
     for _ in range(5000):  # steps of 0.1 ms
         v += (-65 - v) * 0.1 / 100
-    state, now = tiny_recipe().started(np.array([20.0, 21.0]))
+    state, now = Model(height=1, width=3).started(np.array([20.0, 21.0]))
     assert now == 5000
     assert state.v[:2] == pytest.approx(v)
     assert state.theta[:2].tolist() == [20, 21]
@@ -116,11 +116,6 @@ def test_the_batched_engine_gives_what_the_compiled_one_gives() -> None:
     assert np.array_equal(compiled.match(codes), batched.match(codes))
 
 
-def test_the_compiled_engine_is_refused_for_other_devices() -> None:
-    with pytest.raises(BadInput, match=r"method\.engine=compiled .* device=cpu, not cuda"):
-        fitted(engine="compiled", device="cuda")
-
-
 # --- scores and spikes ------------------------------------------------------------------------------------------
 
 
@@ -142,7 +137,7 @@ def test_weighted_scores_are_those_of_the_same_spikes(trained: VPRSNN) -> None:
     weighted = VPRSNN(**SMALL, assignment="weighted").restore(state)
     codes = trained.encode(QUERIES)
     spikes = layers(trained, codes)["excitatory"].reshape(len(codes), 2, -1)
-    learnt = Learnt(state["sums"], state["shown"], state["places"])
+    learnt = Responses(state["sums"], state["shown"], state["places"])
     expected = scoring.weighted(spikes, learnt, np.zeros(spikes.shape[1:], np.bool_), 10)
     assert np.array_equal(weighted.match(codes), expected)
     assert not np.allclose(expected, trained.match(codes))
@@ -166,15 +161,6 @@ def test_the_input_spikes_at_a_query_are_those_of_its_trains(
     assert layers(trained, codes)["input"].tolist() == expected
 
 
-def test_the_input_spikes_at_a_quarter_of_the_level_in_hertz() -> None:
-    method = VPRSNN(height=40, width=50, n_excitatory=1).restore(made([[0]], [0], 2000))
-    levels = np.repeat(np.array([[0], [100], [255]], np.uint8), 2000, axis=1)
-    counts = layers(method, levels)["input"]
-    assert not counts[0].any()
-    assert counts[1].mean() == pytest.approx(25 * 0.35, rel=0.04)
-    assert counts[2].mean() == pytest.approx(63.75 * 0.35, rel=0.03)
-
-
 def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
     # Both modules have the weights of the first: they differ in their delays alone, and so but a little.
     state = {name: np.array(array) for name, array in trained.state().items()}
@@ -186,17 +172,9 @@ def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
     assert np.array_equal(first, second)
 
 
-def test_the_layers_have_the_neurons_of_all_modules(trained: VPRSNN) -> None:
-    found = layers(trained, trained.encode(QUERIES))
-    assert {name: values.shape[1] for name, values in found.items()} == {
-        "input": 144,
-        "excitatory": 48,
-        "inhibitory": 48,
-    }
-
-
 def test_every_spike_makes_the_partner_fire_unless_the_image_ends_first(trained: VPRSNN) -> None:
     found = layers(trained, trained.encode(QUERIES))
+    assert {name: values.shape[1] for name, values in found.items()} == dict(zip(found, (144, 48, 48), strict=True))
     missing = found["excitatory"] - found["inhibitory"]
     assert set(np.unique(missing).tolist()) <= {0, 1}
     assert missing.sum() < 0.05 * found["excitatory"].sum()

@@ -1,0 +1,70 @@
+"""What trained modules answer: all of them see the same image, and nothing is learnt."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import batched
+from .arrays import Scratch, State
+from .module import show
+from .network import ReadyNetwork
+from .parallel import Stage, Tell, for_each_module
+
+_TOGETHER = 256  # images whose reactions are counted together: bounds the memory
+Levels = npt.NDArray[np.uint8]  # (n_images, n_inputs)
+
+
+class Answers(NamedTuple):
+    """How often each neuron fired."""
+
+    excitatory: npt.NDArray[np.int32]  # (n_images, n_modules, n_neurons)
+    inhibitory: npt.NDArray[np.int32]
+
+
+def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
+    """Return the answers to images.
+
+    Each image finds the neurons at rest. With carried potentials it finds them as the image before left them, as
+    VPRSNN's authors have it: after 150 ms of silence, potentials still have 22 % of their deviation.
+    """
+    model = ready.model
+    trains, carried = model.query_spikes(levels), model.carried_potentials
+    if (device := model.torch_device) is not None:
+        return Answers(*batched.ask(ready, trains, device, stage.report))
+    shape = (len(trains), len(ready.synapses), model.n_excitatory)
+    answers = Answers(np.empty(shape, np.int32), np.empty(shape, np.int32))
+    free: list[Scratch] = []  # that no thread works in
+
+    def one(number: int, tell: Tell) -> None:
+        try:
+            scratch = free.pop()
+        except IndexError:
+            scratch = model.scratch(learning=False)
+        theta = ready.network.theta[number]
+        module = model.module(ready.synapses[number], model.started(theta), scratch, learning=False)
+        for image, train in enumerate(trains):
+            if not carried:
+                module.state, module.now = State.at_rest(model.physics, theta, model.n_inputs), 0
+            show(module, train, resting=carried)
+            answers.excitatory[image, number] = module.state.counts[: model.n_excitatory]
+            answers.inhibitory[image, number] = module.state.counts_i[: model.n_excitatory]
+            tell((image + 1) / len(trains))
+        free.append(scratch)
+
+    for_each_module(one, len(ready.synapses), stage)
+    return answers
+
+
+def reactions(ready: ReadyNetwork, levels: Levels, stage: Stage) -> npt.NDArray[np.int64]:
+    """Return for how many images each neuron fires, (n_modules, n_neurons)."""
+    fired = np.zeros(ready.labels.shape, np.int64)
+    n_images = len(levels)
+    together = n_images if ready.model.carried_potentials else _TOGETHER
+    for first in range(0, n_images, together):
+        block = levels[first : first + together]
+        part = stage.part(first / n_images, (first + len(block)) / n_images)
+        fired += np.count_nonzero(ask(ready, block, part).excitatory, axis=0)
+    return fired
