@@ -13,6 +13,9 @@ import yaml
 
 from vprbench.errors import BadInput
 
+PAPER = "VPRTempo (ICRA 2024), Table II"
+PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
+
 Quantity = str  # the name of a quantity of the table
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.metrics.growth import exponent
-from vprbench.paper.plan import published
-from vprbench.paper.table.reasons import PAPER, PAPER_CPU
+from vprbench.paper.plan import PAPER, PAPER_CPU, published
 from vprbench.run.document import document
 from vprbench.run.machine import machine_lines
 from vprbench.speed.cells import AskingCell, ModuleCell, Report, ScalingCell

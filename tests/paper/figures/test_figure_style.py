@@ -14,8 +14,8 @@ from PIL import Image
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.measured_on import listed
 from vprbench.paper.figures.style import DOUBLE_MM, SINGLE_MM, Drawn, Look, looks, new, pdf, png, styled, write
+from vprbench.paper.templates import listed
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
 OTHERS = [f"method {i}" for i in range(10)]

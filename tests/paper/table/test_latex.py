@@ -13,7 +13,7 @@ import pytest
 from made_table import OTHER, found, row, small, table, told
 
 from vprbench.paper.table.cells import Column
-from vprbench.paper.table.markdown import latex
+from vprbench.paper.table.formats import latex
 
 LINE = r"(?<!\\)&"
 

@@ -17,8 +17,8 @@ from vprbench.paper.missing_runs import fill, results_folder
 from vprbench.paper.plan import Quantity, Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
 from vprbench.paper.shelf import Compose
+from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
-from vprbench.paper.table.markdown import shown_as_it_is
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 from vprbench.run.thumbnails import Thumbnails, find

@@ -12,11 +12,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
-from vprbench.paper.figures.same_data import one_dataset
+from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.run.record import Run
+from vprbench.text import plural
 
 _HEIGHT_MM = 62.0
 _GROUP = 0.8  # of the distance of two layers, filled by the rows
@@ -38,7 +38,7 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     rows = [Series(row.name, row.spiking, runs) for row in series if (runs := _with_spikes(row))]
     if not rows:
         raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
-    run = one_dataset(rows, "spikes")
+    one_dataset(rows, "spikes")
     names = list(dict.fromkeys(layer["name"] for row in rows for each in row.runs for layer in _layers(each)))
     figure, axes = new(DOUBLE_MM, _HEIGHT_MM, columns=len(names) + 1)
     room = _GROUP / len(rows)
@@ -58,18 +58,7 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     for panel in axes:
         panel.grid(True, axis="y")
     _legend(figure, rows, styles)
-    low, high = _WHISKERS
-    return Drawn(
-        figure,
-        caption(
-            f"Spikes of {listed(row.name for row in rows)}, each layer on its own axis: a box runs from quartile to "
-            f"quartile of the queries, with the median, its whiskers from the {low}th to the {high}th percentile.",
-            "Last panel: share of a layer's neurons that spike for at least one of the sampled queries.",
-            dataset_sentence([run]),
-            f"Sampled: {'; '.join(_sample(row) for row in rows)}.",
-            seed_sentence(rows, "boxes hold the queries of all seeds, bars are the mean, dots the seeds"),
-        ),
-    )
+    return Drawn(figure, caption("spike_statistics", rows, rows=[_sample(row) for row in rows], whiskers=_WHISKERS))
 
 
 def _with_spikes(row: Series) -> tuple[Run, ...]:
@@ -115,14 +104,13 @@ def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
 def _title(name: str, rows: Sequence[Series]) -> str:
     """Return a layer's name, with its number of neurons where all rows have as many."""
     neurons = {layer["neurons"] for row in rows for run in row.runs for layer in _layers(run) if layer["name"] == name}
-    return f"{name}, {counted(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
+    return f"{name}, {plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
 
 
-def _sample(row: Series) -> str:
-    """Return how many queries of a row were sampled and how many neurons its layers have."""
-    queries = listed(f"{run.spikes['queries']:,}" for run in row.runs if run.spikes)
-    sizes = listed(f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0]))
-    return f"{row.name} {queries} queries of a seed (neurons: {sizes})"
+def _sample(row: Series) -> tuple[str, list[str], list[str]]:
+    """Return a row's name, how many queries of each seed were sampled and how many neurons its layers have."""
+    queries = [f"{run.spikes['queries']:,}" for run in row.runs if run.spikes]
+    return row.name, queries, [f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0])]
 
 
 def _legend(figure: Figure, rows: Sequence[Series], styles: Mapping[str, Look]) -> None:

@@ -22,16 +22,6 @@ CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a colum
 RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
 
-NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
-RULES = (
-    "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
-    f"{CHANCE} / number of other rows, and the interval of the difference at that level, which allows for neighbouring "
-    "queries being alike, lies above 0.",
-    f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
-    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary, and "
-    "never where an audit found a rate wanting.",
-)
-
 Stage = Boundary | None  # None: encode and match together
 
 

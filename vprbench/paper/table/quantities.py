@@ -22,7 +22,7 @@ from vprbench.paper.table.best import (
     mean_recall,
     rate,
 )
-from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, short
+from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, reason, short
 from vprbench.run.note import DISTURBED, FAILED_AUDITS, NoteKind
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
@@ -122,8 +122,7 @@ class Recall(Quantity):
         recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
-            between = f"{low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
-            yield Reason("ties", f"scores tie: R@1 is {between}")
+            yield reason("ties", low, high)
         yield from super().remarks(row, runs)
 
     def text(self, value: float) -> str:
@@ -191,7 +190,7 @@ class Training(Quantity):
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
         """Yield what kind of training it is."""
         if row.training == "map":
-            yield Reason("map", "the time to build the map from the references")
+            yield reason("map")
         yield from _told(runs, ["resumed"])
 
 
@@ -224,7 +223,7 @@ class Rate(Quantity):
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
         """Yield that it covers both steps if the paper has no such row, and the notes."""
         if row.boundary is None:
-            yield Reason("both steps", "encode and match together: the paper has no such row")
+            yield reason("both steps")
         yield from super().remarks(row, runs)
 
 
