@@ -111,7 +111,7 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
-    name. Raises BadInput that names both owners where a name is taken.
+    name. Raises BadInput that names both owners if a name is taken.
     """
     rows, columns = dict(plan.more_rows), dict(plan.columns)
     ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]

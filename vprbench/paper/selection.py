@@ -164,7 +164,7 @@ def options_apart(group: Group) -> tuple[str, ...]:
 
 
 def title(group: Group, among: Sequence[Group]) -> str:
-    """Return the title of a group's column; of several, with its protocol where it differs, or else its images."""
+    """Return the title of a group's column; of several, with its protocol if that differs, or else its images."""
     planned = group.asked.planned
     versions = [other for other in among if other.asked.planned.name == planned.name and other.runs]
     if len(versions) < 2:

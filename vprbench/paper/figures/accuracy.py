@@ -40,7 +40,7 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
 
     The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
     block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
-    them does. Raises BadInput for no rows, for rows on different data and where no query has a right place.
+    them does. Raises BadInput for no rows, for rows on different data and if no query has a right place.
     """
     _answerable(series, "precision and recall")
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
@@ -69,7 +69,7 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
     The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput for no rows,
-    for rows on different data and where no query has a right place.
+    for rows on different data and if no query has a right place.
     """
     run = _answerable(series, "recall at N")
     numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
@@ -106,7 +106,7 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
 
 
 def _answerable(series: Sequence[Series], figure: str) -> Run:
-    """Return a run that stands for the data of all rows; raises BadInput where no query has a right place."""
+    """Return a run that stands for the data of all rows; raises BadInput if no query has a right place."""
     run = one_dataset(series, figure)
     if not run.outcome.answerable.any():
         raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")

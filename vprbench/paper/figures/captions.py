@@ -35,7 +35,7 @@ def caption(figure: str, series: Sequence[Series | GrowthSamples], **values: Any
 
 
 def one_dataset(series: Sequence[Series], figure: str) -> Run:
-    """Return a run that stands for the data of all; raises BadInput where there is none or they saw different data."""
+    """Return a run that stands for the data of all; raises BadInput if there is none or they saw different data."""
     runs = [run for one in series for run in one.runs]
     if not runs:
         raise BadInput(f"the figure of {figure} has no stored runs to draw: run a method first")

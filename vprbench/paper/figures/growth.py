@@ -25,7 +25,7 @@ _LARGE, _SMALL = 4.0, 2.4  # markers, in points: of what the laws are fitted to,
 
 @dataclass(frozen=True)
 class _Fitted:
-    """The samples of a row with the laws fitted to them; None where they are too few to tell laws apart."""
+    """The samples of a row with the laws fitted to them; None if they are too few to tell laws apart."""
 
     samples: GrowthSamples
     stage: str  # what a query covers
@@ -38,7 +38,7 @@ class _Fitted:
 def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     """Draw training time (left) and the time of a query (right) against the number of places, with fitted laws.
 
-    One row shows all laws, several rows the best law of each. Raises BadInput where there is no row.
+    One row shows all laws, several rows the best law of each. Raises BadInput if there is no row.
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
@@ -75,7 +75,7 @@ def _fitted(row: GrowthSamples) -> _Fitted:
 
 
 def _compared(samples: Sequence[Sample]) -> Comparison | None:
-    """Compare the laws; None where the samples are too few to tell them apart."""
+    """Compare the laws; None if the samples are too few to tell them apart."""
     try:
         return compare([sample.n_places for sample in samples], [sample.seconds for sample in samples])
     except BadInput:

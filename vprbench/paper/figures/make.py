@@ -116,7 +116,7 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
-    """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
+    """Return the samples of each row of the growth that has runs; raises BadInput if none has."""
     chosen = []
     for row in _growing(found):
         there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]

@@ -33,7 +33,7 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
     """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
 
     `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
-    64154e5). Raises BadInput where no example is kept.
+    64154e5). Raises BadInput if no example is kept.
     """
     examples = thumbnails.examples
     if not examples:
@@ -71,7 +71,7 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
 
     `name` is the row's, as in the table; without it the figure names the method. The scores of each query are
     stretched from its worst candidate, 0, to its best, 1. A large matrix is drawn as the maxima of blocks, so that no
-    right place vanishes. Raises BadInput where the run did not keep its scores.
+    right place vanishes. Raises BadInput if the run did not keep its scores.
     """
     if run.scores is None:
         raise BadInput(
@@ -109,7 +109,7 @@ def _ground_truth(positives: PlacesPerQuery, n_places: int) -> Scores:
 
 
 def _stretched(scores: Scores) -> Scores:
-    """Return scores from 0 to 1 within each query; 0 where a place is no candidate and where all are alike."""
+    """Return scores from 0 to 1 within each query; 0 if a place is no candidate or all scores are alike."""
     candidate = scores > -np.inf
     best = scores.max(axis=1, keepdims=True)
     worst = np.where(candidate, scores, np.inf).min(axis=1, keepdims=True)

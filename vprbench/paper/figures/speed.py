@@ -57,7 +57,7 @@ def training_time(
     """Draw the minutes of training of each row, measured above published, a panel for each kind of device with runs.
 
     A bar is the time without waiting for images, a tick the wall time. `marks` are the words of the table's cells, by
-    row and quantity, which stand where there is no bar. Raises BadInput where nothing is stored.
+    row and quantity, which stand in the place of a missing bar. Raises BadInput if nothing is stored.
     """
     quantities: tuple[Quantity, Quantity] = ("train_cpu", "train_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)

@@ -32,7 +32,7 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
 
     A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
-    without stored spikes are left out; raises BadInput where none has any, and for rows on different data.
+    without stored spikes are left out; raises BadInput if none has any, and for rows on different data.
     """
     styles = looks([row.name for row in series])
     rows = [Series(row.name, row.spiking, runs) for row in series if (runs := _with_spikes(row))]
@@ -93,7 +93,7 @@ def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look:
 
 
 def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
-    """Choose the axis of a layer: logarithmic where rows differ by far, with room for queries without a spike."""
+    """Choose the axis of a layer: logarithmic if rows differ by far, with room for queries without a spike."""
     counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
     if counts.max() >= _WIDE * max(counts.min(), 1):
         axes.set_yscale("symlog", linthresh=1)
@@ -102,7 +102,7 @@ def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
 
 
 def _title(name: str, rows: Sequence[Series]) -> str:
-    """Return a layer's name, with its number of neurons where all rows have as many."""
+    """Return a layer's name, with its number of neurons if all rows have as many."""
     neurons = {layer["neurons"] for row in rows for run in row.runs for layer in _layers(run) if layer["name"] == name}
     return f"{name}, {plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
 

@@ -37,7 +37,7 @@ class _Point:
 def against_rate(series: Sequence[Series]) -> Drawn:
     """Draw R@1 against queries per second, encode and match together: up and right is better.
 
-    Raises BadInput for no rows, for rows on different data and where no query has a right place.
+    Raises BadInput for no rows, for rows on different data and if no query has a right place.
     """
     points = _points(series, "accuracy against query rate", lambda run: contests.rate(run, None))
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
@@ -47,9 +47,9 @@ def against_rate(series: Sequence[Series]) -> Drawn:
 
 @styled
 def against_memory(series: Sequence[Series]) -> Drawn:
-    """Draw R@1 against the peak memory, and against the bytes that a place of the map takes where runs hold them.
+    """Draw R@1 against the peak memory, and against the bytes that a place of the map takes if runs hold them.
 
-    Left and up is better. Raises BadInput for no rows, for rows on different data and where no query has a right place.
+    Left and up is better. Raises BadInput for no rows, for rows on different data and if no query has a right place.
     """
     peak = _points(series, "accuracy against memory", lambda run: run.peak_memory_bytes / _MB)
     kept = [one for one in series if all((run.search or {}).get("bytes_per_place") for run in one.runs)]

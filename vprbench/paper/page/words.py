@@ -46,7 +46,7 @@ def notes(measured: Iterable[tuple[str, Series]]) -> tuple[tuple[str, str], ...]
 
 
 def first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
-    """Say which of several reference images of a place is shown; empty where no place has several.
+    """Say which of several reference images of a place is shown; empty if no place has several.
 
     `names` are those of the reference images that are shown; where all lie in one folder it names the traverse.
     """
@@ -56,7 +56,7 @@ def first_references(runs: Sequence[Run], names: Iterable[str]) -> str:
 
 
 def run_name(series: Series, run: Run) -> str:
-    """Return the name of a run within its dataset: that of its row, and its seed where there are several."""
+    """Return the name of a run within its dataset: that of its row, and its seed if the row has several."""
     return f"{series.name}, seed {run.config['seed']}" if len(series.runs) > 1 else series.name
 
 

@@ -64,11 +64,11 @@ class Quantity:
         return runs
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return what the runs of a row gave; None where it is undefined."""
+        """Return what the runs of a row gave; None if it is undefined."""
         raise NotImplementedError
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
-        """Return the row that a test separates from all others; None where none does or there is no test."""
+        """Return the row that a test separates from all others; None if no row is, or if there is no test."""
         return None
 
     def contends(self, row: Row) -> bool:
@@ -103,7 +103,7 @@ class Recall(Quantity):
     """R@1, the expected value under ties, with its interval."""
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return R@1 of the runs with its interval; None where no query has a right place."""
+        """Return R@1 of the runs with its interval; None if no query has a right place."""
         if mean_recall(runs) is None:
             return None
         values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
@@ -138,7 +138,7 @@ class OfMetric(Recall):
     undefined: ClassVar[Reason] = Reason("undefined", "undefined for the answers of this row")
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return the metric in its unit; None where it is undefined for all runs."""
+        """Return the metric in its unit; None if it is undefined for all runs."""
         values = [self.metric.shown(value) for run in runs if (value := self.metric.of(run)) is not None]
         return Numbers(values, mean(values)) if values else None
 
