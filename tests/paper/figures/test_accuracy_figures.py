@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
-from vprbench.paper.figures.style import Drawn, pdf
+from vprbench.paper.figures.style import Drawn
 from vprbench.run.record import Run
 
 ALL = (precision_recall, recall_at_n, recall_at_tolerance)
@@ -219,8 +219,3 @@ def test_what_cannot_be_drawn_is_refused_with_a_reason(draw: Any) -> None:
 def test_runs_on_other_images_or_of_another_protocol_are_never_one_figure(draw: Any, other: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match="different data"):
         draw([series("SAD", little.a_run()), series("GCL", little.a_run(**other))])
-
-
-def test_the_same_runs_give_the_same_bytes() -> None:
-    rows = five_rows(n_places=50)
-    assert pdf(precision_recall(rows)) == pdf(precision_recall(rows))

@@ -11,7 +11,6 @@ from matplotlib.colors import to_hex
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.growth import growth
-from vprbench.paper.figures.style import png
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.plan import Row
 from vprbench.run.note import Note
@@ -142,7 +141,3 @@ def test_the_bar_of_a_query_is_the_interval_of_its_median() -> None:
 def test_no_row_is_an_error() -> None:
     with pytest.raises(BadInput, match="there is no growth to draw"):
         growth([])
-
-
-def test_the_same_samples_give_the_same_picture() -> None:
-    assert png(growth([grown(TEMPO)])) == png(growth([grown(TEMPO)]))

@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.speed import query_rate, training_time
-from vprbench.paper.figures.style import Drawn, looks, png
+from vprbench.paper.figures.style import Drawn, looks
 from vprbench.paper.plan import Quantity, Row, read_plan
 from vprbench.paper.selection import Series
 
@@ -190,8 +190,3 @@ def test_every_number_stands_inside_the_panel_and_covers_no_other(n_rows: int) -
 def test_nothing_stored_is_an_error_that_names_the_column() -> None:
     with pytest.raises(BadInput, match="no run on Nordland is stored"):
         training_time((), (), ROWS, NORDLAND, {})
-
-
-def test_the_same_runs_give_the_same_picture() -> None:
-    first, second = (png(query_rate([tempo(3.0)], (), ROWS, NORDLAND, {})) for _ in range(2))
-    assert first == second

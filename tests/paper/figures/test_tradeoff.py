@@ -16,7 +16,7 @@ from stored_runs import answers
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
-from vprbench.paper.figures.style import Drawn, png
+from vprbench.paper.figures.style import Drawn
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
 from vprbench.paper.selection import Series
 
@@ -191,7 +191,3 @@ def test_queries_without_right_places_are_an_error() -> None:
 def test_no_row_is_an_error() -> None:
     with pytest.raises(BadInput, match="no stored runs to draw"):
         against_memory([])
-
-
-def test_the_same_runs_give_the_same_picture() -> None:
-    assert png(against_memory(spread())) == png(against_memory(spread()))
