@@ -21,7 +21,7 @@ from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.figures.metrics import of_rows
 from vprbench.paper.selection import groups, series
-from vprbench.paper.table import markdown
+from vprbench.paper.table import formats
 from vprbench.paper.table.quantities import QUANTITIES, quantities
 
 
@@ -100,16 +100,16 @@ def test_an_added_metric_is_in_row_json_csv_table_and_page(
 def test_a_metric_that_nobody_asked_for_is_nowhere(lost: Metric) -> None:
     made = table([run()], rows=[SAD])
     assert made.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
-    assert "lost" not in "".join(getattr(markdown, form)(made) for form in ("markdown", "csv", "latex", "html")).lower()
+    assert "lost" not in "".join(getattr(formats, form)(made) for form in ("markdown", "csv", "latex", "html")).lower()
 
 
 def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost: Metric) -> None:
     made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
     assert not any(measured(made, "SAD", name).best for name in ("r100p", "ep", "lost"))
-    (line, *_) = [line for line in csv.DictReader(io.StringIO(markdown.csv(made))) if line["quantity"] == "ep"]
+    (line, *_) = [line for line in csv.DictReader(io.StringIO(formats.csv(made))) if line["quantity"] == "ep"]
     assert (line["unit"], line["value"]) == ("", "1.0")
-    text = markdown.markdown(made)
+    text = formats.markdown(made)
     assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
     assert lost.explained.endswith("lower is better.")
 

@@ -14,9 +14,7 @@ from vprbench.paper.selection import (
     Aside,
     Group,
     ResolvedColumn,
-    RowRuns,
     accuracy_series,
-    aside_sentence,
     groups,
     of_row,
     options_apart,
@@ -209,23 +207,6 @@ def test_of_one_seed_measured_twice_the_newest_is_shown_and_the_other_named() ->
     found = of_row(Group(RAIL, 1, (new, old), ()), SAD, "cpu")
     assert found.runs == (new,)
     assert found.aside == (Aside(1, "measured again since"),)
-
-
-def test_what_is_set_aside_of_a_row_is_one_sentence() -> None:
-    def found(*aside: Aside) -> RowRuns:
-        return RowRuns((), aside, (), ())
-
-    other = Aside(2, "of other", ("code", "libraries")), Aside(1, "of other", ("code", "timing"))
-    assert aside_sentence("SAD", [found(other[0]), found(other[1])]) == (
-        "SAD: 3 runs of other code, libraries or timing are set aside."
-    )
-    assert aside_sentence("SAD", [found(Aside(1, "measured again since"))]) == (
-        "SAD: 1 run measured again since is set aside."
-    )
-    assert aside_sentence("SAD", [found(Aside(1, "measured again since"), *other)]) == (
-        "SAD: 1 run measured again since and 3 runs of other code, libraries or timing are set aside."
-    )
-    assert aside_sentence("SAD", [found()]) == ""
 
 
 def test_failures_of_missing_seeds_and_later_ones_are_named_and_earlier_ones_are_not() -> None:

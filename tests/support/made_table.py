@@ -42,7 +42,7 @@ def row(name: str, spiking: bool = False, columns: tuple[str, ...] = ("rail",), 
     for key, value in cells.items():
         column, _, quantity = key.rpartition("__")
         given[column or columns[0], quantity] = value
-    return TableRow(name, spiking, given)
+    return TableRow(name, spiking, given, "encode" if name in ("NetVLAD", "GCL") else "match")
 
 
 def small(*rows: TableRow, **changes: Any) -> Table:

@@ -122,7 +122,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
 def gather(asked: TableRequest, options: Sequence[str], compose: Compose) -> Material:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
-    `options` of the command line are those of all runs. Raises BadInput where there is no run at all.
+    `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
     chosen = choose(asked, compose)
     store = Store(results_folder(asked.results), read_only=asked.stored)
@@ -257,7 +257,7 @@ def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
 
 
 def _default_columns(plan: Plan, asked: TableRequest) -> list[str]:
-    """Return the paper's datasets where their frames are, and what stands in for them where not."""
+    """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
     smaller = {column.smaller for column in plan.columns.values()}
     chosen = []
     for column in plan.columns.values():

@@ -13,6 +13,9 @@ import yaml
 
 from vprbench.errors import BadInput
 
+PAPER = "VPRTempo (ICRA 2024), Table II"
+PAPER_CPU, PAPER_GPU = "Intel i7-9700K", "Nvidia RTX 2080"
+
 Quantity = str  # the name of a quantity of the table
 Boundary = Literal["encode", "match"]  # what the paper's query rate of a row covers
 Training = Literal["own", "none", "pretrained", "map"]  # map: it learns which place looks like what, and nothing else
@@ -108,7 +111,7 @@ def with_plug_ins(plan: Plan, folders: Mapping[str, Path]) -> Plan:
     """Return our plan with the rows and columns that plug-ins bring; `folders` are those of yaml files, by provider.
 
     A plug-in's `table/*.yaml` may hold `rows` and `columns` as ours does; both are shown where they are asked for by
-    name. Raises BadInput that names both owners where a name is taken.
+    name. Raises BadInput that names both owners if a name is taken.
     """
     rows, columns = dict(plan.more_rows), dict(plan.columns)
     ours = [*plan.rows, *rows, *columns, *(row.name for row in rows.values())]

@@ -156,21 +156,6 @@ def accuracy_series(group: Group, rows: Sequence[Row]) -> list[Series]:
     return [Series(row.name, row.spiking, runs) for row, runs in taken if runs]
 
 
-def aside_sentence(name: str, found: Iterable[RowRuns]) -> str:
-    """Return how many runs of a row are not shown and why, in one sentence; empty where all are shown."""
-    counts: dict[str, int] = defaultdict(int)
-    other: dict[str, None] = {}
-    for aside in (aside for each in found for aside in each.aside):
-        counts[aside.why] += aside.n_runs
-        other |= dict.fromkeys(aside.other)
-    parts = [
-        f"{count} run{'s' if count > 1 else ''} {why}" + (f" {_listed([*other], 'or')}" if why == _OTHER else "")
-        for why, count in counts.items()
-    ]
-    are = "are" if sum(counts.values()) > 1 else "is"
-    return f"{name}: {_listed(parts, 'and')} {are} set aside." if parts else ""
-
-
 def options_apart(group: Group) -> tuple[str, ...]:
     """Return the options of the dataset that none of a group's runs share with it: it gained or lost them since."""
     today = group.asked.dataset.keys() - _WHERE
@@ -179,7 +164,7 @@ def options_apart(group: Group) -> tuple[str, ...]:
 
 
 def title(group: Group, among: Sequence[Group]) -> str:
-    """Return the title of a group's column; of several, with its protocol where it differs, or else its images."""
+    """Return the title of a group's column; of several, with its protocol if that differs, or else its images."""
     planned = group.asked.planned
     versions = [other for other in among if other.asked.planned.name == planned.name and other.runs]
     if len(versions) < 2:
@@ -284,10 +269,6 @@ def _difference(members: Sequence[Run], chosen: Sequence[Run]) -> Aside:
     ours, theirs = _setup(members[0]), _setup(chosen[0])
     other = tuple(name for name, value in ours.items() if as_text(value) != as_text(theirs[name]))
     return Aside(len(members), _OTHER, other)
-
-
-def _listed(words: Sequence[str], last: str) -> str:
-    return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def _machine(result: Run | Failure) -> tuple[Any, ...]:

@@ -12,8 +12,7 @@ from typing import Any
 import psutil
 
 from vprbench.metrics.growth import exponent
-from vprbench.paper.plan import published
-from vprbench.paper.table.reasons import PAPER, PAPER_CPU
+from vprbench.paper.plan import PAPER, PAPER_CPU, published
 from vprbench.run import machine
 from vprbench.speed import frames, matching, training, vprsnn
 from vprbench.speed.measure import Make, median

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
-from vprbench.paper.figures.style import Drawn, pdf
-from vprbench.paper.figures.tradeoff import against_rate
+from vprbench.paper.figures.style import Drawn
 from vprbench.run.record import Run
 
 ALL = (precision_recall, recall_at_n, recall_at_tolerance)
@@ -101,8 +99,6 @@ def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach() -> None:
 def test_several_seeds_have_no_band_of_queries_and_the_caption_says_what_the_lines_are() -> None:
     drawn = precision_recall([series("VPRTempo", run(seed=0), run(seed=1))])
     assert len(panel(drawn).collections) == 0
-    assert "VPRTempo (2 seeds): thin lines are the seeds" in drawn.caption
-    assert "bootstrap" not in drawn.caption
 
 
 def test_a_run_without_an_error_has_a_band_of_no_width_up_to_the_end() -> None:
@@ -143,7 +139,6 @@ def test_too_few_answerable_queries_for_a_band_still_give_the_curve() -> None:
     made = replace(made, positives=positives, outcome=outcome(made.scores, positives))
     drawn = precision_recall([series("SAD", made)])
     assert points(named_lines(drawn)[0])[1] == (1, 1)
-    assert "99 queries have no right place." in drawn.caption
 
 
 def test_recall_at_n_is_that_worked_by_hand_in_percent_with_wilsons_interval() -> None:
@@ -183,44 +178,11 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
     assert y == pytest.approx(50)
     assert band(drawn)[x] == pytest.approx((35.20, 64.80), abs=0.01)  # Wilson's interval of 20 of 40
     assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
-    assert "VPRTempo (3 seeds): the line is the mean, thin lines are the seeds" in drawn.caption
-    assert "95 % intervals: the wider" in drawn.caption
 
 
 def test_recall_against_tolerance_is_that_worked_by_hand() -> None:
     (line,) = named_lines(recall_at_tolerance([series("SAD", little.a_run())]))
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
-
-
-def test_the_caption_names_rows_of_which_more_places_tie_than_are_stored() -> None:
-    coarse = little.a_run(outcome=replace(little.a_run().outcome, top_tied=np.array([1, 3, 1, 1])))
-    drawn = recall_at_tolerance([series("SAD", little.a_run()), series("GCL", coarse)])
-    assert "Of GCL, more places tie than are stored" in drawn.caption
-    assert "more places tie" not in recall_at_tolerance([series("SAD", little.a_run())]).caption
-
-
-def test_the_caption_says_which_tolerance_the_dataset_has_already() -> None:
-    wide = little.a_run(protocol={"tolerance_places": 2})
-    assert "(the dataset itself allows 2)" in recall_at_tolerance([series("SAD", wide)]).caption
-    assert "itself allows" not in recall_at_tolerance([series("SAD", little.a_run())]).caption
-
-
-@pytest.mark.parametrize("draw", ALL)
-def test_captions_name_the_dataset_its_queries_places_and_the_interval(draw: Any) -> None:
-    text = draw(five_rows()).caption
-    assert "Dataset railway (360 queries, 450 places)." in text
-    assert "95 % interval" in text
-    assert "VPRTempo (3 seeds)" in text
-    assert "no right place" not in text
-    assert re.search(r"  |\.\.|None", text) is None
-
-
-@pytest.mark.parametrize("draw", [*ALL, against_rate])
-def test_captions_say_which_row_was_tuned_on_what(draw: Any) -> None:
-    tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
-    caption = draw([series("SAD", run("sad", 0.4)), series("Mine", tuned)]).caption
-    assert "Mine: tuned on the first 9 places of railway, so in no contest on railway." in caption
-    assert "SAD: tuned" not in caption
 
 
 @pytest.mark.parametrize("draw", ALL)
@@ -257,8 +219,3 @@ def test_what_cannot_be_drawn_is_refused_with_a_reason(draw: Any) -> None:
 def test_runs_on_other_images_or_of_another_protocol_are_never_one_figure(draw: Any, other: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match="different data"):
         draw([series("SAD", little.a_run()), series("GCL", little.a_run(**other))])
-
-
-def test_the_same_runs_give_the_same_bytes() -> None:
-    rows = five_rows(n_places=50)
-    assert pdf(precision_recall(rows)) == pdf(precision_recall(rows))

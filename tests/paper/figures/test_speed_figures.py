@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import figure_runs
 import pytest
@@ -11,10 +10,9 @@ from matplotlib.colors import to_hex
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.speed import query_rate, training_time
-from vprbench.paper.figures.style import Drawn, looks, png
+from vprbench.paper.figures.style import Drawn, looks
 from vprbench.paper.plan import Quantity, Row, read_plan
 from vprbench.paper.selection import Series
-from vprbench.run.note import Note
 
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
@@ -59,7 +57,6 @@ def test_several_seeds_of_a_training_give_the_median_and_a_line_from_lowest_to_h
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False)[4] == pytest.approx(3.0)
     assert black_lines(axes)[0][0] == pytest.approx([2.0, 7.0])
-    assert "VPRTempo (3 seeds): the bar is the median" in drawn.caption
 
 
 def test_a_single_training_has_no_line_for_a_spread_that_nobody_saw() -> None:
@@ -77,10 +74,6 @@ def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> No
     assert bars(axes, hatched=False)[4] == pytest.approx(2.0)
     assert [list(x) for x, _ in black_lines(axes)] == [pytest.approx([1, 4]), pytest.approx([11, 11])]
     assert "with reading the images" in keys(drawn)
-    assert (
-        "bars are without waiting for the images to be read, upright ticks and numbers in brackets with it."
-        in drawn.caption
-    )
     drawn.figure.draw_without_rendering()
     (number,) = (text for text in axes.texts if text.get_text() == "2 (11)")
     assert number.get_window_extent().x0 > axes.transData.transform((11, 0))[0]
@@ -106,7 +99,6 @@ def test_several_seeds_of_a_rate_give_their_mean() -> None:
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False)[4] == pytest.approx(750)
     assert black_lines(axes)[0][0] == pytest.approx([500, 1000])
-    assert "VPRTempo (2 seeds): the bar is the mean" in drawn.caption
 
 
 def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None:
@@ -148,7 +140,6 @@ def test_quoted_training_times_have_a_hatch_of_their_own_and_are_said_to_be_quot
     hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in drawn.figure.axes[0].patches if bar.get_hatch()}
     assert hatches[1] == hatches[2] != hatches[3] == hatches[4]
     assert keys(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
-    assert "NetVLAD and GCL come trained: the paper quotes these times and does not measure them." in drawn.caption
 
 
 def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
@@ -158,7 +149,6 @@ def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
     assert cpu.get_xlim() == gpu.get_xlim()
     assert bars(gpu, hatched=True)[4] == pytest.approx(1634)
     assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
-    assert "Loom 7" in drawn.caption
 
 
 def test_runs_on_a_gpu_alone_get_one_panel() -> None:
@@ -170,20 +160,6 @@ def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> No
     drawn = query_rate([tempo(3.0)], (), ROWS, SMALLER, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert keys(drawn) == ["measured here", "encode and match"]
-    assert "paper for" not in drawn.caption
-
-
-def test_a_caption_says_that_rendered_frames_stand_in_for_the_published_ones() -> None:
-    assert "City street (rendered) only stands in for it" in query_rate([tempo(3.0)], (), ROWS, STREET, {}).caption
-    assert "stands in" not in query_rate([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
-
-
-def test_a_caption_names_dataset_queries_places_machine_and_what_the_rates_cover() -> None:
-    caption = query_rate([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
-    assert "railway (40 queries, 50 places)" in caption
-    assert "Measured on Abacus 9" in caption
-    assert "Bars cover encode alone of NetVLAD and GCL; match alone of SAD, VPRSNN and VPRTempo." in caption
-    assert "The paper timed the same step of SAD, NetVLAD, GCL, VPRSNN and VPRTempo." in caption
 
 
 def test_of_a_row_outside_the_paper_the_bar_is_encode_and_match_and_no_word_of_the_paper_is_said() -> None:
@@ -193,17 +169,6 @@ def test_of_a_row_outside_the_paper_the_bar_is_encode_and_match_and_no_word_of_t
     (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False) == {0: pytest.approx(20)}
     assert keys(drawn) == ["measured here"]
-    assert "Bars cover encode and match of CosPlace." in drawn.caption
-    assert "paper" not in drawn.caption
-    assert "tick" not in drawn.caption
-
-
-def test_disturbed_measurements_are_named() -> None:
-    noisy = replace(tempo(3.0).runs[0], notes=(Note("noisy", "noisy: two carts passed"),))
-    assert (
-        "while VPRTempo ran" in training_time([figure_runs.series("VPRTempo", noisy)], (), ROWS, NORDLAND, {}).caption
-    )
-    assert "disturbed" not in training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).caption
 
 
 def test_bars_wear_the_colours_of_their_rows() -> None:
@@ -225,8 +190,3 @@ def test_every_number_stands_inside_the_panel_and_covers_no_other(n_rows: int) -
 def test_nothing_stored_is_an_error_that_names_the_column() -> None:
     with pytest.raises(BadInput, match="no run on Nordland is stored"):
         training_time((), (), ROWS, NORDLAND, {})
-
-
-def test_the_same_runs_give_the_same_picture() -> None:
-    first, second = (png(query_rate([tempo(3.0)], (), ROWS, NORDLAND, {})) for _ in range(2))
-    assert first == second

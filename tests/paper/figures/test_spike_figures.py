@@ -26,9 +26,8 @@ def layer(
     return little.a_layer(name, neurons, list(spikes_per_query), active_share, None)
 
 
-def panels(*rows: Series) -> tuple[list[Axes], str]:
-    drawn = spike_statistics(rows)
-    return drawn.figure.axes, drawn.caption
+def panels(*rows: Series) -> list[Axes]:
+    return spike_statistics(rows).figure.axes
 
 
 def medians(axes: Axes) -> list[float]:
@@ -54,7 +53,7 @@ TEMPO = Series(
 
 
 def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_active_neurons() -> None:
-    (first, output, active), _ = panels(TEMPO)
+    first, output, active = panels(TEMPO)
     assert medians(first) == [700]
     assert medians(output) == [25]
     assert bars(active) == [100, 25]
@@ -62,7 +61,7 @@ def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_acti
 
 
 def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries() -> None:
-    (axes, _), _ = panels(Series("VPRTempo", True, (spiking(layer("output", range(100, 201))),)))
+    axes, _ = panels(Series("VPRTempo", True, (spiking(layer("output", range(100, 201))),)))
     (box,) = axes.patches
     heights = box.get_path().vertices[:, 1]
     assert (heights[:4].min(), heights[:4].max()) == (125, 175)
@@ -71,12 +70,11 @@ def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries
 
 def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_dot_each() -> None:
     seeds = [spiking(layer("output", [10, 10], 0.2)), spiking(layer("output", [14, 16], 0.4))]
-    (axes, active), caption = panels(Series("VPRTempo", True, tuple(seeds)))
+    axes, active = panels(Series("VPRTempo", True, tuple(seeds)))
     assert medians(axes) == [12]  # of 10, 10, 14, 16
     assert bars(active) == pytest.approx([30])
     (dots,) = active.lines
     assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
-    assert "VPRTempo (2 seeds): boxes hold the queries of all seeds" in caption
 
 
 def test_rows_stand_side_by_side_in_their_order_and_differ_in_hatch() -> None:
@@ -91,42 +89,38 @@ def test_rows_stand_side_by_side_in_their_order_and_differ_in_hatch() -> None:
 
 def test_a_layer_that_only_one_network_has_is_drawn_for_that_one_alone() -> None:
     other = Series("VPRSNN", True, (spiking(layer("inhibitory", [5, 6, 7], 0.5)),))
-    (_, _, inhibitory, active), _ = panels(TEMPO, other)
+    _, _, inhibitory, active = panels(TEMPO, other)
     assert inhibitory.get_title(loc="left") == "inhibitory, 100 neurons"
     assert medians(inhibitory) == [6]
     assert sorted(bars(active)) == [25, 50, 100]
 
 
-def test_the_number_of_neurons_is_the_title_where_all_rows_have_as_many_and_always_in_the_caption() -> None:
+def test_the_number_of_neurons_is_the_title_where_all_rows_have_as_many() -> None:
     other = Series(
         "VPRSNN", True, (spiking(layer("input", [5, 6], neurons=784), layer("output", [5, 6], neurons=400)),)
     )
-    (first, output, _), caption = panels(TEMPO, other)
+    first, output, _ = panels(TEMPO, other)
     assert first.get_title(loc="left") == "input, 784 neurons"
     assert output.get_title(loc="left") == "output"
-    assert "VPRTempo 3 queries of a seed (neurons: input 784 and output 300)" in caption
-    assert "VPRSNN 2 queries of a seed (neurons: input 784 and output 400)" in caption
-    assert "Dataset journey (4 queries, 10 places)." in caption
 
 
 def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence() -> None:
     silent = Series("VPRSNN", True, (spiking(layer("output", [0, 0, 5000])),))
-    (axes, _), _ = panels(silent)
+    axes, _ = panels(silent)
     assert axes.get_yscale() == "symlog"
     assert axes.get_ylim()[0] == 0
-    (axes, _), _ = panels(Series("VPRSNN", True, (spiking(layer("output", [10, 20, 40])),)))
+    axes, _ = panels(Series("VPRSNN", True, (spiking(layer("output", [10, 20, 40])),)))
     assert axes.get_yscale() == "linear"
 
 
 def test_a_silent_layer_is_drawn() -> None:
-    (axes, active), _ = panels(Series("VPRTempo", True, (spiking(layer("output", [0, 0, 0], 0.0)),)))
+    axes, active = panels(Series("VPRTempo", True, (spiking(layer("output", [0, 0, 0], 0.0)),)))
     assert medians(axes) == [0]
     assert bars(active) == [0]
 
 
 def test_rows_without_stored_spikes_are_left_out() -> None:
     drawn = spike_statistics([Series("SAD", False, (little.a_run(spikes=None),)), TEMPO])
-    assert "SAD" not in drawn.caption
     assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRTempo"]
 
 

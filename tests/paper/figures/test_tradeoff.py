@@ -16,7 +16,7 @@ from stored_runs import answers
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
-from vprbench.paper.figures.style import Drawn, png
+from vprbench.paper.figures.style import Drawn
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
 from vprbench.paper.selection import Series
 
@@ -119,7 +119,6 @@ def test_several_seeds_are_one_point_at_their_means() -> None:
     ]
     drawn = against_memory([figure_runs.series("VPRTempo", *runs)])
     assert points(drawn.figure.axes[0]) == [pytest.approx((150, 60))]
-    assert "VPRTempo (2 seeds): means over the seeds, the bar is that of the mean hits." in drawn.caption
 
 
 def test_the_front_is_that_of_a_slow_search_over_all_pairs() -> None:
@@ -148,22 +147,15 @@ def test_the_steps_run_from_the_smallest_to_the_large_end_of_the_memory() -> Non
     assert steps(axes) == [pytest.approx(corner) for corner in corners]
 
 
-def test_the_caption_names_the_methods_on_the_front() -> None:
-    caption = against_rate([method("A", 0.25, 100), method("B", 0.5, 10), method("D", 0.25, 50)]).caption
-    assert "no other row beats A and B in both" in caption
-
-
 def test_the_map_has_a_panel_of_its_own_for_the_rows_that_keep_descriptors() -> None:
     drawn = against_memory([method("SAD", 0.5, kept=784), method("VPRTempo", 0.6), method("GCL", 0.3, kept=8192)])
     _, right = drawn.figure.axes
     assert points(right) == [pytest.approx((784, 50)), pytest.approx((8192, 30))]
-    assert "of SAD and GCL: the other rows keep no descriptors" in drawn.caption
 
 
 def test_without_descriptors_there_is_no_such_panel() -> None:
     drawn = against_memory([method("VPRTempo", 0.6)])
     assert len(drawn.figure.axes) == 1
-    assert "descriptors" not in drawn.caption
 
 
 @pytest.mark.parametrize("series", [crowded(), spread(), alike()], ids=["crowded", "spread", "alike"])
@@ -178,19 +170,6 @@ def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_insi
         assert not any(one.overlaps(other) for i, one in enumerate(names) for other in names[:i])
         assert not any(name.overlaps(marker) for name in names for marker in markers)
         assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in names)
-
-
-def test_a_caption_says_that_memory_of_a_gpu_is_not_counted() -> None:
-    on_gpu = figure_runs.series("GCL", figure_runs.run("gcl", n_queries=400, n_places=450, device="cuda"))
-    assert "GCL ran on a GPU, whose own memory is not in it." in against_memory([method("SAD", 0.5), on_gpu]).caption
-    assert "GPU" not in against_memory([method("SAD", 0.5)]).caption
-
-
-def test_a_caption_says_dataset_interval_and_machine() -> None:
-    for caption in (against_rate([method("SAD", 0.5)]).caption, against_memory([method("SAD", 0.5)]).caption):
-        assert "railway (400 queries, 450 places)" in caption
-        assert "95 % intervals of R@1: the wider" in caption
-        assert "Measured on Abacus 9" in caption
 
 
 def test_a_recall_of_zero_and_of_one_are_drawn_within_the_axis() -> None:
@@ -212,7 +191,3 @@ def test_queries_without_right_places_are_an_error() -> None:
 def test_no_row_is_an_error() -> None:
     with pytest.raises(BadInput, match="no stored runs to draw"):
         against_memory([])
-
-
-def test_the_same_runs_give_the_same_picture() -> None:
-    assert png(against_memory(spread())) == png(against_memory(spread()))

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from assembled import absences, measured, table, tempo
-from stored_runs import PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, run
+from stored_runs import ABACUS, PLAN, RAIL, SAD, STREET, TOWN, VPRTEMPO, failure, run
 
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table.build import assemble
+from vprbench.run.record import Run
 
 
 def test_seeds_are_named_where_they_differ_between_columns_and_devices() -> None:
@@ -39,13 +41,24 @@ def test_a_seed_that_failed_after_it_was_stored_is_named_in_the_caption() -> Non
     assert "VPRTempo, Railway (rendered), CPU: seed 1 failed since: it diverged." in made.caption
 
 
-def test_what_a_row_sets_aside_in_all_columns_is_one_sentence() -> None:
-    other = {"config": {"code": "beef"}, "day": "2025-01-01"}
-    runs = [run(), run(**other), run(dataset=STREET), run(dataset=STREET, **other), run(device="cuda")]
-    made = table(runs, rows=[SAD], asked=[RAIL, TOWN])
-    assert [sentence for sentence in made.caption if "set aside" in sentence] == [
-        "SAD: 2 runs of other code are set aside."
-    ]
+CODE = {"config": {"code": "beef"}, "day": "2025-01-01"}
+LIBRARIES = {"machine": {**ABACUS, "libraries": {"torch": "2.7.0"}}, "day": "2025-01-01"}
+
+
+@pytest.mark.parametrize(
+    ("runs", "words"),
+    [
+        ([run(dataset=STREET), run(**CODE), run(dataset=STREET, **CODE)], "2 runs of other code are"),
+        ([run(day="2025-01-02")], "1 run measured again since is"),
+        (
+            [run(day="2025-01-02"), run(**CODE), run(**LIBRARIES)],
+            "2 runs of other code or libraries and 1 run measured again since are",
+        ),
+    ],
+)
+def test_what_a_row_sets_aside_in_all_columns_is_one_sentence(runs: list[Run], words: str) -> None:
+    made = table([run(), run(device="cuda"), *runs], rows=[SAD], asked=[RAIL, TOWN])
+    assert [s for s in made.caption if "set aside" in s] == [f"SAD: {words} set aside."]
 
 
 def test_what_a_reader_has_to_know_of_a_column_stands_in_the_caption() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from made_table import GPU, NAMES, OTHER, cell, found, measured, paper, row, small, table, told
 
-from vprbench.paper.table import markdown as formats
+from vprbench.paper.table import formats
 from vprbench.paper.table.cells import Cell, Column, Table
 
 STORED = Path(__file__).parent / "stored"

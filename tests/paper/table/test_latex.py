@@ -13,7 +13,7 @@ import pytest
 from made_table import OTHER, found, row, small, table, told
 
 from vprbench.paper.table.cells import Column
-from vprbench.paper.table.markdown import latex
+from vprbench.paper.table.formats import latex
 
 LINE = r"(?<!\\)&"
 
@@ -105,54 +105,25 @@ def test_what_is_wider_than_the_page_shrinks_and_what_is_narrower_does_not_grow(
 
 
 HOSTILE = 'A&B %c $d #e _f {g} ~h ^i \\j <k> |l "m" n\'s `o` --p ,,q é ± η µ ß \u2212 \u2013 “r” Ł'
+COMMANDS = r"\input{/etc/hostname} \end{document} ^^5cbye %"
+LACKING = "Ť ŧ 地 e\u0301 ﬁ ℃ \u0301 🙂 a\ud800b"  # in the fonts; the last is half of a pair
+LETTERS = " ".join(map(chr, [*range(0x20, 0x7F), *range(0xA1, 0x180), *range(0x391, 0x3CA)]))
 
 
-def test_hostile_text_is_printed_as_it_is(tmp_path: Path) -> None:
+def test_any_text_is_printed_as_it_is_or_by_plain_letters_or_numbers(tmp_path: Path) -> None:
     needs("pdflatex", "pdftotext")
     column = Column("rail", HOSTILE, 1, 1, HOSTILE, None)
-    made = small(row(HOSTILE, recall_at_1=found(41.0, notes=(1,))), row("[x]"), row("*"), columns=(column,))
-    said = compiled(
-        latex(replace(made, notes=told(HOSTILE), machines=(HOSTILE,), caption=(HOSTILE, HOSTILE))), tmp_path
-    )
-    assert "Missing character" not in said
+    rows = (row(HOSTILE, recall_at_1=found(41.0, notes=(1,))), *map(row, ("[x]", "*", COMMANDS, LACKING)))
+    made = small(*rows, columns=(column,), notes=told(HOSTILE, LETTERS), machines=(HOSTILE,))
+    assert "Missing character" not in compiled(latex(replace(made, caption=(HOSTILE, HOSTILE))), tmp_path)
     text = " ".join(text_of(tmp_path).split())
     assert text.count(HOSTILE.replace("'", "\u2019")) == 8  # a straight apostrophe is set as a curved one
-
-
-def test_commands_in_names_do_nothing(tmp_path: Path) -> None:
-    needs("pdflatex", "pdftotext")
-    name = r"\input{/etc/hostname} \end{document} ^^5cbye %"
-    compiled(latex(small(row(name, recall_at_1=found(41.0)), row("after"))), tmp_path)
-    text = text_of(tmp_path)
-    assert name in text
-    assert "after" in text
-
-
-def test_signs_that_the_fonts_lack_give_plain_letters_or_their_number(tmp_path: Path) -> None:
-    needs("pdflatex", "pdftotext")
-    compiled(latex(small(row("Ť ŧ 地 e\u0301 ﬁ ℃ \u0301 🙂 a\ud800b"))), tmp_path)
-    text = text_of(tmp_path)
+    assert COMMANDS in text
     assert "Ť [U+0167] [U+5730] é fi °C" in text
-    assert "[U+1F642] a b" in text  # half of a pair stands for nothing
-
-
-def test_every_letter_up_to_latin_extended_a_compiles(tmp_path: Path) -> None:
-    needs("pdflatex")
-    letters = " ".join(map(chr, [*range(0x20, 0x7F), *range(0xA1, 0x180), *range(0x391, 0x3CA)]))
-    said = compiled(latex(small(row("SAD"), notes=told(letters))), tmp_path)
-    assert "Missing character" not in said
+    assert "[U+1F642] a b" in text
 
 
 def test_a_table_of_no_rows_or_no_datasets_is_still_a_document(tmp_path: Path) -> None:
     needs("pdflatex")
     for made in (small(), small(row("SAD", columns=()), columns=())):
         compiled(latex(made), tmp_path)
-
-
-def test_missing_programs_fail_only_where_they_are_insisted_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("VPRBENCH_INSIST_ON_LATEX", raising=False)
-    with pytest.raises(pytest.skip.Exception, match="no-such-program not installed"):
-        needs("no-such-program")
-    monkeypatch.setenv("VPRBENCH_INSIST_ON_LATEX", "1")
-    with pytest.raises(pytest.fail.Exception, match="no-such-program not installed"):
-        needs("no-such-program")

@@ -16,11 +16,10 @@ from vprbench.metrics.block_length import block_length
 from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.tolerance import hits_within
-from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence, tuned_sentence
-from vprbench.paper.figures.same_data import one_dataset
+from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.paper.selection import Series
-from vprbench.run.recall_intervals import METHOD, along_the_journey
+from vprbench.run.recall_intervals import along_the_journey
 from vprbench.run.record import Run
 
 LARGEST_N = 25
@@ -33,8 +32,6 @@ _RESAMPLES = 500
 _GRID_POINTS = 200  # recalls at which resampled curves are compared
 _ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
 _BAND = 0.15  # opacity
-_BANDS = f"Bands are 95 % intervals: {METHOD}."
-_SEEDS = "the line is the mean, thin lines are the seeds, and the band is that of the mean hits"
 
 
 @styled
@@ -43,9 +40,9 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
 
     The area under a drawn curve, which goes in steps, is its average precision. A single seed has a band from the
     block bootstrap of its queries; several seeds are thin lines around their mean, which ends where the first of
-    them does. Raises BadInput for no rows, for rows on different data and where no query has a right place.
+    them does. Raises BadInput for no rows, for rows on different data and if no query has a right place.
     """
-    run = _answerable(series, "precision and recall")
+    _answerable(series, "precision and recall")
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     styles = looks([row.name for row in series])
     for row in series:
@@ -63,28 +60,8 @@ def precision_recall(series: Sequence[Series]) -> Drawn:
         line.set_markevery([len(recall) - 1])
     axes.set(xlabel="Recall", ylabel="Precision", xlim=(0, 1.03), ylim=(0, 1.03))
     _finish(figure, axes)
-    return Drawn(
-        figure,
-        caption(
-            "Precision-recall curves of the best match of each query (curve A: recall is over the queries that have a "
-            "right place). A curve ends, at its marker, where every query is answered.",
-            dataset_sentence([run]),
-            _unanswerable(run),
-            "AP is the average precision, the area under the steps.",
-            _single(
-                series,
-                "The band of a single run is the 95 % interval of its precision at that recall (bootstrap of blocks of "
-                f"consecutive queries, as long as for its R@1, {_RESAMPLES} resamples; it ends where 1 in 20 of them "
-                "ends).",
-            ),
-            seed_sentence(
-                series,
-                "thin lines are the seeds, the thick one is their mean and ends where the first of them ends; AP is "
-                "the mean ± one standard deviation",
-            ),
-            tuned_sentence(series),
-        ),
-    )
+    single = any(len(row.runs) == 1 for row in series)
+    return Drawn(figure, caption("precision_recall", series, single=single, resamples=_RESAMPLES))
 
 
 @styled
@@ -92,7 +69,7 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
     """Draw recall at N of 1 to 25 best places over all queries, Figure 3D of the paper; ties as expected values.
 
     The band is the interval of `share_interval`, of several seeds that of their mean hits. Raises BadInput for no rows,
-    for rows on different data and where no query has a right place.
+    for rows on different data and if no query has a right place.
     """
     run = _answerable(series, "recall at N")
     numbers = range(1, min(LARGEST_N, run.outcome.n_places) + 1)
@@ -101,18 +78,7 @@ def recall_at_n(series: Sequence[Series]) -> Drawn:
     ticks = [n for n in (1, 5, 10, 15, 20, 25) if n in numbers]
     axes.set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
     _finish(figure, axes)
-    return Drawn(
-        figure,
-        caption(
-            "Recall at N: the share of all queries that have a right place among the N best ones, an expected value "
-            "where scores tie.",
-            dataset_sentence([run]),
-            _unanswerable(run),
-            _BANDS,
-            seed_sentence(series, _SEEDS),
-            tuned_sentence(series),
-        ),
-    )
+    return Drawn(figure, caption("recall_at_n", series))
 
 
 @styled
@@ -121,7 +87,7 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
 
     Intervals and what is raised are those of `recall_at_n`; ties are counted as in `tolerance.hits_within`.
     """
-    run = _answerable(series, "recall against tolerance")
+    first = _answerable(series, "recall against tolerance")
     tolerances = range(LARGEST_TOLERANCE + 1)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     _draw_recalls(
@@ -132,35 +98,19 @@ def recall_at_tolerance(series: Sequence[Series]) -> Drawn:
     )
     axes.set(xlabel="Tolerance (places to either side)", ylabel="Recall at 1 (%)", xticks=tolerances[::2])
     _finish(figure, axes)
-    own = run.protocol.get("tolerance_places")
-    return Drawn(
-        figure,
-        caption(
-            "Recall at 1 over all queries against tolerance: at k, the best match is right if it lies at most k places "
-            f"of the map from a right place{f' (the dataset itself allows {own})' if own else ''}.",
-            "Where several places share the highest score, the share of right ones among them counts.",
-            _unseen_ties(series),
-            dataset_sentence([run]),
-            _unanswerable(run),
-            _BANDS,
-            seed_sentence(series, _SEEDS),
-            tuned_sentence(series),
-        ),
-    )
+    cut = [
+        row.name for row in series if any((run.outcome.top_tied > run.top_places.shape[1]).any() for run in row.runs)
+    ]
+    own = first.protocol.get("tolerance_places")
+    return Drawn(figure, caption("recall_at_tolerance", series, own=own, cut=cut))
 
 
 def _answerable(series: Sequence[Series], figure: str) -> Run:
-    """Return a run that stands for the data of all rows; raises BadInput where no query has a right place."""
+    """Return a run that stands for the data of all rows; raises BadInput if no query has a right place."""
     run = one_dataset(series, figure)
     if not run.outcome.answerable.any():
         raise BadInput(f"no query of dataset {run.dataset} has a right place: there is no figure of {figure}")
     return run
-
-
-def _unanswerable(run: Run) -> str:
-    """Say how many queries have no right place; nothing where all have one."""
-    count = int(np.count_nonzero(~run.outcome.answerable))
-    return f"{counted(count, 'query')} {'has' if count == 1 else 'have'} no right place." if count else ""
 
 
 def _finish(figure: Figure, axes: Axes) -> None:
@@ -243,16 +193,3 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
 def _marked(xs: Sequence[int]) -> list[int]:
     """Return which points have a marker: 1 and each fifth of many, all of few."""
     return [i for i, x in enumerate(xs) if len(xs) <= LARGEST_TOLERANCE + 1 or x == 1 or x % 5 == 0]
-
-
-def _single(series: Sequence[Series], meaning: str) -> str:
-    """Return what the band of a single run means where there is such a row, else nothing."""
-    return meaning if any(len(row.runs) == 1 for row in series) else ""
-
-
-def _unseen_ties(series: Sequence[Series]) -> str:
-    """Return a sentence where more places share a highest score than are stored, else nothing."""
-    cut = [
-        row.name for row in series if any((run.outcome.top_tied > run.top_places.shape[1]).any() for run in row.runs)
-    ]
-    return f"Of {listed(cut)}, more places tie than are stored; only the stored ones count." if cut else ""

@@ -17,8 +17,8 @@ from vprbench.paper.missing_runs import fill, results_folder
 from vprbench.paper.plan import Quantity, Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
 from vprbench.paper.shelf import Compose
+from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
-from vprbench.paper.table.markdown import shown_as_it_is
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 from vprbench.run.thumbnails import Thumbnails, find
@@ -116,7 +116,7 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
-    """Return the samples of each row of the growth that has runs; raises BadInput where none has."""
+    """Return the samples of each row of the growth that has runs; raises BadInput if none has."""
     chosen = []
     for row in _growing(found):
         there = [run for group in groups(runs, (), growth, [row]) for run in of_row(group, row, "cpu").runs]

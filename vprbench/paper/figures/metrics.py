@@ -7,7 +7,7 @@ from statistics import mean
 
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import Metric
-from vprbench.paper.figures.measured_on import caption, dataset_sentence, seed_sentence, tuned_sentence
+from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
 from vprbench.paper.selection import Series
 
@@ -28,12 +28,4 @@ def of_rows(series: Sequence[Series], metric: Metric) -> Drawn:
         axes.plot([mean(values)], [place], color=look.colour, marker=look.marker)
     axes.set(yticks=range(len(known)), yticklabels=[one.name for one in kept], xlabel=metric.head)
     axes.invert_yaxis()
-    return Drawn(
-        figure,
-        caption(
-            metric.explained,
-            dataset_sentence([kept[0].runs[0]]),
-            seed_sentence(kept, "the marker is the mean, the line runs from the lowest seed to the highest"),
-            tuned_sentence(kept),
-        ),
-    )
+    return Drawn(figure, caption("of_rows", kept, metric=metric))

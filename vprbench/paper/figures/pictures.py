@@ -12,8 +12,10 @@ from vprbench.api.arrays import Image, Scores
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.metrics.ranking import PlacesPerQuery
-from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence
+from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, new, styled
+from vprbench.paper.selection import Series
+from vprbench.paper.templates import sentences
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 
@@ -31,7 +33,7 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
     """Draw the kept examples, right place and query, as they are and patch-normalised (Figure 3A of the paper).
 
     `title` names the dataset. The right half is VPRTempo's input: 28 x 28 pixels, patches of 7 x 7 (its public code,
-    64154e5). Raises BadInput where no example is kept.
+    64154e5). Raises BadInput if no example is kept.
     """
     examples = thumbnails.examples
     if not examples:
@@ -59,20 +61,8 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
         axes[column].set_title(name)
     for panel, example in zip(axes[:: len(columns)], examples, strict=True):
         panel.set_ylabel(f"Place {example.place}\nquery {example.query}")
-    return Drawn(
-        figure,
-        caption(
-            f"Frames of {title}: {counted(len(examples), 'place')}, each with a query that shows it. Left as they are, "
-            f"right as VPRTempo sees them: grey, gamma-corrected, resized to {_SIDE} x {_SIDE} pixels and normalised "
-            f"in patches of {_PATCH} x {_PATCH}.",
-            "From top to bottom "
-            + "; ".join(
-                f"{thumbnails.reference_names[example.place]} and {thumbnails.query_names[example.query]}"
-                for example in examples
-            )
-            + ".",
-        ),
-    )
+    told = sentences("figures/captions.j2", "frames", title, thumbnails, _SIDE, _PATCH)
+    return Drawn(figure, " ".join(told))
 
 
 @styled
@@ -81,7 +71,7 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
 
     `name` is the row's, as in the table; without it the figure names the method. The scores of each query are
     stretched from its worst candidate, 0, to its best, 1. A large matrix is drawn as the maxima of blocks, so that no
-    right place vanishes. Raises BadInput where the run did not keep its scores.
+    right place vanishes. Raises BadInput if the run did not keep its scores.
     """
     if run.scores is None:
         raise BadInput(
@@ -99,17 +89,8 @@ def similarity(run: Run, name: str | None = None) -> Drawn:
     axes[0].set_title("Ground truth")
     axes[1].set_title(f"Similarity, {name}")
     figure.colorbar(drawn, ax=axes[1], label="Score within its query", ticks=[0, 0.5, 1], aspect=30)
-    return Drawn(
-        figure,
-        caption(
-            f"Ground truth (left) and scores of {name} (right, seed {run.config['seed']}), a row for each query "
-            "and a column for each place.",
-            dataset_sentence([run]),
-            "The scores of each query are stretched so that its worst place is 0 and its best one 1: shades of two "
-            "rows do not compare.",
-            f"A cell shows the maximum of {block} x {block} scores." if block > 1 else "",
-        ),
-    )
+    shown = [Series(name, False, (run,))]
+    return Drawn(figure, caption("similarity", shown, name=name, seed=run.config["seed"], block=block))
 
 
 def _normalised(images: Sequence[Image]) -> list[Image]:
@@ -128,7 +109,7 @@ def _ground_truth(positives: PlacesPerQuery, n_places: int) -> Scores:
 
 
 def _stretched(scores: Scores) -> Scores:
-    """Return scores from 0 to 1 within each query; 0 where a place is no candidate and where all are alike."""
+    """Return scores from 0 to 1 within each query; 0 if a place is no candidate or all scores are alike."""
     candidate = scores > -np.inf
     best = scores.max(axis=1, keepdims=True)
     worst = np.where(candidate, scores, np.inf).min(axis=1, keepdims=True)

@@ -14,18 +14,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
+from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.measured_on import caption, closing, listed
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
 from vprbench.paper.plan import PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
-from vprbench.paper.table.reasons import PAPER, PAPER_CPU, PAPER_GPU
 from vprbench.run.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
-_SPREAD = "the line over the bar runs from the lowest seed to the highest"
 
 
 @dataclass(frozen=True)
@@ -59,24 +57,14 @@ def training_time(
     """Draw the minutes of training of each row, measured above published, a panel for each kind of device with runs.
 
     A bar is the time without waiting for images, a tick the wall time. `marks` are the words of the table's cells, by
-    row and quantity, which stand where there is no bar. Raises BadInput where nothing is stored.
+    row and quantity, which stand in the place of a missing bar. Raises BadInput if nothing is stored.
     """
     quantities: tuple[Quantity, Quantity] = ("train_cpu", "train_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
     quoted = [row.name for row in rows if row.training == "pretrained"]
     figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted, "with reading the images"), quoted)
-    return Drawn(
-        figure,
-        caption(
-            f"Training time on {column.title} on a logarithmic axis: bars are without waiting for the images to be read"
-            f"{', upright ticks and numbers in brackets with it' if _has_ticks(panels) else ''}.",
-            _published_sentence(panels, column),
-            f"{listed(quoted)} come trained: the paper quotes these times and does not measure them."
-            if quoted and any(panel.published for panel in panels)
-            else "",
-            *closing([*cpu, *gpu], f"the bar is the median, {_SPREAD}"),
-        ),
-    )
+    told = {"column": column, "printed": any(p.published for p in panels), "ticks": _has_ticks(panels)}
+    return Drawn(figure, caption("training_time", [*cpu, *gpu], **told, quoted=quoted))
 
 
 @styled
@@ -95,17 +83,12 @@ def query_rate(
     quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
     figure = _draw(panels, rows, "Queries per second", _keys(panels, (), "encode and match"), ())
-    return Drawn(
-        figure,
-        caption(
-            f"Queries per second on {column.title}, one at a time from memory: 1 / median, on a logarithmic axis.",
-            _covered(rows),
-            "The upright tick is encode and match together." if _has_ticks(panels) else "",
-            _published_sentence(panels, column),
-            "The line over a bar of one seed covers the middle 80 % of its single queries.",
-            *closing([*cpu, *gpu], f"the bar is the mean, {_SPREAD}"),
-        ),
-    )
+    told = {"column": column, "printed": any(p.published for p in panels), "ticks": _has_ticks(panels)}
+    of_stages = [(stage, [row.name for row in rows if row.boundary == stage]) for stage in ("encode", "match", None)]
+    covered = [(stage, names) for stage, names in of_stages if names]
+    in_paper = {name for name, _ in published()}
+    theirs = [row.name for row in rows if row.name in in_paper]
+    return Drawn(figure, caption("query_rate", [*cpu, *gpu], **told, covered=covered, theirs=theirs))
 
 
 def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
@@ -221,23 +204,3 @@ def _keys(panels: Sequence[_Panel], quoted: Sequence[str], tick: str) -> list[Pa
 
 def _has_ticks(panels: Sequence[_Panel]) -> bool:
     return any(bar.more is not None for panel in panels for bar in panel.measured.values())
-
-
-def _covered(rows: Sequence[Row]) -> str:
-    """Say what the bars of query rates cover, and of which rows the paper timed the same."""
-    stages = {"encode": "encode alone", "match": "match alone", None: "encode and match"}
-    groups = {words: [row.name for row in rows if row.boundary == stage] for stage, words in stages.items()}
-    covered = "; ".join(f"{words} of {listed(names)}" for words, names in groups.items() if names)
-    there = {name for name, _ in published()}
-    theirs = [row.name for row in rows if row.name in there]
-    return f"Bars cover {covered}." + (f" The paper timed the same step of {listed(theirs)}." if theirs else "")
-
-
-def _published_sentence(panels: Sequence[_Panel], column: PlannedColumn) -> str:
-    if not any(panel.published for panel in panels):
-        return ""
-    rendered = f"; {column.title} only stands in for it" if column.stand_in_for else ""
-    return (
-        f"Hatched bars are those of the paper for {column.published}{rendered}: {PAPER}, "
-        f"on an {PAPER_CPU} and an {PAPER_GPU}."
-    )

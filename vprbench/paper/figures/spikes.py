@@ -12,11 +12,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.measured_on import caption, counted, dataset_sentence, listed, seed_sentence
-from vprbench.paper.figures.same_data import one_dataset
+from vprbench.paper.figures.captions import caption, one_dataset
 from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.run.record import Run
+from vprbench.text import plural
 
 _HEIGHT_MM = 62.0
 _GROUP = 0.8  # of the distance of two layers, filled by the rows
@@ -32,13 +32,13 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     """Draw, layer by layer, the spikes of a query in each row, and the share of neurons that spike.
 
     A box holds the sampled queries of all seeds; a bar is the mean over the seeds, its dots are the seeds. Rows
-    without stored spikes are left out; raises BadInput where none has any, and for rows on different data.
+    without stored spikes are left out; raises BadInput if none has any, and for rows on different data.
     """
     styles = looks([row.name for row in series])
     rows = [Series(row.name, row.spiking, runs) for row in series if (runs := _with_spikes(row))]
     if not rows:
         raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
-    run = one_dataset(rows, "spikes")
+    one_dataset(rows, "spikes")
     names = list(dict.fromkeys(layer["name"] for row in rows for each in row.runs for layer in _layers(each)))
     figure, axes = new(DOUBLE_MM, _HEIGHT_MM, columns=len(names) + 1)
     room = _GROUP / len(rows)
@@ -58,18 +58,7 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     for panel in axes:
         panel.grid(True, axis="y")
     _legend(figure, rows, styles)
-    low, high = _WHISKERS
-    return Drawn(
-        figure,
-        caption(
-            f"Spikes of {listed(row.name for row in rows)}, each layer on its own axis: a box runs from quartile to "
-            f"quartile of the queries, with the median, its whiskers from the {low}th to the {high}th percentile.",
-            "Last panel: share of a layer's neurons that spike for at least one of the sampled queries.",
-            dataset_sentence([run]),
-            f"Sampled: {'; '.join(_sample(row) for row in rows)}.",
-            seed_sentence(rows, "boxes hold the queries of all seeds, bars are the mean, dots the seeds"),
-        ),
-    )
+    return Drawn(figure, caption("spike_statistics", rows, rows=[_sample(row) for row in rows], whiskers=_WHISKERS))
 
 
 def _with_spikes(row: Series) -> tuple[Run, ...]:
@@ -104,7 +93,7 @@ def _draw_bar(axes: Axes, x: float, width: float, layers: Sequence[Layer], look:
 
 
 def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
-    """Choose the axis of a layer: logarithmic where rows differ by far, with room for queries without a spike."""
+    """Choose the axis of a layer: logarithmic if rows differ by far, with room for queries without a spike."""
     counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
     if counts.max() >= _WIDE * max(counts.min(), 1):
         axes.set_yscale("symlog", linthresh=1)
@@ -113,16 +102,15 @@ def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
 
 
 def _title(name: str, rows: Sequence[Series]) -> str:
-    """Return a layer's name, with its number of neurons where all rows have as many."""
+    """Return a layer's name, with its number of neurons if all rows have as many."""
     neurons = {layer["neurons"] for row in rows for run in row.runs for layer in _layers(run) if layer["name"] == name}
-    return f"{name}, {counted(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
+    return f"{name}, {plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
 
 
-def _sample(row: Series) -> str:
-    """Return how many queries of a row were sampled and how many neurons its layers have."""
-    queries = listed(f"{run.spikes['queries']:,}" for run in row.runs if run.spikes)
-    sizes = listed(f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0]))
-    return f"{row.name} {queries} queries of a seed (neurons: {sizes})"
+def _sample(row: Series) -> tuple[str, list[str], list[str]]:
+    """Return a row's name, how many queries of each seed were sampled and how many neurons its layers have."""
+    queries = [f"{run.spikes['queries']:,}" for run in row.runs if run.spikes]
+    return row.name, queries, [f"{layer['name']} {layer['neurons']:,}" for layer in _layers(row.runs[0])]
 
 
 def _legend(figure: Figure, rows: Sequence[Series], styles: Mapping[str, Look]) -> None:

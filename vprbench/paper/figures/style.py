@@ -144,7 +144,7 @@ def pdf(drawn: Drawn) -> bytes:
 
 
 def write(drawn: Drawn, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write `<name>.pdf` and `<name>.png` into a folder, made where missing; raises BadInput where the disk refuses."""
+    """Write `<name>.pdf` and `<name>.png` into a folder, made where missing; raises BadInput if the disk refuses."""
     paths = folder / f"{name}.pdf", folder / f"{name}.png"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Thumbnails in a page: as they are stored, or coarser where they would make it too large."""
+"""Thumbnails in a page: as they are stored, or coarser if they would make it too large."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def text_bytes(frames: Sequence[bytes]) -> int:
 
 
 def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
-    """Return the frames so that all of them fill at most `most_bytes` of a page; None where they cannot.
+    """Return the frames so that all of them fill at most `most_bytes` of a page; None if no size is small enough.
 
     They stay as they are where that is little enough, or else are all made coarser in the same way. An empty frame, in
     the place of an image that is not kept, stays empty.

@@ -9,7 +9,7 @@ from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import TableRequest, gather
 from vprbench.paper.selection import accuracy_series, series, title
 from vprbench.paper.shelf import Compose
-from vprbench.paper.table import markdown
+from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
@@ -38,7 +38,7 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     runs = [run for _, one in measured for run in one.runs]
     newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
     made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
-    text = page(markdown.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent)
+    text = page(formats.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent)
     folder = Path(asked.results).expanduser()
     Store(folder).prepare()
     default = asked.name is None and not asked.columns

@@ -43,7 +43,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """The runs of one dataset and protocol, with its frames where they are stored."""
+    """The runs of one dataset and protocol, with its frames if they are stored."""
 
     title: str
     series: tuple[Series, ...]
@@ -141,7 +141,7 @@ def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
 
 
 def _missing(kept: Thumbnails | None, n_queries: int, places: Iterable[int]) -> str:
-    """Return the sentence on frames that are not stored; empty where all are that the page shows."""
+    """Return the sentence on frames that are not stored; empty if all frames that the page shows are stored."""
     if kept is None:
         return _FRAMES_MISSING
     whole = all(kept.queries[:n_queries]) and all(kept.references[place] for place in places)

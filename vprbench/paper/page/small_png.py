@@ -11,7 +11,7 @@ _COLOURS = 256
 
 
 def small_png(png: bytes) -> bytes:
-    """Return a PNG as it is, or, where it is large, on white with at most 256 colours if that takes fewer bytes."""
+    """Return a PNG as it is, or, if it is large, on white with at most 256 colours if that takes fewer bytes."""
     if len(png) <= _LARGE:
         return png
     with Image.open(io.BytesIO(png), formats=["PNG"]) as image:

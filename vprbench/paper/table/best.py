@@ -22,16 +22,6 @@ CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a colum
 RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
 
-NO_WINNER = ("Nothing is bold: no test separates a row of a column from all others.",)
-RULES = (
-    "Bold R@1: in every pair of seeds, ties broken against the bold row, the exact McNemar test gives p below "
-    f"{CHANCE} / number of other rows, and the interval of the difference at that level, which allows for neighbouring "
-    "queries being alike, lies above 0.",
-    f"Bold times: on one undisturbed machine, timed alike, and {FASTER} times apart in every pair of seeds; rates also "
-    f"by the Mann-Whitney U test of their laps, p below {RATE_CHANCE}, at their own and at the common boundary, and "
-    "never where an audit found a rate wanting.",
-)
-
 Stage = Boundary | None  # None: encode and match together
 
 
@@ -46,7 +36,7 @@ class Contestant:
 
 
 def best_recall(rows: Sequence[Contestant]) -> str | None:
-    """Return the row with the highest R@1 where a paired test separates it from every other row; None where not.
+    """Return the row with the highest R@1 if a paired test separates it from every other row, else None.
 
     For every pair of seeds the exact McNemar test gives p < 0.05 / number of other rows, and the interval of the
     difference at that level (`intervals.difference_interval`) lies above 0. Ties are broken against the best row and in
@@ -58,7 +48,7 @@ def best_recall(rows: Sequence[Contestant]) -> str | None:
 
 
 def best_rate(rows: Sequence[Contestant]) -> str | None:
-    """Return the row with the highest query rate where the laps separate it from every other row; None where not.
+    """Return the row with the highest query rate if the laps separate it from every other row, else None.
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
     fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
@@ -72,7 +62,7 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
 
 
 def best_training(rows: Sequence[Contestant]) -> str | None:
-    """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None where there is none.
+    """Return the row that trains fastest, by at least 1.25 times in every pair of seeds; None if no row does.
 
     Waiting for images does not count. All rows trained undisturbed on one machine. One fit a seed is no sample that a
     test could weigh.
@@ -84,7 +74,7 @@ def best_training(rows: Sequence[Contestant]) -> str | None:
 
 
 def mean_recall(runs: Sequence[Run]) -> float | None:
-    """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None where no query has a right place."""
+    """Return the mean R@1 over the seeds, 0 to 1, expected under ties; None if no query has a right place."""
     recalls = [recall_at(run.outcome, 1) for run in runs]
     expected = [recall.expected for recall in recalls if recall is not None]
     return float(np.mean(expected)) if expected else None

@@ -9,11 +9,11 @@ from statistics import stdev
 
 from vprbench.paper.plan import Plan, Row, published
 from vprbench.paper.selection import DEVICES, Group, of_row, protocol_words, title
-from vprbench.paper.table import caption as table_caption
 from vprbench.paper.table.best import Contestant, machine
+from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
 from vprbench.paper.table.quantities import QUANTITIES, Numbers, Quantity
-from vprbench.paper.table.reasons import MARKS, Reason, absent, short, stored_seeds
+from vprbench.paper.table.reasons import MARKS, Reason, absent, reason, short
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here, tuned_note
 
@@ -47,12 +47,14 @@ def assemble(
             row.name,
             row.spiking,
             {(entry.column.name, q.name): sheet.cell(entry, q) for entry in entries[row.name] for q in quantities},
+            row.boundary,
         )
         for row in ordered
     )
-    caption = tuple(table_caption.sentences(groups, columns, entries, made))
     machines = tuple(f"{machine}, {day}" for machine, day in sheet.machines.items())
-    return Table(columns, made, caption, tuple(sheet.notes.values()), machines, quantities)
+    return Table(
+        columns, made, tuple(caption(groups, columns, entries, made)), tuple(sheet.notes.values()), machines, quantities
+    )
 
 
 def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
@@ -124,7 +126,7 @@ class _Sheet:
         if numbers is None:
             return replace(empty, notes=self._numbers([quantity.undefined]))
         found = entry.found[entry.device(quantity)]
-        told = [stored_seeds(row, found)] if found.missing_seeds else []
+        told = [reason("seeds", row, found)] if found.missing_seeds else []
         told += [short("tuned", note) for note in map(tuned_note, runs) if note]
         told += quantity.remarks(row, runs)
         told += filter(None, [self.apart[column.name, quantity.name].get(row.name)])
@@ -143,27 +145,22 @@ class _Sheet:
         said = [cells.get(quantity.name) for (name, _), cells in self.printed.items() if name == row.name]
         known = next((value for value in [empty.published, *said] if value is not None), None)
         if known is None:
-            unknown = Reason("unpublished", "trained elsewhere beforehand; how long that took is not published")
-            return replace(empty, notes=self._numbers([unknown]))
+            return replace(empty, notes=self._numbers([reason("unpublished")]))
         return replace(
             empty,
             mark="quoted",
             quoted=known,
             published_mark="none" if empty.published is None else "quoted",
-            notes=self._numbers(
-                [Reason("quoted", "quoted from the paper: the pre-training of the network, done elsewhere")]
-            ),
+            notes=self._numbers([reason("quoted")]),
         )
 
     def _absence(self, entry: Entry, quantity: Quantity) -> Reason:
         device = entry.device(quantity)
         found = entry.found[device]
         if found.runs:  # and none of them trained
-            if any(run.network is not None for run in found.runs):
-                return Reason("loaded", "no training time: a stored network was loaded")
-            return Reason("kept", "no training time: descriptors of an earlier run were used")
+            return reason("loaded" if any(run.network is not None for run in found.runs) else "kept")
         if entry.group.number > 1:
-            return Reason("protocol without runs", "no run of this row under this protocol is stored")
+            return reason("protocol without runs")
         elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
         place = (entry.group.asked.planned.name, entry.row.name)
         return absent(entry.row, device, found, elsewhere, self.left_out.get(place))
@@ -192,7 +189,6 @@ class _Sheet:
         return list(self.machines).index(name)
 
     def _numbers(self, reasons: Sequence[Reason]) -> tuple[int, ...]:
-        for reason in reasons:
-            self.notes.setdefault(reason.text, reason)
+        self.notes |= {told.text: told for told in reasons if told.text not in self.notes}
         known = list(self.notes)
-        return tuple(sorted({known.index(reason.text) + 1 for reason in reasons}))
+        return tuple(sorted({known.index(told.text) + 1 for told in reasons}))

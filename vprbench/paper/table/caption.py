@@ -2,58 +2,49 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
-from vprbench.paper.selection import DEVICES, Device, Group, aside_sentence, options_apart
+from vprbench.paper.selection import DEVICES, Device, Group, options_apart
 from vprbench.paper.table import best
 from vprbench.paper.table.cells import Column, Entry, TableRow
 from vprbench.paper.table.quantities import RATES, RECALL
-from vprbench.paper.table.reasons import PAPER, PAPER_CPU, PAPER_GPU, one_sentence
+from vprbench.paper.table.reasons import one_sentence
+from vprbench.paper.templates import ENVIRONMENT, sentences
+from vprbench.run.record import Failure
+
+ENVIRONMENT.globals["best"] = best
+ENVIRONMENT.filters["one_sentence"] = one_sentence
 
 _NAMES: dict[Device, str] = {"cpu": "CPU", "cuda": "GPU"}
 
 
-def sentences(
+def caption(
     groups: Sequence[Group],
     columns: Sequence[Column],
     entries: Mapping[str, Sequence[Entry]],
     rows: Sequence[TableRow],
-) -> Iterator[str]:
-    """Yield the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
+) -> list[str]:
+    """Return the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
     measured = [cell.measured for row in rows for cell in row.cells.values() if cell.measured is not None]
-    yield (
-        "R@1 in %, training in minutes, query rates in Hz, beside those that the paper printed: "
-        f"{PAPER}, measured on an {PAPER_CPU} and an {PAPER_GPU}."
+    versions = Counter(group.asked.planned.name for group in groups)
+    apart = [options_apart(group) if versions[group.asked.planned.name] > 1 else () for group in groups]
+    seeds = [(row.name, _seeds(row, columns)) for row in rows]
+    blocks = [(column.title, _blocks(column, rows)) for column in columns]
+    return sentences(
+        "table/caption.j2",
+        "caption",
+        list(zip(columns, apart, strict=True)),
+        [(name, places) for name, places in seeds if any(len(seeds) > 1 for seeds in places)],
+        [(title, of_rows) for title, of_rows in blocks if of_rows],
+        [(name, _failed(there), *_aside(there)) for name, there in entries.items()],
+        any(each.best for each in measured),
+        any(each.disturbed for each in measured),
     )
-    for group, column in zip(groups, columns, strict=True):
-        if column.stand_in_for is not None:
-            yield f"{column.title} stands in for {column.stand_in_for} and replaces none."
-        apart = options_apart(group)
-        if apart and sum(other.asked.planned.name == group.asked.planned.name for other in groups) > 1:
-            yield f"{column.title}: its runs are of a time when the dataset had other options ({', '.join(apart)})."
-    yield from dict.fromkeys(column.remark for column in columns if column.remark is not None)
-    for row in rows:
-        yield from _seeds(row, columns)
-    for column in columns:
-        yield from _blocks(column, rows)
-    for name, there in entries.items():
-        for entry, device in itertools.product(there, DEVICES):
-            found = entry.found[device]
-            for failure in found.failures:
-                if (seed := failure.config["seed"]) not in found.missing_seeds:  # its cell says nothing of it
-                    where = f"{name}, {entry.column.title}, {_NAMES[device]}"
-                    yield f"{where}: seed {seed} failed since: {one_sentence(failure.error)}."
-        aside = aside_sentence(name, [found for entry in there for found in entry.found.values()])
-        if aside:
-            yield aside
-    yield from best.RULES if any(each.best for each in measured) else best.NO_WINNER
-    if any(each.disturbed for each in measured):
-        yield "A tilde, for a busy machine or too few laps, keeps all times beside it from being bold."
 
 
-def _seeds(row: TableRow, columns: Sequence[Column]) -> Iterator[str]:
-    """Yield what stands for several seeds of a row, and which ones they are where that is not the same everywhere."""
+def _seeds(row: TableRow, columns: Sequence[Column]) -> dict[tuple[int, ...], list[str]]:
+    """Return which columns, and devices if these differ, show which seeds of a row."""
     places: dict[tuple[int, ...], list[str]] = {}
     for column in columns:
         cells = {rate.device: row.cells[column.name, rate.name].measured for rate in RATES}
@@ -61,25 +52,30 @@ def _seeds(row: TableRow, columns: Sequence[Column]) -> Iterator[str]:
         for device, seeds in shown.items():
             where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device]}"
             places[seeds] = [*dict.fromkeys([*places.get(seeds, []), where])]
-    if any(len(seeds) > 1 for seeds in places):
-        words = (
-            _seed_words(seeds) + (f" ({'; '.join(where)})" if len(places) > 1 else "")
-            for seeds, where in places.items()
-        )
-        yield f"{row.name}: {', '.join(words)}; of R@1 and rates the mean, of minutes the median."
+    return places
 
 
-def _seed_words(seeds: Sequence[int]) -> str:
-    *first, last = map(str, seeds)
-    return f"seeds {', '.join(first)} and {last}" if first else f"seed {last}"
+def _blocks(column: Column, rows: Sequence[TableRow]) -> list[tuple[str, object]]:
+    """Return the rows whose interval of R@1 is of blocks of queries, each with what was measured."""
+    cells = [(row.name, row.cells[column.name, RECALL.name].measured) for row in rows]
+    return [(name, measured) for name, measured in cells if measured is not None and measured.block is not None]
 
 
-def _blocks(column: Column, rows: Sequence[TableRow]) -> Iterator[str]:
-    """Yield how long the blocks are that the intervals of R@1 come from, and where neighbours are as good as apart."""
-    parts = []
-    for row in rows:
-        measured = row.cells[column.name, RECALL.name].measured
-        if measured is not None and measured.block is not None:
-            parts.append(f"{row.name} {measured.block}{' (Wilson)' if measured.interval == 'independent' else ''}")
-    if parts:
-        yield f"{column.title}, length in queries of the blocks that the intervals of R@1 are of: {', '.join(parts)}."
+def _failed(entries: Sequence[Entry]) -> list[tuple[str, str, Failure]]:
+    """Return the failures of seeds that are stored, of which no cell says anything, with title and device."""
+    found = [(entry.column.title, device, entry.found[device]) for entry in entries for device in DEVICES]
+    return [
+        (title, _NAMES[device], failure)
+        for title, device, runs in found
+        for failure in runs.failures
+        if failure.config["seed"] not in runs.missing_seeds
+    ]
+
+
+def _aside(entries: Sequence[Entry]) -> tuple[Mapping[str, int], Mapping[str, None]]:
+    """Return how many runs of a row are not shown, by the reason, and in what they differ from those that are."""
+    asides = [aside for entry in entries for found in entry.found.values() for aside in found.aside]
+    counts: Counter[str] = Counter()
+    for aside in asides:
+        counts[aside.why] += aside.n_runs
+    return counts, dict.fromkeys(name for aside in asides for name in aside.other)

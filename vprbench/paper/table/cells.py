@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vprbench.metrics.intervals import IntervalKind
-from vprbench.paper.plan import Row
+from vprbench.paper.plan import Boundary, Row
 from vprbench.paper.selection import Device, Group, RowRuns, accuracy_device
 from vprbench.paper.table.quantities import QUANTITIES, Quantity
 from vprbench.paper.table.reasons import Mark, Reason
@@ -64,6 +64,7 @@ class TableRow:
     name: str
     spiking: bool
     cells: Mapping[tuple[str, str], Cell]  # by the names of column and quantity
+    boundary: Boundary | None = None  # what the paper's query rate covers
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vprbench.paper.gather import Material, TableRequest, gather
 from vprbench.paper.shelf import Compose
-from vprbench.paper.table import markdown
+from vprbench.paper.table import formats
 from vprbench.run import rows
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
@@ -18,7 +18,7 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
     found = gather(asked, options, compose)
     folder = Path(asked.results).expanduser()
-    print(markdown.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
+    print(formats.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
     written = write(found, folder, file_name(asked))
     print(f"\nwritten to {', '.join(str(path) for path in written)}")
     return exit_code(found.endings)
@@ -29,9 +29,9 @@ def write(found: Material, folder: Path, name: str) -> list[Path]:
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
-        f"{name}.md": markdown.markdown(found.table),
-        f"{name}.csv": markdown.csv(found.table),
-        f"{name}.tex": markdown.latex(found.table),
+        f"{name}.md": formats.markdown(found.table),
+        f"{name}.csv": formats.csv(found.table),
+        f"{name}.tex": formats.latex(found.table),
         f"{name}-runs.csv": rows.csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():

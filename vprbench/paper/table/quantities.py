@@ -22,7 +22,7 @@ from vprbench.paper.table.best import (
     mean_recall,
     rate,
 )
-from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, short
+from vprbench.paper.table.reasons import Reason, of_accuracy, of_rates, of_times, other_timing, reason, short
 from vprbench.run.note import DISTURBED, FAILED_AUDITS, NoteKind
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
@@ -64,11 +64,11 @@ class Quantity:
         return runs
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return what the runs of a row gave; None where it is undefined."""
+        """Return what the runs of a row gave; None if it is undefined."""
         raise NotImplementedError
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
-        """Return the row that a test separates from all others; None where none does or there is no test."""
+        """Return the row that a test separates from all others; None if no row is, or if there is no test."""
         return None
 
     def contends(self, row: Row) -> bool:
@@ -103,7 +103,7 @@ class Recall(Quantity):
     """R@1, the expected value under ties, with its interval."""
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return R@1 of the runs with its interval; None where no query has a right place."""
+        """Return R@1 of the runs with its interval; None if no query has a right place."""
         if mean_recall(runs) is None:
             return None
         values = [100 * float(hits_at(run.outcome, 1).mean()) for run in runs]
@@ -122,8 +122,7 @@ class Recall(Quantity):
         recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1)) is not None]
         if any(recall.hangs_on_ties for recall in recalls):
             low, high = (100 * mean(getattr(r, way) for r in recalls) for way in ("pessimistic", "optimistic"))
-            between = f"{low:.1f} to {high:.1f} %, by how ties are broken; given is its expected value"
-            yield Reason("ties", f"scores tie: R@1 is {between}")
+            yield reason("ties", low, high)
         yield from super().remarks(row, runs)
 
     def text(self, value: float) -> str:
@@ -139,7 +138,7 @@ class OfMetric(Recall):
     undefined: ClassVar[Reason] = Reason("undefined", "undefined for the answers of this row")
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
-        """Return the metric in its unit; None where it is undefined for all runs."""
+        """Return the metric in its unit; None if it is undefined for all runs."""
         values = [self.metric.shown(value) for run in runs if (value := self.metric.of(run)) is not None]
         return Numbers(values, mean(values)) if values else None
 
@@ -191,7 +190,7 @@ class Training(Quantity):
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
         """Yield what kind of training it is."""
         if row.training == "map":
-            yield Reason("map", "the time to build the map from the references")
+            yield reason("map")
         yield from _told(runs, ["resumed"])
 
 
@@ -224,7 +223,7 @@ class Rate(Quantity):
     def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
         """Yield that it covers both steps if the paper has no such row, and the notes."""
         if row.boundary is None:
-            yield Reason("both steps", "encode and match together: the paper has no such row")
+            yield reason("both steps")
         yield from super().remarks(row, runs)
 
 

@@ -9,33 +9,34 @@ import pandas as pd
 
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import Column, Table, TableRow
-from vprbench.paper.table.html import html
-from vprbench.paper.table.latex import latex
+from vprbench.paper.table.latex import tex
 from vprbench.paper.table.quantities import Quantity
+from vprbench.paper.templates import ENVIRONMENT, document, one_line
 from vprbench.run import rows
-
-__all__ = ["csv", "html", "latex", "markdown", "shown_as_it_is"]
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
-    first, *more = table.caption or ("",)
-    parts = [f"# {words.TITLE}", shown_as_it_is(first)]
-    for column in table.columns:
-        parts += [
-            f"## {shown_as_it_is(column.title)}",
-            shown_as_it_is(words.data(column)),
-            _markdown_table(table, column),
-        ]
-    parts += [
-        "\n".join(map(shown_as_it_is, more)),
-        "\n".join(f"{i}. {shown_as_it_is(note.text)}" for i, note in enumerate(table.notes, 1)),
-        "\n".join(f"- {mark}: {shown_as_it_is(machine)}" for mark, machine in words.machines(table)),
-        "\n".join(words.legend(table)),
-    ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return _without_gaps(document("table/table.md.j2", table=table, words=words))
+
+
+def latex(table: Table) -> str:
+    """Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
+
+    Two datasets stand in one table: more would be too small to read.
+    """
+    return _without_gaps(document("table/table.tex.j2", table=table, words=words, n=len(table.quantities)))
+
+
+def html(table: Table) -> str:
+    """Return a table as a fragment of HTML: the table in a frame that scrolls, then notes, machines and explanations.
+
+    Classes of cells are measured, quoted and absent; inside of them are best, published and difference. All text is
+    escaped. A page has room for one such fragment: its notes have fixed anchors.
+    """
+    return document("table/table.html.j2", table=table, words=words).lstrip()
 
 
 def csv(table: Table) -> str:
@@ -55,7 +56,7 @@ def csv(table: Table) -> str:
 
 def shown_as_it_is(text: str) -> str:
     """Return text that Markdown shows as it is: no markup, no HTML, no list."""
-    text = escape(words.one_line(text), quote=False)
+    text = escape(one_line(text), quote=False)
     text = re.sub(r"([\\`*#$])", r"\\\1", text)
     if re.search(r"\][\[(:]|\[\^", text):  # a link or a footnote; an interval is neither
         text = re.sub(r"([\[\]])", r"\\\1", text)
@@ -68,14 +69,13 @@ def shown_as_it_is(text: str) -> str:
 def _markdown_table(table: Table, column: Column) -> str:
     heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
     lines: list[list[str]] = []
-    several = len(words.sections(table)) > 1
-    for part in words.sections(table):
-        if several and part[0].spiking:
+    sections = words.sections(table, [column])
+    for part in sections:
+        if len(sections) > 1 and part[0][0].spiking:
             lines.append([f"*{words.SPIKING}*", *[""] * len(table.quantities)])
-        for row in part:
-            cells = [words.of_cell(table, row.cells[column.name, q.name], q) for q in table.quantities]
+        for row, cells in part:
             lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
-            if words.in_paper(row, column):
+            if any(cell.in_paper for cell in cells):
                 lines.append([f"↳ {words.PAPER}", *map(_markdown_published, cells)])
     return rows.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
 
@@ -92,6 +92,12 @@ def _markdown_published(cell: words.Words) -> str:
     return f"{value} ({cell.difference})" if cell.difference else value
 
 
+def _without_gaps(text: str) -> str:
+    return re.sub(r"\n{3,}", "\n\n", text)
+
+
+ENVIRONMENT.filters |= {"shown_as_it_is": shown_as_it_is, "tex": tex, "table_of": _markdown_table}
+
 _CSV_COLUMNS = (
     *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
     *("spread", "seeds", "total", "best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
@@ -101,9 +107,9 @@ _CSV_COLUMNS = (
 def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -> dict[str, object]:
     cell = row.cells[column.name, quantity.name]
     line: dict[str, object] = {
-        "row": words.one_line(row.name),
+        "row": one_line(row.name),
         "column": column.name,
-        "title": words.one_line(column.title),
+        "title": one_line(column.title),
         "quantity": quantity.name,
         "unit": quantity.unit,
         "mark": cell.mark,
@@ -113,12 +119,12 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "published": cell.published,
         "published_mark": cell.published_mark,
         "difference": cell.difference,
-        "notes": "; ".join(words.one_line(table.notes[number - 1].text) for number in cell.notes),
+        "notes": "; ".join(one_line(table.notes[number - 1].text) for number in cell.notes),
     }
     if cell.measured is not None:
         copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
         line |= {name: getattr(cell.measured, name) for name in copied}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
         line["total"] = cell.measured.total
-        line["machine"] = words.one_line(table.machines[cell.measured.machine])
+        line["machine"] = one_line(table.machines[cell.measured.machine])
     return line
