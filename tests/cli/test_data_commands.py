@@ -73,13 +73,6 @@ def test_what_cannot_be_asked_is_one_line_and_exit_code_2(
     assert said.count("\n") == 1
 
 
-def test_fetch_without_a_name_lists_what_there_is_with_licences(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fetch"]) == 0
-    told = capsys.readouterr().out
-    assert "nordland: Nordland" in told
-    assert told.count("licence: ") == len(list(command.downloads()))
-
-
 @pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
 def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
     empty: bool, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

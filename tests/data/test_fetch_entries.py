@@ -19,7 +19,7 @@ DATA = SHARED / "data"
 
 
 @pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
-def test_an_entry_says_what_a_person_has_to_know(entry: Download) -> None:
+def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry: Download) -> None:
     assert entry.description
     assert entry.licence
     assert entry.source.startswith("https://")
@@ -31,10 +31,6 @@ def test_an_entry_says_what_a_person_has_to_know(entry: Download) -> None:
         assert part.holds
         assert part.sha256 is None or len(part.sha256) == 64
         assert part.about_bytes is None or part.size_bytes is None
-
-
-@pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
-def test_parts_of_an_entry_do_not_get_in_each_other_s_way(entry: Download) -> None:
     files = [part.file for part in entry.parts.values()]
     folders = [folder for part in entry.parts.values() for folder in part.holds]
     assert len({*files}) == len(files)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
+from file_limit import no_file_may_exceed
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
@@ -310,14 +311,9 @@ def test_what_is_no_archive_is_damaged(archive: Path, to: Path, content: bytes) 
 
 
 def test_a_full_disk_is_named_and_the_archive_is_kept(archive: Path, to: Path) -> None:
-    resource = pytest.importorskip("resource")
     archive.write_bytes(zipped({"set/spring/1.png": bytes(50_000)}))
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
-    try:
+    with no_file_may_exceed(20_000):
         refused(archive, to, WANTED, r"\(.*File.*large\)")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_what_was_moved_goes_back_where_the_rest_cannot_be(
