@@ -1,14 +1,13 @@
 """Images are read when looked at, in order, a bounded number ahead, and a bad file is named."""
 
-import struct
 import threading
-import zlib
 from concurrent import futures
 
 import numpy as np
 import pytest
 from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
+from png_files import png_of, saved
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images, read_ahead
@@ -98,15 +97,10 @@ def test_nothing_is_read_until_an_image_is_looked_at_and_then_that_one_alone():
         (np.arange(20) > 17, [18, 19]),
     ],
 )
-def test_a_view_holds_the_chosen_images_under_their_names(index, chosen):
+def test_a_view_holds_the_chosen_images_under_their_names_and_so_does_its_view(index, chosen):
     view = Reader().images(20)[index]
-    assert levels(view) == chosen
+    assert levels(view) == levels(view[::-1])[::-1] == chosen
     assert view.names == tuple(f"frame {i}" for i in chosen)
-
-
-def test_a_view_of_a_view_counts_from_the_first_view():
-    view = Reader().images(20)[10:][np.array([5, 0])]
-    assert levels(view) == [15, 10]
 
 
 @pytest.mark.parametrize(("index", "level"), [(-1, 19), (-20, 0), (np.int64(3), 3), (np.int64(-2), 18)])
@@ -138,13 +132,14 @@ def test_images_come_in_order_however_long_each_takes_to_read(monkeypatch):
     assert all(ended.index(chunk + 1) < ended.index(chunk) for chunk in range(0, n // size, 2))
 
 
-def test_each_iteration_reads_every_image_once_in_other_threads():
+@pytest.mark.parametrize("n", [0, 1, 2, 8, 9, 137])
+def test_each_iteration_reads_every_image_once_in_other_threads(n):
     reader = Reader()
-    images = reader.images(137)
+    images = reader.images(n)
     for turn in (1, 2):
-        assert levels(images) == list(range(137))
-        assert sorted(reader.read) == sorted([*range(137)] * turn)
-    assert threading.get_ident() not in reader.threads
+        assert levels(images) == list(range(n))
+        assert sorted(reader.read) == sorted([*range(n)] * turn)
+    assert n < 2 or threading.get_ident() not in reader.threads  # a single image is read by the caller
 
 
 @pytest.mark.parametrize("looked_at", [1, 500])
@@ -166,23 +161,14 @@ def test_leaving_an_iteration_early_ends_the_reading(chunks):
     assert 0 < len(reader.read) < 200
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 8, 9])
-def test_short_sequences_are_iterated_whole(n):
-    assert levels(Reader().images(n)) == list(range(n))
-
-
 @pytest.mark.parametrize(("n", "sizes"), [(7, [3, 3, 1]), (6, [3, 3]), (2, [2]), (0, [])])
-def test_blocks_are_full_but_for_the_last(n, sizes):
-    assert [len(block) for block in Reader().images(n).blocks(3)] == sizes
-
-
-def test_blocks_hold_the_images_in_order_under_their_names_decoded_already():
+def test_blocks_hold_the_images_in_order_under_their_names_decoded_already(n, sizes):
     reader = Reader()
-    blocks = list(reader.images(20).blocks(6))
-    assert len(reader.read) == 20
-    assert [level for block in blocks for level in levels(block)] == list(range(20))
-    assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(20)]
-    assert len(reader.read) == 20
+    blocks = list(reader.images(n).blocks(3))
+    assert [len(block) for block in blocks] == sizes
+    assert [level for block in blocks for level in levels(block)] == list(range(n))
+    assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(n)]
+    assert len(reader.read) == n
 
 
 def test_a_block_ends_before_its_bytes_exceed_those_asked_for_or_holds_one_image():
@@ -239,13 +225,11 @@ def test_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path)
     assert str(paths[117]) in answer(lambda: list(Images.from_files(paths)))
 
 
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_files_of_different_sizes_keep_their_own(tmp_path, suffix):
+def test_files_of_different_sizes_keep_their_own(tmp_path):
     sizes = [(4, 6), (7, 3), (1, 1)]
-    paths = [save(tmp_path / f"{i}.{suffix}", noise(*size)) for i, size in enumerate(sizes)]
-    images = Images.from_files(paths)
+    images = Images.from_files([save(tmp_path / f"{i}.png", noise(*size)) for i, size in enumerate(sizes)])
     assert [image.shape for image in images] == [(*size, 3) for size in sizes]
-    assert images.names == (f"0.{suffix}", f"1.{suffix}", f"2.{suffix}")
+    assert images.names == ("0.png", "1.png", "2.png")
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -258,50 +242,14 @@ def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(tmp_path,
         read_image(too_large)
 
 
-def test_alpha_is_dropped_without_touching_the_colour(tmp_path):
-    pixels = np.dstack([noise(3, 4), np.array([[0, 1, 128, 255]] * 3, np.uint8)])
-    assert np.array_equal(read_image(save(tmp_path / "a.png", pixels)), pixels[:, :, :3])
-
-
-def test_sixteen_bit_grey_is_reduced_to_eight(tmp_path):
-    path = save(tmp_path / "a.png", np.array([[0, 0x4000, 0xFFFF]], np.uint16))
-    assert read_image(path).tolist() == [[[0] * 3, [64] * 3, [255] * 3]]
-
-
-@pytest.mark.parametrize("options", [{}, {"transparency": bytes([0, 128, 255])}], ids=["plain", "transparent"])
-def test_a_palette_is_looked_up_without_a_warning(tmp_path, options):
-    image = PillowImage.new("P", (3, 1))
-    image.putpalette([10, 20, 30, 200, 100, 0, 5, 6, 7])
-    image.putdata([1, 0, 2])
-    image.save(tmp_path / "a.png", **options)
-    assert read_image(tmp_path / "a.png").tolist() == [[[200, 100, 0], [10, 20, 30], [5, 6, 7]]]
-
-
-def half_of(suffix):
-    def write(path):
-        whole = path.with_suffix(f".{suffix}")
-        save(whole, noise(40, 40))
-        path.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-
-    return write
-
-
-def claim_a_huge_size(path):
-    def chunk(kind, content):
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0")) + chunk(b"IEND", b""))
-
-
 BAD_FILES = {
-    "truncated PNG": half_of("png"),
-    "truncated JPEG": half_of("jpg"),
+    "truncated PNG": lambda path: path.write_bytes(saved(noise(40, 40))[:2000]),
+    "truncated JPEG": lambda path: path.write_bytes(saved(noise(40, 40), kind="JPEG")[:1000]),
     "empty file": lambda path: path.write_bytes(b""),
     "text": lambda path: path.write_text("frame 1 of 3\n"),
     "no file": lambda path: None,
     "folder": lambda path: path.mkdir(),
-    "PNG that claims 400 million pixels": claim_a_huge_size,
+    "PNG that claims 400 million pixels": lambda path: path.write_bytes(png_of(b"\0", 20_000, 20_000)),
 }
 
 
