@@ -197,23 +197,25 @@ def test_a_descriptor_is_what_the_formulas_give_of_unit_length_and_the_same_each
     assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
 
 
+def filled(value: float, **arguments: Any) -> NeuralDescriptor:
+    """A linear layer of which every parameter has this value, for images of 4 x 4."""
+    method = Tiny(weights=NOWHERE, **arguments)
+    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
+    for parameter in method._network.parameters():
+        parameter.fill_(value)
+    return method
+
+
 def test_an_output_of_zeros_is_a_zero_vector() -> None:
-    method = Tiny(weights=NOWHERE)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.zero_()
-    assert np.array_equal(method.encode(Images.from_arrays(numbered(2))), np.zeros((2, 5), np.float32))
+    assert np.array_equal(filled(0).encode(Images.from_arrays(numbered(2))), np.zeros((2, 5), np.float32))
 
 
-@pytest.mark.parametrize("precision", ["float32", "float16"])
-def test_an_output_that_is_not_finite_is_refused(precision: str, pinned: list) -> None:
-    method = Tiny(weights=NOWHERE, precision=precision, device=GPU)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.fill_(3e38 if precision == "float32" else 6e4)
-    advice = {"float32": "give other weights", "float16": r"set method\.precision=float32"}[precision]
-    with pytest.raises(BadInput, match=f"Tiny gives numbers that are not finite in {precision}: {advice}"):
-        method.encode(Images.from_arrays(numbered(2)))
+@pytest.mark.parametrize(
+    ("precision", "value", "advice"), [("float32", 3e38, "weights"), ("float16", 6e4, r"method\.precision=float32")]
+)
+def test_an_output_that_is_not_finite_is_refused(precision: str, value: float, advice: str, pinned: list) -> None:
+    with pytest.raises(BadInput, match=f"^Tiny .* {precision}: .*{advice}"):
+        filled(value, precision=precision, device=GPU).encode(Images.from_arrays(numbered(2)))
 
 
 @pytest.mark.parametrize("arguments", [{}, {"height": 30}, {"height": 8, "width": 9}])

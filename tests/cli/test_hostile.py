@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from checkout import ROOT
 from plugged_in import plugin, see_plugins
+from small_plan import RUN
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
@@ -18,10 +19,7 @@ from vprbench.plugins import registry
 from vprbench.run.store import Store
 
 METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")
-QUICK = [
-    *("dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "threads=1", "frames=false"),
-    *("timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "timing.batch_sizes=[1]"),
-]
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "frames=false", *RUN]
 
 
 @pytest.fixture
