@@ -256,13 +256,18 @@ def test_a_damaged_database_is_begun_anew(
     assert not read
 
 
-@pytest.mark.parametrize("stored", [None, "text", b"short", 7])
-def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: Any) -> None:
-    paths = files(tmp_path, 2)
-    later(folder).of(paths)
+def ask(folder: Path, *questions: str) -> list[Any]:
+    """Put questions to the database by other means; returns the rows that answer the last."""
     (path,) = folder.iterdir()
     with closing(sqlite3.connect(path)) as database, database:
-        database.execute("UPDATE files SET sha256 = ?", (stored,))
+        return [[*database.execute(question)] for question in questions][-1]
+
+
+@pytest.mark.parametrize("stored", ["NULL", "'text'", "x'1234'", "7"])
+def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: str) -> None:
+    paths = files(tmp_path, 2)
+    later(folder).of(paths)
+    ask(folder, f"UPDATE files SET sha256 = {stored}")
     assert later(folder).of(paths) == expected(paths)
 
 
@@ -271,15 +276,10 @@ def test_a_database_of_another_kind_is_left_alone(
 ) -> None:
     paths = files(tmp_path, 2)
     later(folder).of(paths)
-    (path,) = folder.iterdir()
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("DROP TABLE files")
-        database.execute("CREATE TABLE files (recipe TEXT)")
-        database.execute("INSERT INTO files VALUES ('soup')")
+    ask(folder, "DROP TABLE files", "CREATE TABLE files (recipe TEXT)", "INSERT INTO files VALUES ('soup')")
     assert later(folder).of(paths) == expected(paths)
     assert "no hashes of files are kept" in caplog.text
-    with closing(sqlite3.connect(path)) as database:
-        assert [*database.execute("SELECT recipe FROM files")] == [("soup",)]
+    assert ask(folder, "SELECT recipe FROM files") == [("soup",)]
 
 
 def test_a_locked_database_costs_one_line_and_never_the_hashes(
