@@ -111,12 +111,6 @@ def test_variant_c_is_the_oracle_but_for_a_level_where_a_window_is_not_flat(heig
     assert np.abs(got - expected)[told].max() <= 1
 
 
-def test_variant_c_resizes_to_the_oracles_grey():
-    frame = smooth_frame(53, 37)
-    expected = oracle.resize_bilinear(oracle.gamma_c(oracle.grey_c(frame)), 12, 20)
-    assert PatchNormalisation("C", 12, 20).shrink(frame) == pytest.approx(expected, abs=0.01)
-
-
 def test_variant_b_has_the_oracles_whole_levels():
     frame = smooth_frame(28, 28)
     expected = oracle.gamma_b(oracle.grey_b(frame))

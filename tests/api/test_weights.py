@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from described_images import composed
 from safetensors.torch import save_file
 from torch import nn
 from trap import Trap
@@ -78,23 +77,6 @@ class TestConfiguration:
     def test_what_weights_do_not_have_is_refused(self, wrong: dict[str, Any]) -> None:
         with pytest.raises(BadInput, match=r"method\.weights="):
             checked("method.weights", {"file": "a", "licence": "MIT", "trained_on": "b", **wrong}, Weights)
-
-    @pytest.mark.parametrize(
-        ("method", "option", "file", "size_bytes", "sha256"),
-        [
-            ("dinov2", "weights", "dinov2_vitb14_pretrain.pth", 346_378_731, "0b8b82f8"),
-            ("megaloc", "weights", "MegaLoc.safetensors", None, "d4f9f2bc"),
-            ("anyloc", "centres", "dinov2_vitg14_l31_value_c32_urban_c_centers.pt", 197_425, "a684e571"),
-        ],
-    )
-    def test_what_third_parties_state_of_a_file_is_uncertain(
-        self, method: str, option: str, file: str, size_bytes: int | None, sha256: str
-    ) -> None:
-        weights = checked("method.weights", composed(f"method={method}")[option], Weights)
-        assert weights.file == file
-        stated = weights.stated[file]
-        assert (stated.size_bytes, stated.sha256[:8], len(stated.sha256)) == (size_bytes, sha256, 64)
-        assert not stated.certain
 
 
 class TestFinding:
