@@ -6,14 +6,12 @@ import errno
 import multiprocessing
 import shutil
 import signal
-import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import pytest
 from partial_worker import (
     FOUR,
@@ -27,44 +25,32 @@ from partial_worker import (
     train,
     train_and_die,
     train_often,
-    train_where_no_file_may_exceed,
     whole,
 )
 
 from vprbench.api import checkpoints
 
-
-def full_disk(*_: Any) -> NoReturn:
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
 # A disk that refuses
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limits of files are those of Linux")
-def test_a_full_disk_costs_one_line_and_never_the_training(tmp_path: Path) -> None:
-    interrupt(tmp_path, **{"module-0": module(0)})
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("forkserver")) as pool:
-        trained, right, lines = pool.submit(train_where_no_file_may_exceed, tmp_path, 3000).result()
-    assert (trained, right) == ([1, 2, 3, 4], True)
-    assert len(lines) == 1
-    assert "the training cannot be kept" in lines[0]
-    assert "File too large" in lines[0]
-    assert list(tmp_path.iterdir()) == []
+def test_what_was_kept_before_the_disk_was_full_stays_and_the_training_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full_disk(*_: Any) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-
-def test_what_was_kept_before_the_disk_was_full_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    home = interrupt(tmp_path, first=FOUR)
+    home = interrupt(tmp_path, **{"module-0": module(0)})
     monkeypatch.setattr(checkpoints, "replace_bytes", full_disk)
     with interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
-        kept.put("first", {"w": np.ones(4)})
-        kept.put("second", FOUR)
+        for number in range(3):
+            kept.put(f"module-{number}", module(number + 1))
         raise Interrupted
-    assert [path.name for path in home.iterdir()] == ["first.safetensors"]
-    with checkpoints.training(WHAT, tmp_path) as kept:
-        found = kept.get("first")
-    assert found is not None
-    assert found["w"].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert [path.name for path in home.iterdir()] == ["module-0.safetensors"]
+    assert train(tmp_path) == ([1, 2, 3, 4], True)
+    lines = said(caplog)
+    assert len(lines) == 2
+    assert all("No space left on device" in line for line in lines)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("place", ["file", "file/deeper", "x" * 300])

@@ -45,14 +45,6 @@ def test_the_time_of_a_part_that_was_damaged_does_not_count(tmp_path: Path, cloc
         assert kept.seconds == 7
 
 
-def test_a_part_of_this_run_is_no_time_of_another(tmp_path: Path, clock: Clock) -> None:
-    with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
-        clock.spend(5)
-        kept.put("part", FOUR)
-        assert kept.get("part") is not None
-        assert kept.seconds == 0
-
-
 def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path: Path, clock: Clock) -> None:
     with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         Context().run(spend, tmp_path, clock, ("first", 5), ("second", 7))
@@ -91,21 +83,14 @@ def test_a_ledger_inside_another_is_the_same_and_its_own_parts_are_no_time_of_ot
     tmp_path: Path, clock: Clock
 ) -> None:
     with checkpoints.ledger() as outer:
-        with checkpoints.ledger() as inner, checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
-            clock.spend(5)
-            kept.put("part", FOUR)
-        assert inner is outer
+        for what in (WHAT, {"another": 1}):
+            with checkpoints.ledger() as inner, checkpoints.training(what, tmp_path, clock.seconds) as kept:
+                clock.spend(5)
+                kept.put("part", FOUR)
+                assert kept.get("part") is not None
+                assert kept.seconds == 0
+            assert inner is outer
         assert outer.seconds == 0
-        assert len([*tmp_path.glob("*/part.safetensors")]) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_training_that_ended_is_kept_until_its_ledger_ends(tmp_path: Path) -> None:
-    with checkpoints.ledger():
-        with checkpoints.training(WHAT, tmp_path) as kept:
-            kept.put("part", FOUR)
-        with checkpoints.training({"another": 1}, tmp_path) as kept:
-            kept.put("part", FOUR)
         assert len([*tmp_path.glob("*/part.safetensors")]) == 2
     assert list(tmp_path.iterdir()) == []
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import time
 from collections.abc import Callable
@@ -11,10 +10,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 import platformdirs
 import pytest
 from partial_worker import FOUR, WHAT, Interrupted, interrupt, interrupted, said
+from safetensors.numpy import save_file
 
 from vprbench.api import checkpoints
 from vprbench.storage import tensors
@@ -25,28 +24,27 @@ DAY = 86400.0
 # What is kept
 
 
-@pytest.mark.parametrize(
-    "array",
-    [
-        np.arange(6, dtype=np.float32).reshape(2, 3),
-        np.arange(24.0).reshape(2, 3, 4).transpose(2, 0, 1)[::2],
-        np.array(7, np.int64),
-        np.zeros((0, 5), np.int16),
-        np.array([True, False]),
-        np.arange(3, dtype=">i4"),
-        np.array([np.nan, -np.inf, -0.0, 5e-324]),
-    ],
-    ids=["float32", "a view", "no axis", "empty", "bool", "big endian", "odd values"],
-)
-def test_an_interrupted_training_finds_its_arrays_as_they_were(tmp_path: Path, array: npt.NDArray[Any]) -> None:
-    interrupt(tmp_path, part={"a": array, "b": array})
+ARRAYS = {
+    "float32": np.arange(6, dtype=np.float32).reshape(2, 3),
+    "a view": np.arange(24.0).reshape(2, 3, 4).transpose(2, 0, 1)[::2],
+    "no axis": np.array(7, np.int64),
+    "empty": np.zeros((0, 5), np.int16),
+    "bool": np.array([True, False]),
+    "big endian": np.arange(3, dtype=">i4"),
+    "odd values": np.array([np.nan, -np.inf, -0.0, 5e-324]),
+}
+
+
+def test_an_interrupted_training_finds_its_arrays_as_they_were(tmp_path: Path) -> None:
+    interrupt(tmp_path, part=ARRAYS)
     with checkpoints.training(WHAT, tmp_path) as kept:
         found = kept.get("part")
     assert found is not None
-    assert found.keys() == {"a", "b"}
-    assert found["a"].dtype == array.dtype.newbyteorder("=")
-    assert found["a"].shape == array.shape
-    assert found["a"].tobytes() == array.astype(array.dtype.newbyteorder("=")).tobytes()
+    assert found.keys() == ARRAYS.keys()
+    for name, array in ARRAYS.items():
+        wanted = array.astype(array.dtype.newbyteorder("="))
+        assert (found[name].dtype, found[name].shape) == (wanted.dtype, wanted.shape)
+        assert found[name].tobytes() == wanted.tobytes()
 
 
 def test_a_part_is_the_last_that_was_put_each_time_a_copy_and_none_where_none_was_put(tmp_path: Path) -> None:
@@ -114,31 +112,18 @@ def test_anything_but_an_array_of_numbers_is_refused(tmp_path: Path, thing: Any)
 # Damaged files
 
 
-def shorter(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-1])
-
-
-def emptied(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def zeroed(path: Path) -> None:
-    path.write_bytes(bytes(path.stat().st_size))
-
-
-def of_somebody_else(path: Path) -> None:
-    from safetensors.numpy import save_file
-
-    save_file({"w": np.arange(4.0)}, path, {"seconds": "1.0"})
-
-
-def text(path: Path) -> None:
-    path.write_text("part", encoding="utf-8")
-
-
-@pytest.mark.parametrize("damage", [shorter, emptied, zeroed, of_somebody_else, text])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(path.read_bytes()[:-1]),
+        lambda path: path.write_bytes(bytes(path.stat().st_size)),
+        lambda path: path.write_bytes(path.read_bytes()[:-1] + b"\xff"),
+        lambda path: save_file({"w": np.arange(4.0)}, path, {"seconds": "1.0"}),
+    ],
+    ids=["shorter", "zeroed", "another number", "of somebody else"],
+)
 def test_a_damaged_part_is_trained_anew_and_the_others_are_not(
-    tmp_path: Path, damage: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+    tmp_path: Path, damage: Callable[[Path], Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     home = interrupt(tmp_path, first=FOUR, second=FOUR)
     damage(home / "first.safetensors")
@@ -150,21 +135,6 @@ def test_a_damaged_part_is_trained_anew_and_the_others_are_not(
         assert kept.get("first") is not None
     (line,) = said(caplog)
     assert "first.safetensors cannot be used" in line
-
-
-def test_no_byte_of_a_file_can_change_unnoticed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.CRITICAL)
-    path = interrupt(tmp_path, part=FOUR) / "part.safetensors"
-    content = path.read_bytes()
-    unnoticed = []
-    with checkpoints.training(WHAT, tmp_path) as kept:
-        for position in range(len(content)):
-            path.write_bytes(content[:position] + bytes([content[position] ^ 1]) + content[position + 1 :])
-            if kept.get("part") is not None:
-                unnoticed.append(position)
-        path.write_bytes(content)
-        assert kept.get("part") is not None
-    assert unnoticed == []
 
 
 def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

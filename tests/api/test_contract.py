@@ -11,7 +11,6 @@ from vprbench.api.descriptor import DescriptorMethod, best_image_of_place
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.plugins import registry
 
 
 class Colour(DescriptorMethod):
@@ -68,11 +67,6 @@ def test_a_descriptor_method_encodes_its_references_in_blocks_and_in_order():
     assert sum(method.encoded) == 150
     assert max(method.encoded) < 150
     assert method.query(plain(*colours[::-1])).argmax(axis=1).tolist() == list(range(150))[::-1]
-
-
-def test_a_descriptor_method_forgets_its_earlier_map():
-    method = Colour().fit(plain(RED, GREEN), np.arange(2)).fit(plain(GREEN), np.arange(1))
-    assert method.query(plain(OLIVE)) == pytest.approx(np.array([[0.8]]), abs=1e-6)
 
 
 def test_a_descriptor_method_without_a_map_or_references_says_what_to_do():
@@ -161,11 +155,6 @@ def test_codes_held_together_fill_no_more_than_a_gibibyte_unless_one_does(code_b
 def test_a_search_that_cannot_be_is_bad_input(arguments, wanted):
     with pytest.raises(BadInput, match=wanted):
         Drawn(**arguments).fit(drawn(3), np.arange(3))
-
-
-def test_an_index_that_is_unknown_is_refused_on_the_command_line():
-    with pytest.raises(BadInput, match=r"method\.index=lsh.*'sq8'"):
-        registry.make_method({"_target_": "vprbench.methods.hog.HOG", "index": "lsh"})
 
 
 def test_arguments_of_the_search_fit_any_network_and_come_by_name_alone():

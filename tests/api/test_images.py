@@ -1,14 +1,15 @@
 """Images are read when looked at, in order, a bounded number ahead, and a bad file is named."""
 
-import struct
+import tempfile
 import threading
-import zlib
 from concurrent import futures
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import EpsImagePlugin
 from PIL import Image as PillowImage
+from png_files import png_of, saved
 from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images, read_ahead
@@ -98,15 +99,10 @@ def test_nothing_is_read_until_an_image_is_looked_at_and_then_that_one_alone():
         (np.arange(20) > 17, [18, 19]),
     ],
 )
-def test_a_view_holds_the_chosen_images_under_their_names(index, chosen):
+def test_a_view_holds_the_chosen_images_under_their_names_and_so_does_its_view(index, chosen):
     view = Reader().images(20)[index]
-    assert levels(view) == chosen
+    assert levels(view) == levels(view[::-1])[::-1] == chosen
     assert view.names == tuple(f"frame {i}" for i in chosen)
-
-
-def test_a_view_of_a_view_counts_from_the_first_view():
-    view = Reader().images(20)[10:][np.array([5, 0])]
-    assert levels(view) == [15, 10]
 
 
 @pytest.mark.parametrize(("index", "level"), [(-1, 19), (-20, 0), (np.int64(3), 3), (np.int64(-2), 18)])
@@ -138,13 +134,14 @@ def test_images_come_in_order_however_long_each_takes_to_read(monkeypatch):
     assert all(ended.index(chunk + 1) < ended.index(chunk) for chunk in range(0, n // size, 2))
 
 
-def test_each_iteration_reads_every_image_once_in_other_threads():
+@pytest.mark.parametrize("n", [0, 1, 2, 8, 9, 137])
+def test_each_iteration_reads_every_image_once_in_other_threads(n):
     reader = Reader()
-    images = reader.images(137)
+    images = reader.images(n)
     for turn in (1, 2):
-        assert levels(images) == list(range(137))
-        assert sorted(reader.read) == sorted([*range(137)] * turn)
-    assert threading.get_ident() not in reader.threads
+        assert levels(images) == list(range(n))
+        assert sorted(reader.read) == sorted([*range(n)] * turn)
+    assert n < 2 or threading.get_ident() not in reader.threads  # a single image is read by the caller
 
 
 @pytest.mark.parametrize("looked_at", [1, 500])
@@ -166,23 +163,14 @@ def test_leaving_an_iteration_early_ends_the_reading(chunks):
     assert 0 < len(reader.read) < 200
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 8, 9])
-def test_short_sequences_are_iterated_whole(n):
-    assert levels(Reader().images(n)) == list(range(n))
-
-
 @pytest.mark.parametrize(("n", "sizes"), [(7, [3, 3, 1]), (6, [3, 3]), (2, [2]), (0, [])])
-def test_blocks_are_full_but_for_the_last(n, sizes):
-    assert [len(block) for block in Reader().images(n).blocks(3)] == sizes
-
-
-def test_blocks_hold_the_images_in_order_under_their_names_decoded_already():
+def test_blocks_hold_the_images_in_order_under_their_names_decoded_already(n, sizes):
     reader = Reader()
-    blocks = list(reader.images(20).blocks(6))
-    assert len(reader.read) == 20
-    assert [level for block in blocks for level in levels(block)] == list(range(20))
-    assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(20)]
-    assert len(reader.read) == 20
+    blocks = list(reader.images(n).blocks(3))
+    assert [len(block) for block in blocks] == sizes
+    assert [level for block in blocks for level in levels(block)] == list(range(n))
+    assert [name for block in blocks for name in block.names] == [f"frame {i}" for i in range(n)]
+    assert len(reader.read) == n
 
 
 def test_a_block_ends_before_its_bytes_exceed_those_asked_for_or_holds_one_image():
@@ -239,13 +227,11 @@ def test_an_error_in_a_reading_thread_reaches_the_caller_with_the_path(tmp_path)
     assert str(paths[117]) in answer(lambda: list(Images.from_files(paths)))
 
 
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_files_of_different_sizes_keep_their_own(tmp_path, suffix):
+def test_files_of_different_sizes_keep_their_own(tmp_path):
     sizes = [(4, 6), (7, 3), (1, 1)]
-    paths = [save(tmp_path / f"{i}.{suffix}", noise(*size)) for i, size in enumerate(sizes)]
-    images = Images.from_files(paths)
+    images = Images.from_files([save(tmp_path / f"{i}.png", noise(*size)) for i, size in enumerate(sizes)])
     assert [image.shape for image in images] == [(*size, 3) for size in sizes]
-    assert images.names == (f"0.{suffix}", f"1.{suffix}", f"2.{suffix}")
+    assert images.names == ("0.png", "1.png", "2.png")
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -258,50 +244,14 @@ def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(tmp_path,
         read_image(too_large)
 
 
-def test_alpha_is_dropped_without_touching_the_colour(tmp_path):
-    pixels = np.dstack([noise(3, 4), np.array([[0, 1, 128, 255]] * 3, np.uint8)])
-    assert np.array_equal(read_image(save(tmp_path / "a.png", pixels)), pixels[:, :, :3])
-
-
-def test_sixteen_bit_grey_is_reduced_to_eight(tmp_path):
-    path = save(tmp_path / "a.png", np.array([[0, 0x4000, 0xFFFF]], np.uint16))
-    assert read_image(path).tolist() == [[[0] * 3, [64] * 3, [255] * 3]]
-
-
-@pytest.mark.parametrize("options", [{}, {"transparency": bytes([0, 128, 255])}], ids=["plain", "transparent"])
-def test_a_palette_is_looked_up_without_a_warning(tmp_path, options):
-    image = PillowImage.new("P", (3, 1))
-    image.putpalette([10, 20, 30, 200, 100, 0, 5, 6, 7])
-    image.putdata([1, 0, 2])
-    image.save(tmp_path / "a.png", **options)
-    assert read_image(tmp_path / "a.png").tolist() == [[[200, 100, 0], [10, 20, 30], [5, 6, 7]]]
-
-
-def half_of(suffix):
-    def write(path):
-        whole = path.with_suffix(f".{suffix}")
-        save(whole, noise(40, 40))
-        path.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-
-    return write
-
-
-def claim_a_huge_size(path):
-    def chunk(kind, content):
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0")) + chunk(b"IEND", b""))
-
-
 BAD_FILES = {
-    "truncated PNG": half_of("png"),
-    "truncated JPEG": half_of("jpg"),
+    "truncated PNG": lambda path: path.write_bytes(saved(noise(40, 40))[:2000]),
+    "truncated JPEG": lambda path: path.write_bytes(saved(noise(40, 40), kind="JPEG")[:1000]),
     "empty file": lambda path: path.write_bytes(b""),
     "text": lambda path: path.write_text("frame 1 of 3\n"),
     "no file": lambda path: None,
     "folder": lambda path: path.mkdir(),
-    "PNG that claims 400 million pixels": claim_a_huge_size,
+    "PNG that claims 400 million pixels": lambda path: path.write_bytes(png_of(b"\0", 20_000, 20_000)),
 }
 
 
@@ -359,72 +309,42 @@ def test_an_array_that_is_no_uint8_image_is_refused_with_its_shape_and_type(arra
     assert str(array.dtype) in message
 
 
-@pytest.fixture
-def files(tmp_path):
-    return [save(tmp_path / f"{i}.png", noise(64, 64, seed=i), compress_level=0) for i in range(3)]
+def test_the_fingerprint_of_files_decodes_nothing_and_names_a_missing_one(tmp_path):
+    paths = [tmp_path / "a.png", tmp_path / "b.png"]
+    paths[0].write_text("no image")
+    assert Images.from_files(paths[:1]).fingerprint()
+    assert str(paths[1]) in answer(lambda: Images.from_files(paths).fingerprint())
 
 
-def test_the_fingerprint_of_untouched_files_stays_in_whatever_folder(files, tmp_path):
-    before = Images.from_files(files).fingerprint()
-    files[1].touch()
-    files[1].write_bytes(files[1].read_bytes())
-    assert Images.from_files(files).fingerprint() == before
-    (tmp_path / "moved").mkdir()
-    moved = [path.rename(tmp_path / "moved" / path.name) for path in files]
-    assert Images.from_files(moved).fingerprint() == before
-    assert Images.from_files(moved)[1:].fingerprint() == Images.from_files(moved[1:]).fingerprint()
+ARRAYS = [noise(64, 64, seed) for seed in range(3)]
+ALTERED = ARRAYS[1].copy()
+ALTERED[32, 32, 0] ^= 1
 
 
-def renamed(files):
-    return [files[0], files[1].rename(files[1].with_name("other.png")), files[2]]
+@pytest.fixture(params=["arrays", "rendered", "files"])
+def wrap(request, tmp_path):
+    """What makes images of arrays and names, files of one size in a new folder each time."""
+
+    def filed(arrays, names):
+        folder = Path(tempfile.mkdtemp(dir=tmp_path))
+        paths = [
+            save(folder / name, array, format="PNG", compress_level=0)
+            for name, array in zip(names, arrays, strict=True)
+        ]
+        return Images.from_files(paths)
+
+    def rendered(arrays, names):
+        return Images(arrays.__getitem__, list(names))
+
+    return {"arrays": Images.from_arrays, "rendered": rendered, "files": filed}[request.param]
 
 
-def exchanged(files):
-    first, second = files[0].read_bytes(), files[1].read_bytes()
-    files[0].write_bytes(second)
-    files[1].write_bytes(first)
-    return files
-
-
-def with_one_other_pixel(files):
-    size, pixels = files[1].stat().st_size, noise(64, 64, seed=1)
-    pixels[32, 32, 0] ^= 1
-    save(files[1], pixels, compress_level=0)
-    assert files[1].stat().st_size == size
-    return files
-
-
-@pytest.mark.parametrize(
-    "change", [renamed, exchanged, with_one_other_pixel, lambda files: files[::-1], lambda files: files[:2]]
-)
-def test_other_files_change_the_fingerprint(files, change):
-    before = Images.from_files(files).fingerprint()
-    assert Images.from_files(change(files)).fingerprint() != before
-
-
-def test_the_fingerprint_of_a_missing_file_is_an_error_with_its_path(files):
-    files[2].unlink()
-    assert str(files[2]) in answer(lambda: Images.from_files(files).fingerprint())
-
-
-def test_the_fingerprint_of_files_decodes_nothing(tmp_path):
-    (tmp_path / "a.png").write_text("no image")
-    assert Images.from_files([tmp_path / "a.png"]).fingerprint()
-
-
-def rendered(arrays, names="abc"):
-    return Images(arrays.__getitem__, list(names))
-
-
-ARRAYS = [noise(2, 3, seed) for seed in range(3)]
-
-
-@pytest.mark.parametrize("wrap", [Images.from_arrays, rendered], ids=["arrays", "rendered"])
 def test_the_fingerprint_of_the_same_pixels_under_the_same_names_stays(wrap):
-    assert wrap(ARRAYS, "abc").fingerprint() == wrap([array.copy() for array in ARRAYS], "abc").fingerprint()
+    whole = wrap(ARRAYS, "abc")
+    assert whole.fingerprint() == wrap([array.copy() for array in ARRAYS], "abc").fingerprint()
+    assert whole[1:].fingerprint() == wrap(ARRAYS[1:], "bc").fingerprint()
 
 
-@pytest.mark.parametrize("wrap", [Images.from_arrays, rendered], ids=["arrays", "rendered"])
 @pytest.mark.parametrize(
     ("arrays", "names"),
     [
@@ -432,12 +352,12 @@ def test_the_fingerprint_of_the_same_pixels_under_the_same_names_stays(wrap):
         (ARRAYS, "acb"),
         (ARRAYS[::-1], "abc"),
         (ARRAYS[:2], "ab"),
-        ([ARRAYS[0], ARRAYS[1] ^ 1, ARRAYS[2]], "abc"),
-        ([ARRAYS[0], ARRAYS[1].reshape(3, 2, 3), ARRAYS[2]], "abc"),
+        ([ARRAYS[0], ALTERED, ARRAYS[2]], "abc"),
+        ([ARRAYS[0], ARRAYS[1].reshape(32, 128, 3), ARRAYS[2]], "abc"),
     ],
     ids=["renamed", "names reordered", "reordered", "fewer", "replaced", "reshaped"],
 )
-def test_other_arrays_change_the_fingerprint(wrap, arrays, names):
+def test_other_images_change_the_fingerprint(wrap, arrays, names):
     assert wrap(arrays, names).fingerprint() != wrap(ARRAYS, "abc").fingerprint()
 
 

@@ -167,7 +167,7 @@ def by_hand(file: Path, image: Image) -> npt.NDArray[np.float64]:
 
 
 def test_the_network_is_loaded_when_first_needed_and_once_and_changes_neither_equality_nor_repr(
-    weights: Weights, monkeypatch: pytest.MonkeyPatch
+    weights: Weights, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loaded = []
     load = Tiny.load
@@ -176,12 +176,8 @@ def test_the_network_is_loaded_when_first_needed_and_once_and_changes_neither_eq
     assert loaded == []
     for _ in range(2):
         method.encode(Images.from_arrays(noise(3)))
-    assert loaded == [Path(weights.path or "")]
+    assert loaded == list(method.files()) == [file]
     assert (method, repr(method)) == (fresh, repr(fresh))
-
-
-def test_its_file_is_the_one_that_its_weights_name(weights: Weights, file: Path) -> None:
-    assert list(Tiny(weights=weights).files()) == [file]
 
 
 def test_a_missing_file_is_named_when_files_are_asked_for_and_when_images_are() -> None:
@@ -201,23 +197,25 @@ def test_a_descriptor_is_what_the_formulas_give_of_unit_length_and_the_same_each
     assert np.abs(codes - [by_hand(file, image) for image in images]).max() < 1e-5
 
 
+def filled(value: float, **arguments: Any) -> NeuralDescriptor:
+    """A linear layer of which every parameter has this value, for images of 4 x 4."""
+    method = Tiny(weights=NOWHERE, **arguments)
+    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
+    for parameter in method._network.parameters():
+        parameter.fill_(value)
+    return method
+
+
 def test_an_output_of_zeros_is_a_zero_vector() -> None:
-    method = Tiny(weights=NOWHERE)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.zero_()
-    assert np.array_equal(method.encode(Images.from_arrays(numbered(2))), np.zeros((2, 5), np.float32))
+    assert np.array_equal(filled(0).encode(Images.from_arrays(numbered(2))), np.zeros((2, 5), np.float32))
 
 
-@pytest.mark.parametrize("precision", ["float32", "float16"])
-def test_an_output_that_is_not_finite_is_refused(precision: str, pinned: list) -> None:
-    method = Tiny(weights=NOWHERE, precision=precision, device=GPU)
-    method.use(nn.Sequential(nn.Flatten(), nn.Linear(48, 5)))
-    for parameter in method._network.parameters():
-        parameter.fill_(3e38 if precision == "float32" else 6e4)
-    advice = {"float32": "give other weights", "float16": r"set method\.precision=float32"}[precision]
-    with pytest.raises(BadInput, match=f"Tiny gives numbers that are not finite in {precision}: {advice}"):
-        method.encode(Images.from_arrays(numbered(2)))
+@pytest.mark.parametrize(
+    ("precision", "value", "advice"), [("float32", 3e38, "weights"), ("float16", 6e4, r"method\.precision=float32")]
+)
+def test_an_output_that_is_not_finite_is_refused(precision: str, value: float, advice: str, pinned: list) -> None:
+    with pytest.raises(BadInput, match=f"^Tiny .* {precision}: .*{advice}"):
+        filled(value, precision=precision, device=GPU).encode(Images.from_arrays(numbered(2)))
 
 
 @pytest.mark.parametrize("arguments", [{}, {"height": 30}, {"height": 8, "width": 9}])
@@ -225,14 +223,6 @@ def test_no_images_give_no_rows_of_the_right_length(arguments: dict[str, int], w
     for kind in (Tiny, Large):
         codes = kind(weights=weights, **(arguments if kind is Tiny else {})).encode(Images.from_arrays([]))
         assert (codes.shape, codes.dtype) == ((0, 6), np.float32)
-
-
-def test_a_batch_gives_what_its_images_give_one_by_one(weights: Weights) -> None:
-    method = Tiny(weights=weights, batch_size=3)
-    images = mixed()
-    together = method.encode(Images.from_arrays(images))
-    alone = np.concatenate([method.encode(Images.from_arrays([image])) for image in images])
-    assert np.abs(together - alone).max() < 1e-6
 
 
 TWO_SIZES = [image[:3] if i in (2, 3) else image for i, image in enumerate(numbered(7))]
@@ -307,15 +297,18 @@ def test_the_network_sees_images_in_the_size_and_resized_in_the_way_asked_for(
 
 
 @pytest.mark.parametrize(
-    ("size", "wanted"),
-    [((100, 150), (98, 154)), ((14, 28), (14, 28)), ((5, 3), (14, 14)), ((1080, 1920), (1078, 1918))],
+    ("given", "size", "wanted"),
+    [
+        ({}, (100, 150), (98, 154)),
+        ({}, (14, 28), (14, 28)),
+        ({}, (5, 3), (14, 14)),
+        ({"height": 224}, (100, 150), (224, 154)),
+    ],
 )
-def test_sides_are_rounded_to_the_nearest_multiple(size: tuple[int, int], wanted: tuple[int, int]) -> None:
-    assert Fourteen(weights=NOWHERE).target(*size) == wanted
-
-
-def test_sides_given_are_the_target_whatever_the_image_has() -> None:
-    assert Fourteen(weights=NOWHERE, height=224).target(100, 150) == (224, 154)
+def test_sides_are_those_given_or_the_nearest_multiples(
+    given: dict[str, int], size: tuple[int, int], wanted: tuple[int, int]
+) -> None:
+    assert Fourteen(weights=NOWHERE, **given).target(*size) == wanted
 
 
 @pytest.mark.parametrize("how", ["pillow", "opencv", "tensor"])
@@ -377,14 +370,12 @@ def test_no_thread_stays_where_the_network_fails_even_while_the_error_is_held(de
     assert held.tb is not None
 
 
-def test_the_way_over_a_gpu_gives_what_the_cpu_gives(weights: Weights, pinned: list, no_thread_stays: None) -> None:
+def test_the_way_over_a_gpu_by_pinned_batches_gives_what_the_cpu_gives(
+    weights: Weights, pinned: list, no_thread_stays: None
+) -> None:
     over_a_gpu = Tiny(weights=weights, batch_size=2, device=GPU).encode(slowly(mixed()))
+    assert pinned[:3] == [(2, 20, 26, 3), (1, 20, 26, 3), (2, 20, 40, 3)]
     assert np.abs(over_a_gpu - Tiny(weights=weights).encode(Images.from_arrays(mixed()))).max() < 1e-6
-
-
-def test_images_go_to_a_gpu_as_pinned_bytes_batch_by_batch(weights: Weights, pinned: list) -> None:
-    Tiny(weights=weights, batch_size=2, device=GPU).encode(Images.from_arrays(noise(3)))
-    assert pinned == [(2, 20, 26, 3), (1, 20, 26, 3)]
 
 
 def test_on_a_gpu_the_next_batch_and_no_more_is_made_in_one_thread_meanwhile(pinned: list) -> None:

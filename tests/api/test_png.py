@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image as PillowImage
 from PIL import PngImagePlugin
+from png_files import chunk, png_of, saved
 
 from vprbench.api import decoding, png
 from vprbench.api.decoding import read_image
@@ -25,28 +25,9 @@ def noise(*shape: int, seed: int = 0) -> Pixels:
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
 
 
-def chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-
-def png_of(
-    rows: bytes, width: int, height: int, *, bits: int = 8, colour: int = 2, interlaced: int = 0, extra: bytes = b""
-) -> bytes:
-    """A PNG of rows as they stand in the file, each after the byte that names its filter."""
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced))
-    return png.SIGNATURE + header + extra + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
-
-
 def filtered(kind: int, channels: int, height: int = 9) -> bytes:
     """Rows of random differences, all under one filter."""
     return b"".join(bytes([kind]) + noise(7 * channels, seed=row).tobytes() for row in range(height))
-
-
-def saved(pixels: Pixels, mode: str | None = None, kind: str = "PNG", **options: object) -> bytes:
-    file = io.BytesIO()
-    image = PillowImage.fromarray(pixels)
-    (image if mode is None else image.convert(mode)).save(file, kind, **options)
-    return file.getvalue()
 
 
 def turned(kind: str, **options: object) -> bytes:

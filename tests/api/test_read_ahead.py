@@ -62,22 +62,14 @@ def test_small_frames_are_bounded_by_their_number(waiting: type[Waiting], tmp_pa
     assert 2 * 8 <= waiting.most <= 128
 
 
-@pytest.mark.parametrize("room", [10, 5])
-def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on(
-    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+@pytest.mark.parametrize(("room", "together"), [(10, 10), (5, 5), (0.5, 4)])
+def test_large_frames_are_bounded_by_their_bytes_from_the_first_one_on_but_not_below_four(
+    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: float, together: int
 ) -> None:
-    monkeypatch.setattr(read_ahead, "_BYTES", room * FRAME + 1)
+    monkeypatch.setattr(read_ahead, "_BYTES", int(room * FRAME) + 1)
     paths = frames(tmp_path, [(300, 400)])
     assert len(list(Images.from_files(paths * 50))) == 50
-    assert waiting.most == room
-
-
-def test_of_frames_larger_than_all_there_is_room_for_four_are_read_at_a_time(
-    waiting: type[Waiting], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(read_ahead, "_BYTES", FRAME // 2)
-    assert len(list(Images.from_files(frames(tmp_path, [(300, 400)]) * 9))) == 9
-    assert waiting.most == 4
+    assert waiting.most == together
 
 
 def test_frames_are_held_by_the_size_of_each_whatever_the_first_was(

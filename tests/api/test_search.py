@@ -72,11 +72,6 @@ def test_exact_scores_are_those_of_float64(layout: str, n_queries: int, monkeypa
     np.testing.assert_allclose(scores, oracle(codes, references, places), atol=1e-6)
 
 
-def test_references_are_not_copied() -> None:
-    references, _ = clustered()
-    assert np.shares_memory(Search(references, np.arange(N_IMAGES)).references, references)
-
-
 def test_references_may_lie_in_a_file(tmp_path: Any) -> None:
     references, codes = clustered()
     np.save(tmp_path / "references.npy", references)
@@ -200,12 +195,7 @@ def test_product_codes_say_how_many_references_they_need_and_nothing_else(capfd:
 
 @pytest.mark.parametrize(
     ("spoilt", "wanted"),
-    [
-        ({"kind": "lsh"}, r"method\.index=lsh .*exact, hnsw, ivfpq, sq8"),
-        ({"neighbours": 0}, r"method\.neighbours=0"),
-        ({"places": np.arange(3)}, r"\(300, 64\) .*\(3,\)"),
-        ({"references": np.zeros((0, 4), np.float32)}, "0 came"),
-    ],
+    [({"places": np.arange(3)}, r"\(300, 64\) .*\(3,\)"), ({"references": np.zeros((0, 4), np.float32)}, "0 came")],
 )
 def test_what_cannot_be_searched_is_refused(spoilt: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
@@ -239,29 +229,28 @@ def test_bytes_of_a_place_count_what_answers_need(kind: Kind, wanted: int) -> No
     assert two_each == pytest.approx(2 * one_each, abs=2)
 
 
-@pytest.mark.parametrize("layout", ["one image each", "traverses", "one image each, in another order"])
-@pytest.mark.parametrize("kind", ["exact", "sq8"])
-def test_scoring_needs_little_more_memory_than_its_scores(kind: Kind, layout: str) -> None:
-    n_images = 300_000
-    references = np.random.default_rng(0).random((n_images, 16), np.float32)
-    index = Search(references, layouts(n_images)[layout], kind)
-    codes = references[:128].copy()
+def bytes_beside_scores(index: Search, codes: Vectors) -> int:
+    """The most memory that scoring takes, the scores left out."""
     tracemalloc.start()
     scores = index.scores(codes)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < scores.nbytes + 220_000_000  # three intermediate results of 64 MiB
+    return peak - scores.nbytes
+
+
+@pytest.mark.parametrize("layout", ["one image each", "traverses", "one image each, in another order"])
+@pytest.mark.parametrize("kind", ["exact", "sq8"])
+def test_scoring_needs_little_more_memory_than_its_scores(kind: Kind, layout: str) -> None:
+    references = np.random.default_rng(0).random((300_000, 16), np.float32)
+    index = Search(references, layouts(300_000)[layout], kind)
+    # three intermediate results of 64 MiB
+    assert bytes_beside_scores(index, references[:128].copy()) < 220_000_000
 
 
 def test_eight_bits_are_made_floats_block_by_block() -> None:
     references = np.random.default_rng(0).random((30_000, 2048), np.float32)
     index = Search(references, np.arange(30_000), "sq8")
-    codes = references[:4].copy()
-    tracemalloc.start()
-    scores = index.scores(codes)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < scores.nbytes + 80_000_000 < references.nbytes
+    assert bytes_beside_scores(index, references[:4].copy()) < 80_000_000 < references.nbytes
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -53,33 +53,6 @@ def test_the_doctor_of_a_dataset_that_is_not_there_says_how_to_get_it(capsys: py
     assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["doctor"], "doctor needs dataset=NAME"),
-        (["doctor", "dataset=nowhere"], "dataset=nowhere is unknown"),
-        (["doctor", "dataset=synthetic", "seed=3"], "seed=3 is no option of doctor"),
-        (["fetch", "nowhere"], "fetch nowhere: nothing of that name can be fetched"),
-        (["fetch", "synthetic"], "fetch synthetic: there is nothing to download"),
-        (["fetch", "nordland", "colour=red"], "colour"),
-    ],
-)
-def test_what_cannot_be_asked_is_one_line_and_exit_code_2(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-
-
-def test_fetch_without_a_name_lists_what_there_is_with_licences(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fetch"]) == 0
-    told = capsys.readouterr().out
-    assert "nordland: Nordland" in told
-    assert told.count("licence: ") == len(list(command.downloads()))
-
-
 @pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
 def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
     empty: bool, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from checkout import ROOT
+from plugged_in import plugin, see_plugins
+from small_plan import RUN
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
@@ -17,36 +19,19 @@ from vprbench.plugins import registry
 from vprbench.run.store import Store
 
 METHODS = ("crashing", "leaving", "hanging", "silent", "colourful", "rootless", "unruly", "moving")
-QUICK = [
-    *("dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "threads=1", "frames=false"),
-    *("timing.minimum_seconds=0", "timing.sample=4", "timing.minimum_queries=4", "timing.batch_sizes=[1]"),
-]
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "dataset.query_places=4", "frames=false", *RUN]
 
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in a folder of its own with the hostile methods plugged in, for other processes too."""
-    methods = {name: f"hostile.{name.capitalize()}" for name in METHODS} | {"dying": "dying.Method"}
+    targets = {name: f"hostile.{name.capitalize()}" for name in METHODS} | {"dying": "dying.Method"}
+    methods = {name: f"_target_: {target}" for name, target in targets.items()}
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
     (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
-    monkeypatch.syspath_prepend(tmp_path / "plugins")
-    monkeypatch.setenv(
-        "PYTHONPATH", os.pathsep.join(map(str, (tmp_path / "plugins", ROOT / "tests" / "support", ROOT)))
-    )
+    see_plugins(tmp_path / "plugins", monkeypatch)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def plugin(root: Path, package: str, point: str, methods: dict[str, str]) -> None:
-    """Install a package with these methods under the name of an entry point."""
-    folder = root / f"{package}_conf" / "method"
-    folder.mkdir(parents=True)
-    for name, target in methods.items():
-        (folder / f"{name}.yaml").write_text(f"# Of {package}\n_target_: {target}\n")
-    about = root / f"{package}-1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n")
-    (about / "entry_points.txt").write_text(f"[vprbench.conf]\n{point} = {package}_conf\n")
 
 
 def asked(*options: str) -> subprocess.CompletedProcess[str]:
@@ -115,7 +100,7 @@ def test_of_plug_ins_that_share_a_name_none_is_used_all_are_named_and_the_built_
         *(("north", "north", "pole"), ("south", "south", "pole")),
         *(("shadow", "shadow", "sad"), ("leaver", "leaver", "gone")),
     ]:
-        plugin(here / "plugins", package, point, {method: "leaving_at_import.Method"})
+        plugin(here / "plugins", package, point, {method: "_target_: leaving_at_import.Method"})
     (here / "plugins" / "leaving_at_import.py").write_text("raise SystemExit\n")
     shown = registry.entries("method")
     assert {"sad", "hanging", "gone"} <= set(shown)

@@ -9,8 +9,6 @@ from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
-from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.ranking import outcome
 from vprbench.metrics.tolerance import hits_within
 
 PLACES = 40
@@ -55,25 +53,12 @@ def test_queries_beyond_the_map_have_no_right_place_and_look_like_none_of_it(jou
     assert not mapped & {image.tobytes() for image in dataset.queries[PLACES:]}
 
 
-def test_unanswerable_queries_count_as_misses_among_all_queries():
-    dataset = synthetic(places=PLACES, references=["summer"], first_query_place=0, unanswerable=10)
-    scores = answered(dataset)[0]
-    assert hits_at(outcome(scores, dataset.positives), 1).mean() == pytest.approx(40 / 50)
-
-
 def test_the_protocol_says_what_was_damaged():
     sound = synthetic(places=PLACES).protocol
     damaged = synthetic(places=PLACES, query_shift=3, unanswerable=2).protocol
     assert {name: damaged[name] for name in damaged.keys() - sound.keys()} == {"query_shift": 3, "unanswerable": 2}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"query_shift": -1, "first_query_place": 0}, "dataset.query_shift=-1"),
-        ({"unanswerable": -1}, "dataset.unanswerable=-1"),
-    ],
-)
-def test_damage_that_cannot_be_rendered_is_refused(arguments, message):
-    with pytest.raises(BadInput, match=message):
-        synthetic(places=PLACES, **arguments)
+def test_a_shift_beyond_the_journey_is_refused():
+    with pytest.raises(BadInput, match=r"dataset\.query_shift=-1"):
+        synthetic(places=PLACES, query_shift=-1, first_query_place=0)

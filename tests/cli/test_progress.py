@@ -64,11 +64,6 @@ def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(
     assert capsys.readouterr().out == ""
 
 
-def test_a_long_stage_has_a_line_every_ten_seconds(clock: Clock) -> None:
-    reports = [(0, "query", 0.0), *[(1, "query", 0.01 * second) for second in range(1, 36)]]
-    assert len(lines_of(clock, reports)) == 4  # at 0, 10, 20 and 30 s
-
-
 # The bar
 
 

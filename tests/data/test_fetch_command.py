@@ -16,11 +16,6 @@ from vprbench.errors import NotThere
 pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    return tmp_path / "data" / "little"
-
-
 class TestCheck:
     @pytest.mark.parametrize(
         ("missing", "said"),

@@ -42,22 +42,23 @@ def test_a_dataset_is_returned_as_it_is(made: SimpleNamespace) -> None:
     assert dataset is made.dataset
 
 
-def test_what_is_no_dataset_is_refused(made: SimpleNamespace) -> None:
-    made.dataset = 5
-    assert refusal({"_target_": "mine.noise"}) == "mine.noise gave int; it has to return a Dataset"
+WHOLE = journey(4, 3)
 
 
-@pytest.mark.parametrize("part", ["references", "queries"])
-def test_a_list_in_place_of_images_is_refused(made: SimpleNamespace, part: str) -> None:
-    whole = journey(4, 3)
-    made.dataset = replace(whole, **{part: list(getattr(whole, part))})
-    told = refusal({"_target_": "mine.noise"})
-    assert told.startswith(f"mine.noise gave {part} of type list; wanted is vprbench.api.images.Images")
-
-
-def test_a_name_too_long_for_a_folder_is_refused(made: SimpleNamespace) -> None:
-    made.dataset = replace(journey(4, 3), name="é" * 130)
-    assert refusal({"_target_": "mine.noise"}).startswith("dataset.name=ééé")
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (5, "mine.noise gave int; it has to return a Dataset"),
+        (replace(WHOLE, references=list(WHOLE.references)), "mine.noise gave references of type list; wanted is"),
+        (replace(WHOLE, queries=list(WHOLE.queries)), "mine.noise gave queries of type list; wanted is"),
+        (replace(WHOLE, name="é" * 130), "dataset.name=ééé"),
+    ],
+    ids=["a number", "listed references", "listed queries", "a long name"],
+)
+def test_what_is_no_dataset_is_refused(made: SimpleNamespace, given: Any, said: str) -> None:
+    made.dataset = given
+    assert refusal({"_target_": "mine.noise"}).startswith(said)
+    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise has no _target_")
 
 
 def test_a_path_that_no_disk_takes_is_refused_by_name(tmp_path: Path) -> None:
@@ -65,7 +66,3 @@ def test_a_path_that_no_disk_takes_is_refused_by_name(tmp_path: Path) -> None:
     told = refusal({"_target_": "vprbench.datasets.vpr_bench.vpr_bench", "root": str(root)})
     assert str(tmp_path) in told
     assert os.strerror(errno.ENAMETOOLONG) in told
-
-
-def test_a_yaml_without_a_target_is_refused() -> None:
-    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise has no _target_")

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 import requests
+from file_limit import no_file_may_exceed
 from served_files import Served, serving
 
 from vprbench.errors import BadInput
@@ -62,15 +63,12 @@ def interrupt(server: Served, to: Path, after_bytes: int = CHUNK) -> None:
     assert left_behind(to) == ["net.pth.part"]
 
 
-def test_a_file_comes_whole_with_nothing_beside_it(server: Served, to: Path) -> None:
+def test_a_file_comes_whole_and_once_with_nothing_beside_it(server: Served, to: Path) -> None:
     get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
     assert to.read_bytes() == CONTENT
     assert left_behind(to) == []
-
-
-def test_a_file_that_is_there_is_not_asked_for(server: Served, to: Path) -> None:
-    to.parent.mkdir()
     to.write_bytes(b"mine")
+    server.net.asked.clear()
     get(server, to)
     assert to.read_bytes() == b"mine"
     assert server.net.asked == []
@@ -93,13 +91,6 @@ def test_what_a_broken_connection_has_brought_is_continued(server: Served, to: P
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={n * CHUNK}-" for n in (1, 2, 3)]
-
-
-def test_an_interrupted_run_is_continued_by_the_next(server: Served, to: Path) -> None:
-    interrupt(server, to, 2 * CHUNK)
-    get(server, to)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
 def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: Served, to: Path) -> None:
@@ -186,16 +177,11 @@ def test_redirects_are_followed_when_continuing_too(server: Served, to: Path) ->
 
 
 @pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
-def test_a_redirect_that_leads_nowhere_is_refused(server: Served, to: Path, target: str) -> None:
+def test_only_the_web_is_downloaded_from_by_redirects_too(server: Served, to: Path, target: str) -> None:
+    with pytest.raises(BadInput, match="does not start with http"):
+        fetch(target, to)
     with pytest.raises(BadInput, match="cannot be followed"):
         fetch(server.net.serve("/old", location=target), to, pause_seconds=0.0)
-    assert not to.exists()
-
-
-@pytest.mark.parametrize("url", ["file:///etc/hostname", "ftp://127.0.0.1/net.pth", "net.pth"])
-def test_only_the_web_is_downloaded_from(to: Path, url: str) -> None:
-    with pytest.raises(BadInput, match="does not start with http"):
-        fetch(url, to)
     assert not to.exists()
 
 
@@ -228,20 +214,17 @@ def test_a_file_that_changed_meanwhile_comes_whole_in_its_new_version(server: Se
     assert server.net.ranges() == []
 
 
-def test_a_part_of_no_known_version_is_not_continued(server: Served, to: Path) -> None:
+def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server: Served, to: Path) -> None:
     server.etag = 'W/"weak"'
-    interrupt(server, to)
-    server.content = OTHER
-    get(server, to)
-    assert to.read_bytes() == OTHER
-
-
-def test_a_part_of_no_known_version_is_continued_where_a_hash_tells(server: Served, to: Path) -> None:
-    server.etag = None
     interrupt(server, to)
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
+    to.unlink()
+    interrupt(server, to)
+    server.content = OTHER
+    get(server, to)
+    assert to.read_bytes() == OTHER
 
 
 def test_a_part_longer_than_the_file_is_begun_anew(server: Served, to: Path) -> None:
@@ -294,14 +277,8 @@ def test_two_processes_that_want_one_file_download_it_once(server: Served, to: P
 
 
 def test_a_full_disk_is_named_and_what_came_is_kept(server: Served, to: Path) -> None:
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (CHUNK + 1000, before[1]))
-    try:
-        with pytest.raises(BadInput, match=r"\(File.*large\)"):
-            get(server, to)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with no_file_may_exceed(CHUNK + 1000), pytest.raises(BadInput, match=r"\(File.*large\)"):
+        get(server, to)
     assert not to.exists()
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
@@ -335,15 +312,14 @@ class TestGoogleDrive:
         server.attached = True
         return server
 
-    def test_the_page_that_asks_for_confirmation_is_passed(self, confirming: Served, to: Path) -> None:
+    @pytest.mark.parametrize("breaks_after", [None, 2 * CHUNK])
+    def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(
+        self, confirming: Served, to: Path, breaks_after: int | None
+    ) -> None:
+        confirming.breaks_after = breaks_after
         fetch(self.URL, to, sha256=SHA256, pause_seconds=0.0)
         assert to.read_bytes() == CONTENT
-
-    def test_a_broken_download_is_continued(self, confirming: Served, to: Path) -> None:
-        confirming.breaks_after = 2 * CHUNK
-        fetch(self.URL, to, pause_seconds=0.0)
-        assert to.read_bytes() == CONTENT
-        assert confirming.net.ranges() == [f"bytes={2 * CHUNK}-"]
+        assert confirming.net.ranges() == ([f"bytes={breaks_after}-"] if breaks_after else [])
 
     def test_a_file_that_is_not_public_is_reported_in_one_line(self, server: Served, to: Path) -> None:
         page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'

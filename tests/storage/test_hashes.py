@@ -97,28 +97,19 @@ def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_on
     assert set(read.values()) == {1}
 
 
-def test_no_files_have_no_hashes_and_leave_no_folder(folder: Path) -> None:
-    assert later(folder).of([]) == []
-    assert not folder.exists()
-
-
 # Once
 
 
 @pytest.mark.parametrize("again", [False, True], ids=["another program", "the same one"])
-def test_a_second_call_reads_nothing(tmp_path: Path, folder: Path, read: Counter[str], again: bool) -> None:
+def test_a_second_call_reads_what_came_since_alone(
+    tmp_path: Path, folder: Path, read: Counter[str], again: bool
+) -> None:
     paths, first = files(tmp_path, 5), later(folder)
-    first.of(paths)
+    assert first.of([]) == []
+    assert not folder.exists()
+    first.of(paths[:3])
     read.clear()
     assert (first if again else later(folder)).of(paths) == expected(paths)
-    assert not read
-
-
-def test_files_that_came_since_are_read_alone(tmp_path: Path, folder: Path, read: Counter[str]) -> None:
-    paths = files(tmp_path, 5)
-    later(folder).of(paths[:3])
-    read.clear()
-    assert later(folder).of(paths) == expected(paths)
     assert read == {"3.png": 1, "4.png": 1}
 
 
@@ -153,22 +144,21 @@ def test_hashes_that_were_read_before_an_error_are_kept(
 # Files that change
 
 
-def rename(path: Path) -> Path:
-    return path.rename(path.with_name("other.png"))
-
-
-def touch(path: Path) -> Path:
-    os.utime(path, ns=(1, 1))
-    return path
-
-
 def put_another_in_its_place(path: Path) -> Path:
     other = write(path.with_name("other.png"), b"summer")
     os.utime(other, ns=(0, 0))
     return other.replace(path)
 
 
-@pytest.mark.parametrize("change", [rename, touch, put_another_in_its_place])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda path: path.rename(path.with_name("other.png")),
+        lambda path: os.utime(path, ns=(1, 1)) or path,
+        put_another_in_its_place,
+    ],
+    ids=["renamed", "touched", "another in its place"],
+)
 def test_a_file_that_is_not_as_it_was_is_read_again(
     tmp_path: Path, folder: Path, read: Counter[str], change: Callable[[Path], Path]
 ) -> None:
@@ -238,28 +228,26 @@ def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path: Path, folder: P
 # A database that is not as it was left
 
 
-def shorten(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-def overwrite(path: Path) -> None:
-    path.write_bytes(b"this is no database, whatever it is " * 1000)
-
-
-def tear(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2 :] = b"\xa5" * (len(content) - len(content) // 2)
-    path.write_bytes(content)
-
-
-@pytest.mark.parametrize("damage", [shorten, overwrite, tear])
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: b"this is no database, whatever it is " * 1000,
+        lambda whole: whole[: len(whole) // 2] + b"\xa5" * (len(whole) // 2),
+    ],
+    ids=["shortened", "overwritten", "torn"],
+)
 def test_a_damaged_database_is_begun_anew(
-    tmp_path: Path, folder: Path, read: Counter[str], caplog: pytest.LogCaptureFixture, damage: Any
+    tmp_path: Path,
+    folder: Path,
+    read: Counter[str],
+    caplog: pytest.LogCaptureFixture,
+    damaged: Callable[[bytes], bytes],
 ) -> None:
     paths = files(tmp_path, 200)
     later(folder).of(paths)
     (database,) = folder.iterdir()
-    damage(database)
+    database.write_bytes(damaged(database.read_bytes()))
     assert later(folder).of(paths) == expected(paths)
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(f"{database} is damaged (")
@@ -268,13 +256,18 @@ def test_a_damaged_database_is_begun_anew(
     assert not read
 
 
-@pytest.mark.parametrize("stored", [None, "text", b"short", 7])
-def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: Any) -> None:
-    paths = files(tmp_path, 2)
-    later(folder).of(paths)
+def ask(folder: Path, *questions: str) -> list[Any]:
+    """Put questions to the database by other means; returns the rows that answer the last."""
     (path,) = folder.iterdir()
     with closing(sqlite3.connect(path)) as database, database:
-        database.execute("UPDATE files SET sha256 = ?", (stored,))
+        return [[*database.execute(question)] for question in questions][-1]
+
+
+@pytest.mark.parametrize("stored", ["NULL", "'text'", "x'1234'", "7"])
+def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: str) -> None:
+    paths = files(tmp_path, 2)
+    later(folder).of(paths)
+    ask(folder, f"UPDATE files SET sha256 = {stored}")
     assert later(folder).of(paths) == expected(paths)
 
 
@@ -283,15 +276,10 @@ def test_a_database_of_another_kind_is_left_alone(
 ) -> None:
     paths = files(tmp_path, 2)
     later(folder).of(paths)
-    (path,) = folder.iterdir()
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("DROP TABLE files")
-        database.execute("CREATE TABLE files (recipe TEXT)")
-        database.execute("INSERT INTO files VALUES ('soup')")
+    ask(folder, "DROP TABLE files", "CREATE TABLE files (recipe TEXT)", "INSERT INTO files VALUES ('soup')")
     assert later(folder).of(paths) == expected(paths)
     assert "no hashes of files are kept" in caplog.text
-    with closing(sqlite3.connect(path)) as database:
-        assert [*database.execute("SELECT recipe FROM files")] == [("soup",)]
+    assert ask(folder, "SELECT recipe FROM files") == [("soup",)]
 
 
 def test_a_locked_database_costs_one_line_and_never_the_hashes(
@@ -317,14 +305,15 @@ def test_a_locked_database_costs_one_line_and_never_the_hashes(
     assert read == {"0.png": 2, "1.png": 2, "2.png": 1, "3.png": 1}  # what was read since is known without a database
 
 
-@pytest.mark.parametrize("hindrance", ["a file in place of the folder", "a folder in place of the database"])
+@pytest.mark.parametrize(
+    "hinder",
+    [lambda folder: folder.write_bytes(b""), lambda folder: (folder / "files-1.sqlite3").mkdir(parents=True)],
+    ids=["a file in place of the folder", "a folder in place of the database"],
+)
 def test_where_no_database_can_be_made_the_hashes_are_right(
-    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture, hindrance: str
+    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture, hinder: Callable[[Path], object]
 ) -> None:
-    if hindrance == "a file in place of the folder":
-        folder.write_bytes(b"")
-    else:
-        (folder / "files-1.sqlite3").mkdir(parents=True)
+    hinder(folder)
     paths, hashes = files(tmp_path, 3), later(folder)
     assert [hashes.of(paths), hashes.of(paths[:1])] == [expected(paths), expected(paths[:1])]
     assert len(caplog.records) == 1

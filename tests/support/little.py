@@ -304,22 +304,6 @@ def replace_network_and_die(path: Path, step: int) -> None:
     networks.save(where, method, "new", 1.0, 1.0)
 
 
-def store_network_where_no_file_may_exceed(path: Path, limit_bytes: int) -> str:
-    """Try to replace a stored network where the system refuses longer files; returns the complaint."""
-    dataset = journey(4, 4)
-    method = Prototypes(seed=1).fit(dataset.references, dataset.places)
-    where = destination(path, method, dataset, replace=True)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        networks.save(where, method, "new", 1.0, 1.0)
-    except BadInput as error:
-        return str(error)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    return ""
-
-
 def save_where_no_file_may_exceed(root: Path, limit_bytes: int) -> str:
     """Try to save a run whose scores fill 400 kB where the system refuses longer files; returns the complaint."""
     noise = np.random.default_rng(0).random((1000, 100), np.float32)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import resource
 import signal
 import sys
 from collections.abc import Iterator, Mapping
@@ -113,18 +112,3 @@ def train_and_die(root: Path, step: int) -> None:
 def train_often(root: Path, times: int) -> bool:
     """Train again and again, as one of several processes; returns whether every training had its modules right."""
     return all(train(root)[1] for _ in range(times))
-
-
-def train_where_no_file_may_exceed(root: Path, limit_bytes: int) -> tuple[list[int], bool, list[str]]:
-    """Train where the system refuses longer files; returns what `train` does, and what was said."""
-    said: list[str] = []
-    listener = logging.Handler(logging.WARNING)
-    listener.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    checkpoints.logger.addHandler(listener)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        return *train(root), said
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        checkpoints.logger.removeHandler(listener)

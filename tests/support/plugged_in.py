@@ -1,0 +1,27 @@
+"""Plug-ins of methods installed for a test, for the processes that it starts too."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from checkout import ROOT
+
+
+def plugin(root: Path, package: str, point: str, methods: dict[str, str]) -> None:
+    """Install a package under the name of an entry point, with the yamls of these methods but for their first line."""
+    folder = root / f"{package}_conf" / "method"
+    folder.mkdir(parents=True)
+    for name, text in methods.items():
+        (folder / f"{name}.yaml").write_text(f"# Of {package}\n{text}\n")
+    about = root / f"{package}-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(f"[vprbench.conf]\n{point} = {package}_conf\n")
+
+
+def see_plugins(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process and those that it starts find what was installed there, and the modules of tests."""
+    monkeypatch.syspath_prepend(root)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (root, ROOT / "tests" / "support", ROOT))))
