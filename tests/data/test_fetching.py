@@ -127,6 +127,11 @@ class TestAddresses:
         assert recorded(root)["spring"]["url"] == urls[1]
         assert visible(root) == COMPLETE
 
+    def test_a_server_that_stalls_is_left_for_the_next(self, server: Server, root: Path) -> None:
+        stalling, url = server.serve("/stalling", SPRING, stalls_after=0), server.serve("/spring", SPRING)
+        get(little(parts={"spring": spring(stalling, url)}), root, timeout_seconds=0.5)
+        assert recorded(root)["spring"]["url"] == url
+
     def test_what_a_person_can_do_is_said_where_all_fail(self, server: Server, root: Path) -> None:
         archive = root / "archives" / "spring.zip"
         with pytest.raises(NotThere, match=f"/two answers 404 .* get the file by hand and store it as {archive}$"):
@@ -185,6 +190,12 @@ class TestArchives:
         assert visible(root) == ["archives"]
         server.serve("/spring", SPRING)
         assert get(entry, root) == 0
+
+    def test_a_damaged_one_that_somebody_put_there_is_replaced(self, server: Server, root: Path) -> None:
+        (root / "archives").mkdir(parents=True)
+        (root / "archives" / "spring.zip").write_bytes(SPRING[:-CHUNK])
+        assert get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root) == 0
+        assert recorded(root).keys() == {"spring"}
 
     def test_a_hostile_one_changes_nothing_and_is_kept(self, server: Server, root: Path) -> None:
         hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
