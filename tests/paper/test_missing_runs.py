@@ -108,21 +108,15 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
     assert len(children.asked) == 2
 
 
-def test_a_failure_of_one_seed_does_not_stop_the_next(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
-    diverged = Ending(1, False, "it diverged", recorded=True)
-    with_children(monkeypatch, diverged, Ending(0))
-    assert missing_runs.fill([a_wish(seed=0), a_wish(seed=1)], [], store, compose) == [diverged, Ending(0)]
-    assert not list(store.failures())  # the process has stored it
-
-
-def test_a_process_that_ends_before_its_run_begins_is_a_stored_failure(
+def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(
     monkeypatch: pytest.MonkeyPatch, store: Store
 ) -> None:
-    with_children(monkeypatch, Ending(1, False, "was ended by signal 9 (SIGKILL)"))
-    (ending,) = missing_runs.fill([a_wish(seed=4)], [], store, compose)
-    assert (ending.code, ending.recorded) == (1, True)
+    diverged, killed = Ending(1, False, "it diverged", recorded=True), Ending(1, False, "was ended by signal 9")
+    with_children(monkeypatch, diverged, killed, Ending(0))
+    endings = missing_runs.fill([a_wish(seed=seed) for seed in range(3)], [], store, compose)
+    assert [(ending.code, ending.recorded) for ending in endings] == [(1, True), (1, True), (0, False)]
     (failure,) = store.failures()
-    assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9 (SIGKILL)", False, 4)
+    assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 1)
 
 
 def test_a_method_that_knows_no_device_does_not_run_on_a_gpu(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:

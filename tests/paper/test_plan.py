@@ -67,38 +67,38 @@ def test_published_numbers_are_those_of_table_two(row: str, dataset: str, number
     assert list(published()[row, dataset].values()) == numbers
 
 
-def test_columns_of_the_paper_name_a_dataset_that_it_has(plan: Plan) -> None:
-    datasets = {dataset for _, dataset in published()}
-    assert {column.published for column in plan.columns.values()} - {None} == datasets
-
-
-def test_a_stand_in_stands_for_a_column_that_stands_for_none(plan: Plan) -> None:
-    for column in plan.columns.values():
-        if column.stand_in_for is not None:
-            assert plan.columns[column.stand_in_for].stand_in_for is None
-
-
 def test_the_arguments_of_a_row_come_before_those_that_the_size_needs() -> None:
     column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
     assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
     assert column.arguments(Row("B", "other")) == {}
 
 
-def test_a_row_on_request_has_a_name_of_its_own(plan: Plan) -> None:
-    assert plan.more_rows["vprtempo_public"].name == "VPRTempo (public code)"
-    names = [row.name for row in (*plan.rows.values(), *plan.more_rows.values())]
-    assert len(set(names)) == len(names)
-
-
 def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
     methods = registry.entries("method")
-    for row in (*plan.rows.values(), *plan.more_rows.values()):
-        assert len({*row.seeds}) == (3 if "seed" in methods[row.method].options else 1), row.name
-
-
-def test_networks_of_an_ensemble_are_in_no_two_runs_of_its_row(plan: Plan) -> None:
-    for name in ("vprtempo_ensemble", "vprtempo_tuned_ensemble"):  # members of seed s: s to s + 4
+    rows = [*plan.rows.values(), *plan.more_rows.values()]
+    assert len({row.name for row in rows}) == len(rows)
+    for row in rows:
+        options = methods[row.method].options
+        assert len({*row.seeds}) == (3 if "seed" in options else 1), row.name
+        arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
+        assert arguments <= {*options}, row.name
+    for name in ("vprtempo_ensemble", "vprtempo_tuned_ensemble"):  # members of seed s, in no two runs: s to s + 4
         assert len({seed + member for seed in plan.more_rows[name].seeds for member in range(5)}) == 15
+
+
+def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan: Plan) -> None:
+    columns = plan.columns
+    assert {column.published for column in columns.values()} - {None} == {dataset for _, dataset in published()}
+    for column in columns.values():
+        if column.stand_in_for is not None:
+            assert columns[column.stand_in_for].stand_in_for is None
+            assert "set by hand" in (column.remark or ""), column.name
+    stand_in, real = columns["railway_vprsnn"], columns["nordland_vprsnn"]
+    assert (stand_in.stand_in_for, stand_in.published) == ("nordland_vprsnn", real.published)
+    assert (stand_in.fits, stand_in.options[1:]) == (real.fits, real.options[1:])  # the frames alone differ
+    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_225", 225)):
+        for method in ("vprtempo", "vprtempo_ensemble"):
+            assert places % columns[name].fits[method]["max_module"] == 0
 
 
 @pytest.mark.parametrize(("method", "seeds", "training"), [("vprtempo_tuned", (0, 1, 2), "own"), ("hog", (0,), "map")])
@@ -119,11 +119,6 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
             assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
             calibrated += [row.method] * (config["calibrated_scores"] is True)
     assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
-
-
-def test_every_rendered_column_says_that_its_hardness_was_set_by_hand(plan: Plan) -> None:
-    rendered = [column for column in plan.columns.values() if column.stand_in_for]
-    assert [column.name for column in rendered if "set by hand" not in (column.remark or "")] == []
 
 
 @pytest.mark.parametrize(
@@ -210,13 +205,6 @@ def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(p
     assert [plan.growth.column(n).arguments(plan.rows["VPRTempo"]) for n in (100, 3000)] == [{"max_module": 100}, {}]
 
 
-def test_rows_name_methods_and_arguments_that_there_are(plan: Plan) -> None:
-    methods = registry.entries("method")
-    for row in (*plan.rows.values(), *plan.more_rows.values()):
-        arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
-        assert arguments <= {*methods[row.method].options}, row.name
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -269,24 +257,8 @@ def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all
     assert (dataset.held_out.n_places, dataset.held_out.in_map) == (600, False)
 
 
-def test_the_protocol_of_vprsnn_on_nordland_differs_from_its_stand_in_by_the_frames_alone(plan: Plan) -> None:
-    stand_in = plan.columns["railway_vprsnn"]
-    real = plan.columns[stand_in.stand_in_for or ""]
-    assert (stand_in.published, stand_in.fits, stand_in.options[1:]) == (real.published, real.fits, real.options[1:])
-
-
-def test_a_column_on_request_takes_the_folder_of_its_frames(tmp_path: Path) -> None:
-    (nordland,) = chosen(columns=["nordland_vprsnn"], nordland=str(tmp_path)).columns
+def test_columns_on_request_take_the_folder_of_their_frames_and_have_their_protocol(tmp_path: Path) -> None:
+    nordland, held_out = chosen(columns=["nordland_vprsnn", "nordland_64x32_held_out"], nordland=str(tmp_path)).columns
     assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
-
-
-def test_held_out_places_of_nordland_64x32_are_in_its_map_and_all_others_are_queried() -> None:
-    (column,) = chosen(columns=["nordland_64x32_held_out"]).columns
     options = ("protocol", "places", "first_query_place", "query_places")
-    assert [column.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]
-
-
-def test_modules_of_vprtempo_are_of_one_size_wherever_vprsnn_is_compared_with_it(plan: Plan) -> None:
-    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_225", 225)):
-        for method in ("vprtempo", "vprtempo_ensemble"):
-            assert places % plan.columns[name].fits[method]["max_module"] == 0
+    assert [held_out.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]

@@ -9,7 +9,6 @@ from figure_runs import run, scores_with_recall
 from matplotlib.axes import Axes
 
 from vprbench.api.arrays import Image
-from vprbench.errors import BadInput
 from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.pictures import frames, similarity
 from vprbench.paper.figures.style import Drawn, pdf
@@ -60,6 +59,9 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are() -> None:
     for row, example in enumerate(TWO.examples):
         assert np.array_equal(shown(axes[4 * row]), example.reference_image)
         assert np.array_equal(shown(axes[4 * row + 1]), example.query_image)
+    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in axes[:4]]
+    assert titles == ["Reference", "Query", "Reference, normalised", "Query, normalised"]
+    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
 
 
 def test_beside_them_stand_their_patch_normalised_versions() -> None:
@@ -70,14 +72,6 @@ def test_beside_them_stand_their_patch_normalised_versions() -> None:
         assert shown(panel).shape == (28, 28)
         np.testing.assert_allclose(shown(panel), slow, atol=1)  # float32 against float64 moves a truncated level
         assert panel.images[0].get_clim() == (0, 255)
-
-
-def test_frames_are_named_by_column_by_row_and_in_the_caption() -> None:
-    drawn = frames(TWO, "Railway")
-    axes = drawn.figure.axes
-    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in axes[:4]]
-    assert titles == ["Reference", "Query", "Reference, normalised", "Query, normalised"]
-    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
 
 
 @pytest.mark.parametrize(("height", "width"), [(32, 64), (360, 640), (320, 180), (100, 640)])
@@ -95,34 +89,22 @@ def test_frames_of_any_shape_fit_the_page_and_have_one_height(height: int, width
         assert drawn == pytest.approx(columns / rows, rel=0.02)
 
 
-def test_without_examples_there_are_no_frames_to_draw() -> None:
-    with pytest.raises(BadInput, match="no example frames of Railway are kept"):
-        frames(kept(), "Railway")
-
-
 def test_the_ground_truth_has_a_dark_cell_for_each_right_place_and_none_else() -> None:
-    truth, _ = matrices(similarity(with_scores(np.eye(3, 5), [1], [0, 4], [])))
+    truth, scores = matrices(similarity(with_scores(np.eye(3, 5), [1], [0, 4], []), "VPRTempo, five networks"))
     assert shown(truth).tolist() == [[0, 1, 0, 0, 0], [1, 0, 0, 0, 1], [0, 0, 0, 0, 0]]
+    assert (truth.get_xlabel(), truth.get_ylabel()) == ("Place", "Query")
+    assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
 
 
 def test_the_scores_of_each_query_run_from_0_to_1() -> None:
-    made = with_scores([[10, 20, 30], [-5, -4, -1], [7, 7, 7]], [0], [1], [2])
+    """A place that is no candidate is drawn as the worst."""
+    no = -np.inf
+    given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
+    made = with_scores(given, [0], [1], [2], [0], [1])
     _, scores = matrices(similarity(made))
-    np.testing.assert_allclose(shown(scores), [[0, 0.5, 1], [0, 0.25, 1], [0, 0, 0]])
-
-
-def test_a_place_that_is_no_candidate_is_drawn_as_the_worst() -> None:
-    made = with_scores([[-np.inf, 2, 4, 3], [-np.inf] * 4], [0], [1])
-    _, scores = matrices(similarity(made))
-    np.testing.assert_allclose(shown(scores), [[0, 0, 1, 0.5], [0, 0, 0, 0]])
-
-
-def test_the_scores_of_the_run_are_left_as_they_were() -> None:
-    made = run(n_queries=20, n_places=30)
-    assert made.scores is not None
-    before = made.scores.copy()
-    similarity(made)
-    assert np.array_equal(made.scores, before)
+    stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
+    np.testing.assert_allclose(shown(scores), stretched)
+    np.testing.assert_array_equal(made.scores, given)
 
 
 def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_numbers() -> None:
@@ -145,11 +127,6 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
         assert panel.get_ylim() == (19.5, -0.5)  # the first query on top
 
 
-def test_a_small_matrix_is_drawn_cell_by_cell() -> None:
-    _, scores = matrices(similarity(run(n_queries=450, n_places=450)))
-    assert shown(scores).shape == (450, 450)
-
-
 def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_small() -> None:
     matrix = np.roll(scores_with_recall(1.0, 2700, 3300), 600, axis=1)
     drawn = similarity(with_scores(matrix, *([query + 600] for query in range(2700))))
@@ -169,17 +146,3 @@ def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries: i
         box = panel.get_position()
         assert 20 < box.height * figure.get_figheight() * 25.4 < 90
         assert 20 < box.width * figure.get_figwidth() * 25.4 < 90
-
-
-def test_axes_and_caption_name_what_is_drawn() -> None:
-    drawn = similarity(run("vprtempo", n_queries=40, n_places=50, seed=2), "VPRTempo, five networks")
-    truth, scores = matrices(drawn)
-    assert (truth.get_xlabel(), truth.get_ylabel()) == ("Place", "Query")
-    assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
-
-
-def test_a_run_that_did_not_keep_its_scores_is_refused_by_name() -> None:
-    with pytest.raises(
-        BadInput, match=r"run 0123456789abcdef of little on journey did not keep .*4 queries x 10 places"
-    ):
-        similarity(little.a_run(scores=None))

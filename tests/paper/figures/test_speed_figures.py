@@ -8,7 +8,6 @@ from checkout import ROOT
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 
-from vprbench.errors import BadInput
 from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.style import Drawn, looks
 from vprbench.paper.plan import Quantity, Row, read_plan
@@ -47,21 +46,17 @@ def black_lines(axes: Axes) -> list[tuple[Sequence[float], Sequence[float]]]:
 
 
 def test_training_bars_end_at_the_measured_and_the_published_minutes() -> None:
-    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
+    netvlad = figure_runs.series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))  # comes trained
+    drawn = training_time([tempo(3.0), netvlad], (), ROWS, NORDLAND, {})
+    (axes,) = drawn.figure.axes
     assert bars(axes, hatched=False) == {4: pytest.approx(3.0)}
     assert bars(axes, hatched=True) == {1: pytest.approx(15120), 2: pytest.approx(360), 3: pytest.approx(360), 4: 60}
-
-
-def test_several_seeds_of_a_training_give_the_median_and_a_line_from_lowest_to_highest() -> None:
-    drawn = training_time([tempo(3.0, 2.0, 7.0)], (), ROWS, NORDLAND, {})
-    (axes,) = drawn.figure.axes
-    assert bars(axes, hatched=False)[4] == pytest.approx(3.0)
-    assert black_lines(axes)[0][0] == pytest.approx([2.0, 7.0])
-
-
-def test_a_single_training_has_no_line_for_a_spread_that_nobody_saw() -> None:
-    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
-    assert [x[0] == x[1] for x, _ in black_lines(axes)] == [True]  # the tick alone
+    assert [x[0] == x[1] for x, _ in black_lines(axes)] == [True]  # the tick alone: nobody saw a spread
+    (measured,) = (bar for bar in axes.patches if not bar.get_hatch())
+    assert to_hex(measured.get_facecolor()) == looks(["VPRTempo"])["VPRTempo"].colour.lower()
+    hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in axes.patches if bar.get_hatch()}
+    assert hatches[1] == hatches[2] != hatches[3] == hatches[4]  # quoted ones have their own
+    assert keys(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
 
 
 def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> None:
@@ -82,30 +77,22 @@ def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> No
 def test_rates_end_at_the_row_s_own_boundary_and_their_tick_at_encode_and_match() -> None:
     netvlad = figure_runs.series("NetVLAD", figure_runs.run("netvlad", encode_seconds=0.5, match_seconds=0.1))
     sad = figure_runs.series("SAD", figure_runs.run("sad", encode_seconds=0.001, match_seconds=0.004))
-    (axes,) = query_rate([sad, netvlad], (), ROWS, NORDLAND, {}).figure.axes
-    assert bars(axes, hatched=False) == {0: pytest.approx(250), 1: pytest.approx(2)}
-    ticks = [x[0] for x, y in black_lines(axes) if x[0] == x[1]]
-    assert ticks == pytest.approx([200, 1 / 0.6])
-
-
-def test_published_rates_are_those_of_the_paper_for_the_column_s_dataset() -> None:
     for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (STREET, [185, 0.5, 0.4, 2, 1670])):
-        (axes,) = query_rate([tempo(1.0)], (), ROWS, column, {}).figure.axes
+        (axes,) = query_rate([sad, netvlad], (), ROWS, column, {}).figure.axes
+        assert bars(axes, hatched=False) == {0: pytest.approx(250), 1: pytest.approx(2)}
         assert [bars(axes, hatched=True)[i] for i in range(5)] == pytest.approx(rates)
-
-
-def test_several_seeds_of_a_rate_give_their_mean() -> None:
-    drawn = query_rate([tempo(1.0, 1.0)], (), ROWS, NORDLAND, {})  # match 1000 and 500 Hz
-    (axes,) = drawn.figure.axes
-    assert bars(axes, hatched=False)[4] == pytest.approx(750)
-    assert black_lines(axes)[0][0] == pytest.approx([500, 1000])
+        ticks = [x[0] for x, y in black_lines(axes) if x[0] == x[1]]
+        assert ticks == pytest.approx([200, 1 / 0.6])
 
 
 def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None:
     run = figure_runs.run("vprtempo", match_seconds=0.001, spread=0.2)
-    (axes,) = query_rate([figure_runs.series("VPRTempo", run)], (), ROWS, NORDLAND, {}).figure.axes
     laps = sorted(run.timing.streaming.match_seconds)  # 101 laps: the quantiles 0.1 and 0.9 are laps 11 and 91
-    assert black_lines(axes)[0][0] == pytest.approx([1 / laps[90], 1 / laps[10]])
+    one, several = figure_runs.series("VPRTempo", run), tempo(1.0, 1.0)  # of two seeds: match 1000 and 500 Hz
+    for given, line, bar in ((one, [1 / laps[90], 1 / laps[10]], 1000), (several, [500, 1000], 750)):
+        (axes,) = query_rate([given], (), ROWS, NORDLAND, {}).figure.axes
+        assert black_lines(axes)[0][0] == pytest.approx(line)
+        assert bars(axes, hatched=False)[4] == pytest.approx(bar)
 
 
 def test_a_row_without_a_measured_training_says_why() -> None:
@@ -129,19 +116,6 @@ def test_a_row_without_a_bar_has_the_word_of_the_table_for_its_device() -> None:
     assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
 
 
-def test_a_fit_of_a_method_that_comes_trained_is_no_training() -> None:
-    netvlad = figure_runs.series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))
-    (axes,) = training_time([netvlad], (), ROWS, NORDLAND, {}).figure.axes
-    assert bars(axes, hatched=False) == {}
-
-
-def test_quoted_training_times_have_a_hatch_of_their_own_and_are_said_to_be_quoted() -> None:
-    drawn = training_time([tempo(3.0)], (), ROWS, NORDLAND, {})
-    hatches = {round(bar.get_y() + 0.19): bar.get_hatch() for bar in drawn.figure.axes[0].patches if bar.get_hatch()}
-    assert hatches[1] == hatches[2] != hatches[3] == hatches[4]
-    assert keys(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
-
-
 def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
     drawn = query_rate([tempo(3.0)], [tempo(0.1, device="cuda")], ROWS, NORDLAND, {})
     cpu, gpu = drawn.figure.axes
@@ -149,32 +123,18 @@ def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
     assert cpu.get_xlim() == gpu.get_xlim()
     assert bars(gpu, hatched=True)[4] == pytest.approx(1634)
     assert 3 not in bars(gpu, hatched=True)  # the paper has no GPU code of VPRSNN
-
-
-def test_runs_on_a_gpu_alone_get_one_panel() -> None:
-    (axes,) = training_time((), [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
-    assert axes.get_title(loc="left") == "GPU"
+    (alone,) = training_time((), [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
+    assert alone.get_title(loc="left") == "GPU"
 
 
 def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> None:
     drawn = query_rate([tempo(3.0)], (), ROWS, SMALLER, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert keys(drawn) == ["measured here", "encode and match"]
-
-
-def test_of_a_row_outside_the_paper_the_bar_is_encode_and_match_and_no_word_of_the_paper_is_said() -> None:
-    run = figure_runs.run("cosplace", encode_seconds=0.03, match_seconds=0.02)
-    rows = [Row("CosPlace", "cosplace")]
-    drawn = query_rate([figure_runs.series("CosPlace", run)], (), rows, SMALLER, {})
-    (axes,) = drawn.figure.axes
-    assert bars(axes, hatched=False) == {0: pytest.approx(20)}
+    cosplace = figure_runs.series("CosPlace", figure_runs.run("cosplace", encode_seconds=0.03, match_seconds=0.02))
+    drawn = query_rate([cosplace], (), [Row("CosPlace", "cosplace")], SMALLER, {})  # a row outside the paper
+    assert bars(drawn.figure.axes[0], hatched=False) == {0: pytest.approx(20)}
     assert keys(drawn) == ["measured here"]
-
-
-def test_bars_wear_the_colours_of_their_rows() -> None:
-    (axes,) = training_time([tempo(3.0)], (), ROWS, NORDLAND, {}).figure.axes
-    (measured,) = (bar for bar in axes.patches if not bar.get_hatch())
-    assert to_hex(measured.get_facecolor()) == looks(["VPRTempo"])["VPRTempo"].colour.lower()
 
 
 @pytest.mark.parametrize("n_rows", [1, 5])
@@ -185,8 +145,3 @@ def test_every_number_stands_inside_the_panel_and_covers_no_other(n_rows: int) -
         boxes = [text.get_window_extent() for text in axes.texts]
         assert all(box.x1 <= axes.bbox.x1 for box in boxes)
         assert not any(one.overlaps(other) for i, one in enumerate(boxes) for other in boxes[:i])
-
-
-def test_nothing_stored_is_an_error_that_names_the_column() -> None:
-    with pytest.raises(BadInput, match="no run on Nordland is stored"):
-        training_time((), (), ROWS, NORDLAND, {})

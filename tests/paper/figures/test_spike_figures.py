@@ -9,7 +9,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from vprbench.errors import BadInput
 from vprbench.paper.figures.spikes import spike_statistics
 from vprbench.paper.selection import Series
 from vprbench.run.record import Run
@@ -122,14 +121,3 @@ def test_a_silent_layer_is_drawn() -> None:
 def test_rows_without_stored_spikes_are_left_out() -> None:
     drawn = spike_statistics([Series("SAD", False, (little.a_run(spikes=None),)), TEMPO])
     assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRTempo"]
-
-
-def test_where_no_run_holds_spikes_the_figure_is_refused() -> None:
-    with pytest.raises(BadInput, match="no stored run holds spikes"):
-        spike_statistics([Series("SAD", False, (little.a_run(spikes=None),))])
-
-
-def test_spikes_on_different_data_are_never_one_figure() -> None:
-    other = Series("VPRSNN", True, (spiking(layer("output", [1, 2]), fingerprint="e" * 64),))
-    with pytest.raises(BadInput, match="different data"):
-        spike_statistics([TEMPO, other])

@@ -46,6 +46,15 @@ def test_the_page_loads_without_a_complaint_and_asks_for_nothing_else(reader: Re
 def test_it_opens_with_the_failures_of_the_first_method_the_surest_error_first(tab: Page) -> None:
     assert listed(tab) == sorted(SAD_WRONG, key=lambda query: -SAD_WRONG[query])
     expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
+    tied = tab.locator("#queries > li").nth(listed(tab).index(20))
+    expect(tied).to_contain_text("tied Query 20")
+    expect(tied).to_contain_text("shares ranks 1 to 2 of 60")
+    assert colours(tied)[1:] == [place_colour(mistaken_place(20)), place_colour(right_place(20))]
+    for order, queries in (("highest", [20, 30, 10, 3, 11]), ("route", [3, 10, 11, 20, 30])):
+        choose(tab, order=ORDERS[order])
+        assert listed(tab) == queries
+    choose(tab, method_a="VPRTempo, seed 1")
+    assert listed(tab) == [10]
 
 
 def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab: Page) -> None:
@@ -67,13 +76,6 @@ def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab: 
     ]
 
 
-def test_another_method_has_failures_of_its_own(tab: Page) -> None:
-    choose(tab, method_a="VPRTempo, seed 0")
-    assert listed(tab) == [40, 10]
-    choose(tab, method_a="VPRTempo, seed 1")
-    assert listed(tab) == [10]
-
-
 @pytest.mark.parametrize(
     ("kind", "queries"),
     [
@@ -91,19 +93,18 @@ def test_a_filter_keeps_its_queries_and_says_how_many(tab: Page, kind: str, quer
 
 
 def test_a_right_b_wrong_shows_exactly_those_queries_with_the_frames_of_both(tab: Page) -> None:
+    expect(tab.locator("#kind option[value=a-not-b]")).to_be_disabled()
     choose(tab, method_b="VPRTempo, seed 0", kind="A right, B wrong")
     assert listed(tab) == sorted(set(TEMPO_WRONG) - set(SAD_WRONG)) == [40]
-    row = tab.locator("#queries > li")
-    assert colours(row) == [
-        query_colour(40),
-        place_colour(right_place(40)),
-        place_colour(mistaken_place(40)),
-        place_colour(right_place(40)),
-    ]
+    right, mistaken = place_colour(right_place(40)), place_colour(mistaken_place(40))
+    assert colours(tab.locator("#queries > li")) == [query_colour(40), right, mistaken, right]
     choose(tab, kind="A wrong, B right", order=ORDERS["route"])
     assert listed(tab) == [3, 11, 20, 30]
     choose(tab, kind="A and B wrong")
     assert listed(tab) == [10]
+    choose(tab, kind="A right, B wrong")
+    choose(tab, method_b="nothing")
+    expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
 
 
 def test_comparing_tells_the_score_and_the_rank_of_the_right_place_by_both(tab: Page) -> None:
@@ -143,20 +144,6 @@ def test_of_several_reference_images_of_a_place_the_page_says_which_is_shown(rea
     expect(tab.locator("#first-references")).to_be_hidden()
 
 
-def test_comparing_needs_a_second_method(tab: Page) -> None:
-    expect(tab.locator("#kind option[value=a-not-b]")).to_be_disabled()
-    choose(tab, method_b="VPRTempo, seed 0", kind="A right, B wrong")
-    choose(tab, method_b="nothing")
-    expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
-
-
-def test_sorting_by_margin_and_along_the_route(tab: Page) -> None:
-    choose(tab, order=ORDERS["highest"])
-    assert listed(tab) == [20, 30, 10, 3, 11]
-    choose(tab, order=ORDERS["route"])
-    assert listed(tab) == [3, 10, 11, 20, 30]
-
-
 def test_margins_that_are_infinite_or_missing_sort_to_their_ends(reader: Reader) -> None:
     no = -np.inf
     scores = [[0.5, 0.25, 0.125], [0.5, no, 0.25], [0.5, no, no], [0.5, 0.25, 0.0], [no, no, no], [0.5, 0.25, 0.0]]
@@ -170,13 +157,6 @@ def test_margins_that_are_infinite_or_missing_sort_to_their_ends(reader: Reader)
     expect(rows.nth(0)).to_contain_text("no wrong place is a candidate")
     expect(rows.nth(3)).to_contain_text("the right place is no candidate")
     expect(rows.nth(4)).to_contain_text("no place was retrieved")
-
-
-def test_a_tie_is_called_one_and_shows_the_wrong_place_that_shares_the_score(tab: Page) -> None:
-    row = tab.locator("#queries > li").nth(listed(tab).index(20))
-    expect(row).to_contain_text("tied Query 20")
-    expect(row).to_contain_text("shares ranks 1 to 2 of 60")
-    assert colours(row)[1:] == [place_colour(mistaken_place(20)), place_colour(right_place(20))]
 
 
 def test_a_query_without_a_right_place_shows_none(tab: Page) -> None:
@@ -258,19 +238,13 @@ def test_every_text_stands_out_from_its_ground(reader: Reader, look: str) -> Non
     tab.locator("#query-3").click()
     if look == "print":
         tab.emulate_media(media="print")
+        expect(tab.locator("#controls")).to_be_hidden()
+        expect(tab.locator("#queries > li").first).to_be_visible()
+    ground = re.findall(r"\d+", tab.evaluate("getComputedStyle(document.body).backgroundColor"))
+    assert max(map(int, ground)) < 64 if look == "dark" else min(map(int, ground)) > 200
     found = contrasts(tab)
     assert len(found) > 100
     assert {text: ratio for text, ratio in found.items() if ratio < 4.5} == {}
-
-
-def test_dark_is_dark_and_print_is_light(reader: Reader) -> None:
-    tab = reader.read(made_up_page(), color_scheme="dark")
-    ground = "getComputedStyle(document.body).backgroundColor"
-    assert max(map(int, re.findall(r"\d+", tab.evaluate(ground)))) < 64
-    tab.emulate_media(media="print")
-    assert tab.evaluate(ground) == "rgb(255, 255, 255)"
-    expect(tab.locator("#controls")).to_be_hidden()
-    expect(tab.locator("#queries > li").first).to_be_visible()
 
 
 # Trust

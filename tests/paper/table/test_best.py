@@ -31,17 +31,32 @@ def spread(count: int) -> Run:
     return misses(*range(0, 10 * count, 10), n_queries=10 * count)
 
 
-def test_six_to_nothing_separates_two_rows_and_five_to_nothing_does_not() -> None:
-    # McNemar: p = 2 / 2^6 = 0.031 and 2 / 2^5 = 0.063
-    assert best_recall([row("b", spread(6)), row("a", misses())]) == "a"
-    assert best_recall([row("b", spread(5)), row("a", misses(n_queries=50))]) is None
+SAME, ALL_WRONG = misses(), misses(*range(60))
 
 
-def test_more_rows_need_a_smaller_chance() -> None:
-    # six to nothing: 0.031 > 0.05 / 2; seven to nothing: 2 / 2^7 = 0.016
-    assert best_recall([row("a", misses()), row("b", spread(6)), row("c", spread(6))]) is None
-    perfect = misses(n_queries=70)
-    assert best_recall([row("a", perfect), row("b", spread(7)), row("c", spread(7))]) == "a"
+@pytest.mark.parametrize(
+    ("rows", "best"),
+    [
+        # McNemar: p = 2 / 2^6 = 0.031 and 2 / 2^5 = 0.063
+        ([row("b", spread(6)), row("a", SAME)], "a"),
+        ([row("b", spread(5)), row("a", misses(n_queries=50))], None),
+        # of three rows: 0.031 > 0.05 / 2; seven to nothing: 2 / 2^7 = 0.016
+        ([row("a", SAME), row("b", spread(6)), row("c", spread(6))], None),
+        ([row("a", misses(n_queries=70)), row("b", spread(7)), row("c", spread(7))], "a"),
+        # every pair of seeds has to agree
+        ([row("a", SAME, SAME), row("b", spread(6), spread(6))], "a"),
+        ([row("a", SAME, SAME), row("b", spread(6), misses(0))], None),
+        ([row("a", SAME, misses(0)), row("b", spread(6))], None),
+        # two rows of one value
+        ([row("a", SAME), row("b", SAME), row("c", spread(8))], None),
+        # a row with missing seeds cannot win but keeps others from it
+        ([row("a", SAME, finished=False), row("b", ALL_WRONG)], None),
+        ([row("a", SAME, finished=False), row("b", spread(6)), row("c", ALL_WRONG)], None),
+        ([row("b", SAME), row("c", ALL_WRONG, finished=False)], "b"),
+    ],
+)
+def test_recall_is_best_where_every_pair_of_runs_is_separated(rows: list[Contestant], best: str | None) -> None:
+    assert best_recall(rows) == best
 
 
 def test_the_interval_allows_for_as_many_comparisons_as_the_test_does() -> None:
@@ -69,29 +84,10 @@ def test_queries_out_of_order_are_put_into_that_of_their_places_first() -> None:
     assert best_recall([row("a", run(hits=[1] * 600, n_places=600, positives=places)), row("b", stretch)]) is None
 
 
-def test_every_pair_of_seeds_has_to_agree() -> None:
-    same = misses()
-    assert best_recall([row("a", same, same), row("b", spread(6), spread(6))]) == "a"
-    assert best_recall([row("a", same, same), row("b", spread(6), misses(0))]) is None
-    assert best_recall([row("a", same, misses(0)), row("b", spread(6))]) is None
-
-
-def test_rows_of_one_value_are_never_best() -> None:
-    assert best_recall([row("a", misses()), row("b", misses()), row("c", spread(8))]) is None
-
-
 def test_one_row_alone_is_never_best() -> None:
     fast = run()
     assert [contest([row("a", fast)]) for contest in (best_recall, best_rate, best_training)] == [None] * 3
     assert [contest([]) for contest in (best_recall, best_rate, best_training)] == [None] * 3
-
-
-def test_a_row_with_missing_seeds_cannot_win_but_keeps_others_from_it() -> None:
-    ahead = row("a", misses(), finished=False)
-    middle, last = spread(6), misses(*range(60))
-    assert best_recall([ahead, row("b", last)]) is None
-    assert best_recall([ahead, row("b", middle), row("c", last)]) is None
-    assert best_recall([row("b", misses()), row("c", last, finished=False)]) == "b"
 
 
 def test_hits_by_luck_among_equal_scores_separate_nothing() -> None:
@@ -124,40 +120,41 @@ def timed(match_ms: list[float], encode_ms: float = 0.001, **changes: Any) -> Ru
 FAST, SLOW = [10.0, 10.1, 10.2, 10.3, 10.4], [20.0, 20.1, 20.2, 20.3, 20.4]
 
 
-def test_five_laps_apart_from_five_separate_two_rates_and_four_do_not() -> None:
-    # Mann-Whitney, exact: p = 2 / C(10, 5) = 0.0079 and 2 / C(8, 4) = 0.029
-    assert best_rate([row("slow", timed(SLOW)), row("fast", timed(FAST))]) == "fast"
-    assert best_rate([row("slow", timed(SLOW[:4])), row("fast", timed(FAST[:4]))]) is None
+FAST_ROW, SLOW_ROW = row("fast", timed(FAST)), row("slow", timed(SLOW))
 
 
-def test_less_than_a_quarter_faster_is_not_faster() -> None:
-    def times(ratio: float) -> list[float]:
-        return [10.2 * ratio + 0.01 * i for i in range(-2, 3)]
-
-    assert best_rate([row("fast", timed(FAST)), row("slow", timed(times(1.26)))]) == "fast"
-    assert best_rate([row("fast", timed(FAST)), row("slow", timed(times(1.24)))]) is None
+MATCH_ALONE = row("match alone", timed(FAST, encode_ms=100.0))
 
 
-def test_a_rate_is_best_only_where_encode_and_match_together_are_too() -> None:
-    alone = row("match alone", timed(FAST, encode_ms=100.0))
-    assert best_rate([alone, row("slow", timed(SLOW))]) is None
-    assert best_rate([alone, row("slow", timed(SLOW, encode_ms=200.0))]) == "match alone"
+WHOLE = row("whole", timed(FAST, encode_ms=15.0), boundary=None)  # 25 ms for both steps, which are its rate
 
 
-def test_a_row_that_the_paper_does_not_have_is_timed_over_both_steps() -> None:
-    whole = row("whole", timed(FAST, encode_ms=15.0), boundary=None)  # 25 ms
-    assert best_rate([whole, row("matcher", timed(SLOW, encode_ms=20.0))]) is None  # 20 ms to match
-    assert best_rate([whole, row("matcher", timed([2 * each for each in SLOW]))]) == "whole"
-
-
-def test_each_rate_is_taken_at_the_boundary_of_its_row() -> None:
-    encoder = row("encoder", timed([0.001] * 5, encode_ms=50.0), boundary="encode")
-    assert best_rate([row("matcher", timed(FAST)), encoder]) == "matcher"
-
-
-def test_no_rate_is_best_on_a_busy_machine() -> None:
-    busy = timed(SLOW, notes=NOISY)
-    assert best_rate([row("fast", timed(FAST)), row("slow", busy)]) is None
+@pytest.mark.parametrize(
+    ("rows", "best"),
+    [
+        # Mann-Whitney, exact: p = 2 / C(10, 5) = 0.0079 and 2 / C(8, 4) = 0.029
+        ([SLOW_ROW, FAST_ROW], "fast"),
+        ([row("slow", timed(SLOW[:4])), row("fast", timed(FAST[:4]))], None),
+        # a quarter faster
+        ([FAST_ROW, row("slow", timed([10.2 * 1.26 + 0.01 * i for i in range(-2, 3)]))], "fast"),
+        ([FAST_ROW, row("slow", timed([10.2 * 1.24 + 0.01 * i for i in range(-2, 3)]))], None),
+        # encode and match together have to be faster too
+        ([MATCH_ALONE, SLOW_ROW], None),
+        ([MATCH_ALONE, row("slow", timed(SLOW, encode_ms=200.0))], "match alone"),
+        ([WHOLE, row("matcher", timed(SLOW, encode_ms=20.0))], None),
+        ([WHOLE, row("matcher", timed([2 * each for each in SLOW]))], "whole"),
+        (
+            [row("matcher", timed(FAST)), row("encoder", timed([0.001] * 5, encode_ms=50.0), boundary="encode")],
+            "matcher",
+        ),
+        # a busy machine, another machine, and one pair of seeds that is not faster
+        ([FAST_ROW, row("slow", timed(SLOW, notes=NOISY))], None),
+        ([FAST_ROW, row("slow", timed(SLOW, machine={**ABACUS, "processor": "Loom 3"}))], None),
+        ([row("fast", timed(FAST), timed(SLOW)), row("slow", timed(SLOW), timed(SLOW))], None),
+    ],
+)
+def test_a_rate_is_best_where_it_is_a_quarter_faster_than_all_others(rows: list[Contestant], best: str | None) -> None:
+    assert best_rate(rows) == best
 
 
 @pytest.mark.parametrize("note", [Note("caching", "seen before"), Note("audit", "other answers")])
@@ -166,11 +163,6 @@ def test_a_rate_that_an_audit_found_wanting_is_never_best_and_keeps_others_from_
     assert best_rate([row("untrue", untrue), row("slow", timed(SLOW))]) is None
     assert best_rate([row("untrue", timed(FAST), untrue), row("slow", timed(SLOW))]) is None
     assert best_rate([row("fast", timed(FAST)), row("untrue", timed(SLOW, notes=(note,)))]) == "fast"
-
-
-def test_no_rate_is_best_across_machines() -> None:
-    other = timed(SLOW, machine={**ABACUS, "processor": "Loom 3"})
-    assert best_rate([row("fast", timed(FAST)), row("slow", other)]) is None
 
 
 @pytest.mark.parametrize(
@@ -184,10 +176,6 @@ def test_no_rate_is_best_across_machines() -> None:
 def test_no_time_is_best_where_rows_were_timed_in_another_way(changes: dict[str, Any]) -> None:
     assert best_rate([row("fast", timed(FAST)), row("slow", timed(SLOW, **changes))]) is None
     assert best_training([row("fast", *trained(60)), row("slow", *trained(90, **changes))]) is None
-
-
-def test_every_pair_of_seeds_has_to_be_faster() -> None:
-    assert best_rate([row("fast", timed(FAST), timed(SLOW)), row("slow", timed(SLOW), timed(SLOW))]) is None
 
 
 def trained(*seconds: float, **changes: Any) -> list[Run]:
@@ -206,7 +194,7 @@ def trained(*seconds: float, **changes: Any) -> list[Run]:
         (trained(50, 60), trained(75, 90), "fast"),
         (trained(50, 61), trained(75, 90), None),
         (trained(60), trained(90, notes=NOISY), None),
-        (trained(60), trained(90, machine={**ABACUS, "threads": 2}), None),
+        (trained(60), [run(fit_seconds=None, fit_compute_seconds=None)], None),
     ],
 )
 def test_training_is_fastest_where_every_seed_is_a_quarter_faster(
@@ -219,11 +207,6 @@ def test_work_left_to_the_first_query_is_part_of_the_training() -> None:
     (fast,) = trained(60)
     late = replace(fast, timing=replace(fast.timing, first_query_seconds=20.0))
     assert best_training([row("slow", *trained(75)), row("fast", late)]) is None
-
-
-def test_a_row_that_did_not_train_is_in_no_contest_of_training() -> None:
-    loaded = run(fit_seconds=None, fit_compute_seconds=None)
-    assert best_training([row("a", *trained(60)), row("b", loaded)]) is None
 
 
 def test_a_run_is_disturbed_by_noise_and_by_too_few_laps_alone() -> None:
