@@ -184,14 +184,11 @@ def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computi
     run = run_of(Reading(table(6, 4), clock=clock), with_held_out(held_out(**slow)))
     assert run.fit_seconds == pytest.approx(6 * 10 + 3 * 100 + 3)
     assert run.fit_compute_seconds == pytest.approx(3)
-
-
-def test_waiting_for_views_of_one_traverse_counts_once(clock: Clock) -> None:
     dataset = replace(journey(6, 4), references=slow_pictures(4, 10, clock.spend))
-    shared = held_out(references=dataset.references[:2], places=np.arange(2), right=np.array([0, 1, 0]), in_map=True)
-    run = run_of(Reading(table(6, 4), clock=clock), replace(dataset, held_out=shared))
+    views = held_out(references=dataset.references[:2], places=np.arange(2), right=np.array([0, 1, 0]), in_map=True)
+    run = run_of(Reading(table(6, 4), clock=clock), replace(dataset, held_out=views))
     assert run.fit_seconds == pytest.approx(4 * 10 + 2 * 10 + 3)
-    assert run.fit_compute_seconds == pytest.approx(3)
+    assert run.fit_compute_seconds == pytest.approx(3)  # the waiting counts once
 
 
 def key(method: Method, held: HeldOut | None) -> str:
@@ -274,37 +271,19 @@ class Resuming(Lookup):
             raise KeyboardInterrupt
 
 
-RESUMED = "fit was resumed: the 512.0 s that an interrupted run had spent on it are counted"
-
-
-@pytest.fixture
-def resuming(tmp_path: Path, clock: Clock) -> Resuming:
-    return Resuming(table(6, 4), folder=tmp_path / "kept", clock=clock)
-
-
-def interrupt(method: Resuming, where: str) -> None:
+@pytest.mark.parametrize("where", ["fit", "match"])  # a training is kept until all queries are answered
+def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(
+    tmp_path: Path, clock: Clock, where: str
+) -> None:
+    method = Resuming(table(6, 4), folder=tmp_path / "kept", clock=clock)
     with pytest.raises(KeyboardInterrupt):
         run_of(replace(method, interrupted_in=where), journey(6, 4))
-
-
-def kept_files(method: Resuming) -> list[Path]:
-    return [path for path in method.folder.rglob("*") if path.is_file()]
-
-
-def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(resuming: Resuming) -> None:
-    interrupt(resuming, "fit")
-    run = run_of(resuming, journey(6, 4))
+    assert [path for path in method.folder.rglob("*") if path.is_file()]
+    run = run_of(method, journey(6, 4))
     assert (run.fit_seconds, run.fit_compute_seconds) == (pytest.approx(572), pytest.approx(572))
-    assert RESUMED in [note.text for note in run.notes]
+    assert [note.text.count("512.0 s") for note in run.notes if note.kind == "resumed"] == [1]
     assert run.method_seconds == pytest.approx(60 + 1 + 6)  # the first query is asked once before
     assert run.harness_seconds == pytest.approx(0)
-    at_once = run_of(resuming, journey(6, 4))
+    assert not [path for path in method.folder.rglob("*") if path.is_file()]
+    at_once = run_of(method, journey(6, 4))
     assert (at_once.fit_seconds, "resumed" in kinds(at_once)) == (pytest.approx(572), False)
-
-
-def test_a_training_is_kept_until_all_queries_are_answered(resuming: Resuming) -> None:
-    interrupt(resuming, "match")
-    assert kept_files(resuming)
-    run = run_of(resuming, journey(6, 4))
-    assert RESUMED in [note.text for note in run.notes]
-    assert not kept_files(resuming)

@@ -168,16 +168,13 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown(tmp_path: Path, l
 # Examples
 
 
-def noise(seed: int, size: tuple[int, int] = (30, 50)) -> Image:
-    return np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
-
-
 def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> None:
-    dataset = world([noise(0), noise(1)], [1, 0], [noise(2), noise(3)], [[], [0]])
-    (example,) = kept(tmp_path, dataset).examples
+    random = np.random.default_rng(0)
+    one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
+    (example,) = kept(tmp_path, world([one, other], [1, 0], [unseen, query], [[], [0]])).examples
     assert (example.query, example.place) == (1, 0)
-    assert np.array_equal(example.query_image, noise(3))
-    assert np.array_equal(example.reference_image, noise(1))
+    assert np.array_equal(example.query_image, query)
+    assert np.array_equal(example.reference_image, other)
     (large,) = kept(tmp_path / "large", world([plain(1, (400, 1280))], [0], [plain(2)], [[0]])).examples
     assert large.reference_image.shape == (200, 640, 3)
 
@@ -264,14 +261,11 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(
 # Found again
 
 
-DAMAGES = {
-    "empty": lambda whole: b"",
-    "cut": lambda whole: whole[: len(whole) // 2],
-    "another kind of file": lambda whole: b"<html></html>",
-}
-
-
-@pytest.mark.parametrize("spoil", DAMAGES.values(), ids=DAMAGES.keys())
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda whole: b"", lambda whole: whole[: len(whole) // 2], lambda whole: b"<html></html>"],
+    ids=["empty", "cut", "another kind of file"],
+)
 def test_a_damaged_file_is_none_and_named_and_made_anew(
     tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -279,9 +273,8 @@ def test_a_damaged_file_is_none_and_named_and_made_anew(
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
     assert thumbnails.find(tmp_path, FINGERPRINT) is None
-    assert [(record.levelno, str(path(tmp_path)) in record.getMessage()) for record in caplog.records] == [
-        (logging.WARNING, True)
-    ]
+    (record,) = caplog.records
+    assert (record.levelno, str(path(tmp_path)) in record.getMessage()) == (logging.WARNING, True)
     assert kept(tmp_path, two_traverses()).query_names == ("q0.png", "q1.png")
     assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
 

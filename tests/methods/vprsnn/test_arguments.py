@@ -138,6 +138,7 @@ def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPR
         {"seed": -1},
         {"seed": 2**32, "module_order": "shuffled"},
         {"presentation_ms": 0.04},  # less than half a step
+        {"recorded_presentations": 9},  # fewer than a module has images
         {"input_delay_max_ms": 4000.0, "rest_ms": 4000.0},  # more steps than a delay can count
         {"engine": "compiled", "device": "cuda"},
     ],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from checkout import ROOT
-from little_vprsnn import SMALL, WORLD, fitted, images, references, same, second_sight
+from little_vprsnn import SMALL, WORLD, fitted, held_out, images, references, same, second_sight
 
 from vprbench.errors import NotFittedError
 from vprbench.methods.vprsnn import training
@@ -68,11 +68,11 @@ def test_fast_is_called_an_approximation() -> None:
 # --- before a network is there ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ask", ["query", "state", "spikes", "match"])
+@pytest.mark.parametrize("ask", ["query", "state", "spikes", "match", "calibrate"])
 def test_nothing_is_answered_before_fit(ask: str) -> None:
     method = VPRSNN(**SMALL)
     codes = method.encode(QUERIES)
-    given = {"query": (QUERIES,), "state": (), "spikes": (codes,), "match": (codes,)}
+    given = {"query": (QUERIES,), "state": (), "spikes": (codes,), "match": (codes,), "calibrate": (held_out(),)}
     with pytest.raises(NotFittedError, match="fit"):
         getattr(method, ask)(*given[ask])
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from vprsnn_modules import Floats, Module, Spikes, silence, spikes_at
+from vprsnn_modules import Floats, Module, Spikes, silence
 
 from vprbench.methods.vprsnn.arguments import Arguments
 
@@ -21,9 +21,6 @@ class Driven(Module):
         super().__init__(np.full((1, n_neurons), ge / 10), theta, learning=False)
         self.state.ge[:n_neurons] = ge
         self.physics = self.physics._replace(**replaced)
-
-    def pass_by(self, n_steps: int) -> None:
-        self.show(constantly(n_steps), resting=False)
 
     def fires(self, n_steps: int) -> list[list[int]]:
         return self.fire_times(constantly(n_steps))
@@ -45,76 +42,21 @@ def test_a_potential_under_constant_conductances_follows_its_closed_form(ge, gi,
     module = Driven(ge, UNREACHABLE, gi_keep=1.0)
     module.state.gi[:] = gi
     module.state.v[:] = -80.0
-    module.pass_by(n_steps)
+    module.show(constantly(n_steps), resting=False)
     target = (-65 + gi * -100) / (1 + ge + gi)
     euler = target + (-80 - target) * (1 - GAIN * (1 + ge + gi)) ** n_steps
     assert module.v[0] == pytest.approx(euler, abs=1e-9)
 
 
-@pytest.mark.parametrize("since", [0, 1, 7, 40])
-def test_what_an_arrival_adds_to_the_conductance_decays_by_a_tenth_a_step(since):
-    module = Module(np.array([[0.5]]), UNREACHABLE, learning=False)
-    module.show(spikes_at(11 + since, 1, (10, 0)), resting=False)
-    assert module.state.ge[0] == pytest.approx(0.5 * 0.9**since, rel=1e-12)
-
-
-def test_an_arrival_moves_the_potential_from_the_next_step_on():
-    module = Module(np.array([[0.5]]), UNREACHABLE, learning=False)
-    module.show(spikes_at(1, 1, (0, 0)), resting=False)
-    assert module.v[0] == -65
-    module.show(silence(1, 1), resting=False)
-    assert module.v[0] == pytest.approx(-65 + GAIN * 0.5 * 65)
-
-
-@pytest.mark.parametrize("ge", [0.26, 0.5, 2.5, 40.0])
-def test_the_first_spike_comes_in_the_step_that_the_closed_form_says(ge):
-    module = Driven(ge)
-    first = steps_to(-52, -65, -65, ge, GAIN) - 1  # the first step is number 0
-    assert module.fires(first + 1) == [[first]]
-    assert Driven(ge).fires(first) == [[]]
-
-
-def test_no_two_spikes_are_closer_than_the_timer_allows():
+@pytest.mark.parametrize("ge", [0.26, 0.3, 0.5, 2.5, 40.0])
+def test_spikes_come_in_the_steps_that_the_closed_form_and_the_timer_say(ge):
     # The timer grows by 1e-5 s a step and must be past 5e-3 s. In exact numbers 500 steps reach the limit, so that 501
-    # are past it; the sum of floating-point numbers agrees.
+    # are past it; the sum of floating-point numbers agrees. A slow neuron integrates anew after 50 refractory steps.
     timer = np.cumsum(np.full(501, 1e-5))
     assert timer[499] <= 5e-3 < timer[500]
-    ge = 40.0
-    first = steps_to(-52, -65, -65, ge, GAIN) - 1
-    assert Driven(ge).fires(3500) == [[first + 501 * k for k in range(7)]]
-
-
-def test_a_slow_neuron_integrates_anew_after_50_refractory_steps():
-    ge = 0.3
     ascent = steps_to(-52, -65, -65, ge, GAIN)
-    assert ascent > 501
-    assert Driven(ge).fires(4 * (49 + ascent)) == [[ascent - 1 + (49 + ascent) * k for k in range(4)]]
-
-
-def test_a_neuron_that_fired_holds_its_reset_potential_for_50_steps():
-    ge = 2.5
-    module = Driven(ge)
-    module.pass_by(steps_to(-52, -65, -65, ge, GAIN))
-    module.pass_by(49)
-    assert module.v[0] == -65
-    module.pass_by(1)
-    assert module.v[0] == pytest.approx(-65 + GAIN * ge * 65)
-
-
-@pytest.mark.parametrize("ago", [1, 300, 500])
-def test_a_spike_of_the_presentation_before_holds_a_neuron_back_too(ago):
-    module = Driven(40.0)
-    module.state.fired[0] = -ago
-    module.state.v[:] = -40.0
-    assert module.fires(501) == [[501 - ago]]
-
-
-@pytest.mark.parametrize("theta", [0.0, 5.0, -30.0])
-def test_a_neuron_whose_threshold_is_below_its_rest_fires_as_often_as_it_may_without_input(theta):
-    module = Module(np.zeros((3, 1)), theta, learning=False)
-    shown = [int(module.show(silence(3500, 3))[0]) for _ in range(3)]
-    # Steps 0, 501, ..., 3006 | 3507 to 8016 | 8517 to 13026 come before the ends at 3500, 8500 and 13500.
-    assert shown == [7, 10, 10]
+    period = max(501, 49 + ascent)
+    assert Driven(ge).fires(ascent + 3 * period) == [[ascent - 1 + period * k for k in range(4)]]
 
 
 def test_a_threshold_is_a_limit_that_must_be_passed():
@@ -142,35 +84,18 @@ def test_an_inhibitory_neuron_under_constant_conductance_fires_as_its_closed_for
     assert times == [first + again * k for k in range(4)]
 
 
-def spiking_once(n_neurons: int = 4) -> Module:
-    """Neurons at rest, of which the second fires in step 0 alone."""
-    theta = np.full(n_neurons, 20.0)
-    theta[1] = 5.0
-    return Module(np.zeros((1, n_neurons)), theta, learning=False)
-
-
-def test_a_spike_makes_its_partner_fire_five_steps_later():
+def test_a_spike_makes_its_partner_fire_five_steps_later_and_inhibit_all_others_but_not_the_neuron_itself():
+    # The second neuron fires in step 0 alone.
     # v_i by hand: -60, -53.76, -48.79, -44.79, -41.55, -38.90 with ge_i 10.4, 9.36, 8.42, 7.58, 6.82.
-    module = spiking_once()
+    module = Module(np.zeros((1, 4)), np.array([20.0, 5.0, 20.0, 20.0]), learning=False)
     module.show(silence(5, 1), resting=False)
     assert module.state.gi.max() == 0
     assert module.state.v_i[1] == pytest.approx(-41.55, abs=0.005)
     module.show(silence(1, 1), resting=False)
     assert module.state.counts_i[:4].tolist() == [0, 1, 0, 0]
     assert module.state.v_i[1] == -45
-
-
-def test_a_spike_inhibits_all_others_but_not_the_neuron_itself():
-    module = spiking_once()
-    module.show(silence(6, 1), resting=False)
     assert module.state.gi[:4].tolist() == [17, 0, 17, 17]
-    module.show(silence(10, 1), resting=False)
-    assert module.state.gi[:4] == pytest.approx(np.array([17, 0, 17, 17]) * 0.8**10)
-
-
-def test_one_spike_pulls_the_others_towards_minus_100_by_what_17_units_do():
-    module = spiking_once()
-    module.show(silence(6 + 60, 1), resting=False)
+    module.show(silence(60, 1), resting=False)
     expected = -65.0
     for step in range(60):
         expected += GAIN * ((-65 - expected) + 17 * 0.8**step * (-100 - expected))
@@ -186,20 +111,6 @@ def test_the_winner_takes_all():
     free = Driven(0.6, theta, 4, i_to_e=0.0)
     assert inhibited.fires(first + 200) == [[first], [], [], []]
     assert all(free.fires(first + 200))
-
-
-def test_equal_neurons_fire_in_the_same_step_and_inhibit_each_other():
-    module = Driven(2.5, 20.0, 3)
-    first = steps_to(-52, -65, -65, 2.5, GAIN) - 1
-    assert module.fires(first + 6) == [[first]] * 3
-    assert module.state.gi[:3] == pytest.approx([34, 34, 34])
-
-
-def test_a_module_of_one_neuron_inhibits_nobody():
-    module = Driven(40.0)
-    first = steps_to(-52, -65, -65, 40.0, GAIN) - 1
-    module.pass_by(first + 400)
-    assert module.state.gi[0] == 0
 
 
 @pytest.mark.parametrize("n_neurons", [1, 8, 9])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import pickle
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -123,44 +122,39 @@ def test_a_missing_file_is_named(tmp_path: Path, name: str, ask: Callable[[Path]
     publish(tmp_path)
     missing = publish(tmp_path, 25) / name
     missing.unlink()
-    with pytest.raises(NotThere, match=f"offset25/{name} is missing"):
+    with pytest.raises(NotThere, match=f"offset25/{name}"):
         ask(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("offsets", "folder", "culprit"),
+    ("modules", "folder", "kind", "culprit"),
     [
-        ([], "nowhere", "nowhere cannot be read"),
-        ([], "file", "file cannot be read"),
-        ([], "", "weights_ne400_L25_offset0"),
-        ([0, 25, 75], "", "place 50, before weights_ne4_L25_offset75"),
+        ([], "nowhere", NotThere, "nowhere"),
+        ([], "file", NotThere, "file"),
+        ([], "", NotThere, "weights_ne400_L25_offset0"),
+        ([{}, {"offset": 25}, {"offset": 75}], "", NotThere, "place 50, before weights_ne4_L25_offset75"),
+        # two modules of the same places, or two networks
+        ([{}, {"offset": 10}], "", BadInput, "weights_ne4_L25_offset0 and weights_ne4_L25_offset10"),
+        *(
+            ([{}, {"offset": 25, **other}], "", BadInput, f"({both})")
+            for other, both in (
+                ({"kind": "ne4_L100"}, "weights_ne4_L100, weights_ne4_L25"),
+                ({"kind": "ne8_L25"}, "weights_ne4_L25, weights_ne8_L25"),
+                ({"ending": "_S10"}, "weights_ne4_L25, weights_ne4_L25_S10"),
+            )
+        ),
     ],
 )
-def test_what_is_missing_is_named(tmp_path: Path, offsets: list[int], folder: str, culprit: str) -> None:
+def test_modules_that_make_no_network_are_refused_by_name(
+    tmp_path: Path, modules: list[dict[str, Any]], folder: str, kind: type[BadInput], culprit: str
+) -> None:
     (tmp_path / "file").touch()
-    for offset in offsets:
-        publish(tmp_path, offset)
-    assert culprit in refusal(tmp_path / folder, NotThere)
+    for module in modules:
+        publish(tmp_path, **module)
+    assert culprit in refusal(tmp_path / folder, kind)
 
 
 # What is refused
-
-
-@pytest.mark.parametrize(
-    ("offset", "other", "culprit"),
-    [
-        (10, {}, "weights_ne4_L25_offset0 and weights_ne4_L25_offset10"),
-        (25, {"kind": "ne4_L100"}, "2 networks (weights_ne4_L100, weights_ne4_L25)"),
-        (25, {"kind": "ne8_L25"}, "2 networks (weights_ne4_L25, weights_ne8_L25)"),
-        (25, {"ending": "_S10"}, "2 networks (weights_ne4_L25, weights_ne4_L25_S10)"),
-    ],
-)
-def test_modules_of_the_same_places_or_of_two_networks_are_refused(
-    tmp_path: Path, offset: int, other: dict[str, Any], culprit: str
-) -> None:
-    publish(tmp_path, 0)
-    publish(tmp_path, offset, **other)
-    assert culprit in refusal(tmp_path)
 
 
 class Harmful:
@@ -183,43 +177,26 @@ def test_pickled_objects_are_refused_and_never_run(tmp_path: Path, name: str, wr
         np.save(path, array, allow_pickle=True)
     else:
         path.write_bytes(pickle.dumps(Harmful(made)))
-    complaint = refusal(tmp_path)
-    assert name in complaint
-    assert "no array of plain numbers" in complaint
+    assert name in refusal(tmp_path)
     assert not made.exists()
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-1])
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "cut": lambda whole: whole[:-1],
+    "empty": lambda whole: b"",
+    "terabytes": lambda whole: whole.replace(b"(24, 3), }        ", b"(24, 300000000), }"),
+    "broken header": lambda whole: whole.replace(b"(24, 3)", b"(24, 3,", 1),
+    "text": lambda whole: b"<!DOCTYPE html><title>Sign in</title>",
+    "archive": lambda whole: b"PK\x05\x06" + bytes(18),
+}
 
 
-def emptied(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def promising_terabytes(path: Path) -> None:
-    rows = path.read_bytes()
-    path.write_bytes(rows.replace(b"(24, 3), }        ", b"(24, 300000000), }"))
-    assert len(path.read_bytes()) == len(rows)
-
-
-def with_a_broken_header(path: Path) -> None:
-    path.write_bytes(path.read_bytes().replace(b"(24, 3)", b"(24, 3,", 1))
-
-
-def text(path: Path) -> None:
-    path.write_text("<!DOCTYPE html><title>Sign in</title>", encoding="utf-8")
-
-
-def a_zip_of_arrays(path: Path) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("XeAe.npy", b"")
-
-
-@pytest.mark.parametrize("damage", [cut, emptied, promising_terabytes, with_a_broken_header, text, a_zip_of_arrays])
-def test_a_damaged_file_is_named(tmp_path: Path, damage: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_file_is_named(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     path = publish(tmp_path) / "XeAe.npy"
-    damage(path)
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert path.read_bytes() != whole
     assert refusal(tmp_path).startswith(f"{path} ")
 
 
@@ -228,60 +205,46 @@ def test_a_damaged_file_is_named(tmp_path: Path, damage: Callable[[Path], None])
 def test_what_are_no_plain_numbers_is_refused(tmp_path: Path, name: str, kind: Any) -> None:
     path = publish(tmp_path) / name
     np.save(path, np.zeros(NEURONS, kind))
-    assert "wanted an array of plain numbers" in refusal(tmp_path)
+    assert name in refusal(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
-        *(("weights", shape) for shape in ((23, 3), (24, 2), (4, 6), (24,), (0, 3), ())),
-        *(("theta", shape) for shape in ((5,), (4, 1), ())),
-    ],
-)
-def test_arrays_of_another_shape_are_refused(tmp_path: Path, name: str, shape: tuple[int, ...]) -> None:
-    publish(tmp_path, **{name: np.zeros(shape)})  # type: ignore[arg-type]
-    wanted = "(24, 3) or (6, 4)" if name == "weights" else "(4,)"
-    complaint = refusal(tmp_path)
-    assert f"has shape {shape}" in complaint
-    assert wanted in complaint
-
-
-@pytest.mark.parametrize(
-    ("row", "changed", "wanted"),
-    [
-        (0, (INPUTS, 0), "a row of input 6 and neuron 0; wanted whole numbers below 6 and 4"),
-        (0, (0, NEURONS), "a row of input 0 and neuron 4;"),
-        (0, (-1, 0), "a row of input -1 and neuron 0;"),
-        (0, (0.5, 0), "a row of input 0.5 and neuron 0;"),
-        (0, (0, np.nan), "a row of input 0 and neuron nan;"),
-        (5, (1, 2), "0 rows of input 1 and neuron 1; wanted one"),
-        (6, (1, 1), "2 rows of input 1 and neuron 1; wanted one"),
-    ],
-)
-def test_a_row_of_no_synapse_or_of_one_that_has_its_own_is_named(
-    tmp_path: Path, row: int, changed: tuple[float, float], wanted: str
-) -> None:
+def rows_but(row: int, source: float, neuron: float) -> npt.NDArray[np.float64]:
     rows = by_input(random_weights())
-    rows[row, :2] = changed
-    publish(tmp_path, weights=rows)
-    assert wanted in refusal(tmp_path)
+    rows[row, :2] = source, neuron
+    return rows
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -0.1])
-@pytest.mark.parametrize("layout", [by_input, lambda weights: weights])
-def test_weights_that_cannot_be_are_refused(
-    tmp_path: Path, layout: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]], value: float
-) -> None:
+def weights_but(value: float) -> npt.NDArray[np.float64]:
     weights = random_weights()
     weights[2, 3] = value
-    publish(tmp_path, weights=layout(weights))
-    assert "XeAe.npy holds weights" in refusal(tmp_path)
+    return weights
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -0.02, 20.0])
-def test_thresholds_that_cannot_be_volts_are_refused(tmp_path: Path, value: float) -> None:
-    publish(tmp_path, theta=np.array([0.02, value, 0.02, 0.02]))
-    assert "theta_A.npy holds thresholds" in refusal(tmp_path)
+@pytest.mark.parametrize(
+    ("changed", "array", "culprit"),
+    [
+        *(("weights", np.zeros(shape), f"{shape}") for shape in ((23, 3), (24, 2), (4, 6), (24,), (0, 3), ())),
+        *(("theta", np.zeros(shape), f"{shape}") for shape in ((5,), (4, 1), ())),
+        ("weights", rows_but(0, INPUTS, 0), "input 6 and neuron 0;"),
+        ("weights", rows_but(0, 0, NEURONS), "input 0 and neuron 4;"),
+        ("weights", rows_but(0, -1, 0), "input -1 and neuron 0;"),
+        ("weights", rows_but(0, 0.5, 0), "input 0.5 and neuron 0;"),
+        ("weights", rows_but(0, 0, np.nan), "input 0 and neuron nan;"),
+        ("weights", rows_but(5, 1, 2), "0 rows of input 1 and neuron 1;"),
+        ("weights", rows_but(6, 1, 1), "2 rows of input 1 and neuron 1;"),
+        *(
+            ("weights", layout(weights_but(value)), "XeAe.npy holds weights")
+            for layout in (by_input, np.asarray)
+            for value in (np.nan, np.inf, -0.1)
+        ),
+        *(("theta", [0.02, value, 0.02, 0.02], "theta_A.npy holds") for value in (np.nan, np.inf, -0.02, 20.0)),
+    ],
+)
+def test_shapes_synapses_weights_and_thresholds_that_cannot_be_are_refused(
+    tmp_path: Path, changed: str, array: Any, culprit: str
+) -> None:
+    publish(tmp_path, **{changed: np.asarray(array)})  # type: ignore[arg-type]
+    assert culprit in refusal(tmp_path)
 
 
 def test_a_file_that_the_system_does_not_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

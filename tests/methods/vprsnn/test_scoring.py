@@ -13,8 +13,6 @@ from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.scoring import Responses, labels
 from vprbench.methods.vprsnn.training_sets import modules
-from vprbench.metrics.accuracy import average_precision, pr_curve, recall_at
-from vprbench.metrics.ranking import outcome
 
 Array = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
@@ -170,30 +168,7 @@ def test_a_place_scores_the_mean_spikes_of_its_neurons(
     assert standard_one_by_one(given, np.array(spoken_for), mute, len(expected)).tolist() == [expected]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_standard_scores_are_those_of_a_loop_over_queries_and_places(seed: int) -> None:
-    learnt = network(seed)
-    responses, silenced, spoken_for = drawn_responses(seed, 7, learnt), drawn_mask(seed, learnt), labels(learnt)
-    assert not np.isin(np.arange(23), spoken_for).all()
-    assert (spoken_for == -1).any()
-    expected = standard_one_by_one(responses, spoken_for, silenced, 23)
-    assert np.array_equal(scoring.standard(responses, spoken_for, silenced, 23), expected)
-
-
 # --- weighted ---------------------------------------------------------------------------------------------------
-
-
-def test_a_weighted_score_by_hand() -> None:
-    # Of 200 places a neuron counts as involved in many from 4 on. Neuron 0: 30 of its 40 spikes were for place 0, 10
-    # for place 1. Neuron 1: 20 for place 0 alone. Neuron 2: four places, of which place 3 drew no more than a tenth.
-    sums = np.array([[[30, 10, 0, 0], [20, 0, 0, 0], [20, 20, 50, 10]]], np.float32)
-    learnt = Responses(sums, np.full((1, 4), 10), np.array([[0, 1, 2, 3]]))
-    scores = scoring.weighted(np.array([[[4, 0, 2]]]), learnt, nobody(learnt), 200)
-    place_0 = (4 * 30 / 40 + 2 / 4 * 20 / 100) * (30 + 20) / (30 + 20 + 20)
-    place_1 = (4 * 10 / 40 + 2 / 4 * 20 / 100) * 1
-    place_2 = 2 / 4 * 50 / 100 * 1
-    assert scores[0, :4] == pytest.approx([place_0, place_1, place_2, 0], rel=1e-6)
-    assert not scores[0, 4:].any()
 
 
 def test_a_tenth_of_the_spikes_is_not_enough_to_speak_for_a_place_and_a_little_more_is() -> None:
@@ -210,41 +185,29 @@ def test_spikes_are_divided_from_a_fiftieth_of_the_places_on(n_places: int, expe
     assert score == pytest.approx(expected * 0.9, rel=1e-6)
 
 
-@pytest.mark.parametrize("n_places", [23, 180])  # neurons of one place are divided, or those of four alone
-@pytest.mark.parametrize("seed", range(3))
-def test_weighted_scores_are_those_of_a_loop_over_queries_and_places(seed: int, n_places: int) -> None:
-    learnt = network(seed)
-    responses, silenced = drawn_responses(seed, 7, learnt), drawn_mask(seed, learnt)
-    found = scoring.weighted(responses, learnt, silenced, n_places)
-    expected = weighted_one_by_one(responses, learnt, silenced, n_places)
-    assert found.dtype == np.float32
-    assert np.allclose(found, expected, rtol=1e-6, atol=0)
-
-
 # --- queries in blocks ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("block_cells", [1, 61, 200])  # below one query, one query, three of seven
-def test_scores_do_not_depend_on_how_many_queries_are_taken_at_once(
-    monkeypatch: pytest.MonkeyPatch, block_cells: int
+@pytest.mark.parametrize("n_places", [23, 180])  # weighted: neurons of one place are divided, or those of four alone
+@pytest.mark.parametrize(
+    ("seed", "n_queries", "block_cells"), [(0, 7, 1), (1, 7, 61), (2, 7, 200), (3, 7, 1 << 20), (0, 0, 1 << 20)]
+)
+def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_size(
+    monkeypatch: pytest.MonkeyPatch, seed: int, n_queries: int, block_cells: int, n_places: int
 ) -> None:
-    learnt = network(1)
-    responses, silenced = drawn_responses(1, 7, learnt), drawn_mask(1, learnt)
-    whole = [
-        scoring.standard(responses, labels(learnt), silenced, 23),
-        scoring.weighted(responses, learnt, silenced, 23),
-    ]
+    learnt = network(seed)
+    responses, silenced = drawn_responses(seed, n_queries, learnt), drawn_mask(seed, learnt)
+    spoken_for = labels(learnt)
+    assert not np.isin(np.arange(23), spoken_for).all()
+    assert (spoken_for == -1).any()
     monkeypatch.setattr(scoring, "_BLOCK_CELLS", block_cells)
-    assert np.array_equal(scoring.standard(responses, labels(learnt), silenced, 23), whole[0])
-    assert np.array_equal(scoring.weighted(responses, learnt, silenced, 23), whole[1])
-
-
-def test_no_query_has_no_scores() -> None:
-    learnt = network(0)
-    none = drawn_responses(0, 0, learnt)
-    assert scoring.standard(none, labels(learnt), nobody(learnt), 23).shape == (0, 23)
-    assert scoring.weighted(none, learnt, nobody(learnt), 23).shape == (0, 23)
-    assert scoring.no_match(np.empty((0, 23), np.float32), none).shape == (0, 23)
+    standard = scoring.standard(responses, spoken_for, silenced, n_places)
+    assert np.array_equal(standard, standard_one_by_one(responses, spoken_for, silenced, n_places))
+    weighted = scoring.weighted(responses, learnt, silenced, n_places)
+    expected = weighted_one_by_one(responses, learnt, silenced, n_places)
+    assert weighted.dtype == np.float32
+    assert weighted.shape == expected.shape
+    assert np.allclose(weighted, expected, rtol=1e-6, atol=0)
 
 
 # --- normalisation and silent queries ---------------------------------------------------------------------------
@@ -275,21 +238,6 @@ def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place(
     found = scoring.no_match(scores, responses[:, ~mute])
     assert found.tolist() == expected
     assert found.dtype == np.float32
-
-
-def test_a_silent_query_is_judged_a_miss_even_where_the_right_place_is_the_first() -> None:
-    responses = np.array([[[0, 0]], [[0, 1]], [[0, 0]]])
-    spoken_for = np.array([[0, 1]])
-    scores = scoring.no_match(scoring.standard(responses, spoken_for, nobody(spoken_for), 2), responses)
-    judged = outcome(scores, [np.array([0]), np.array([1]), np.array([1])])
-    for n in (1, 2):  # at every depth: it is no guess, and no candidate either
-        recall = recall_at(judged, n)
-        assert recall is not None
-        assert (recall.expected, recall.pessimistic, recall.optimistic) == (1 / 3, 1 / 3, 1 / 3)
-    curve = pr_curve(judged, "A")  # it retrieves nothing, so it is no false positive
-    assert curve is not None
-    assert curve.precision.tolist() == [1, 1]
-    assert average_precision(curve) == pytest.approx(1 / 3)
 
 
 # --- the threshold by held-out places ---------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -95,30 +96,22 @@ def test_an_asked_module_equals_the_direct_simulation():
     assert (run.weights == given.weights).all()
 
 
+ALONE: dict[str, Any] = {"weight_sum": None}
+ASKED: dict[str, Any] = {"learning": False, "weight_sum": None}
+
+
 @pytest.mark.parametrize(
     ("drawn", "how"),
     [
-        pytest.param({"seed": 4, "n_images": 3, "presentation_ms": 350.0, "rest_ms": 150.0}, {}, id="as published"),
+        ({"seed": 4, "n_images": 3, "presentation_ms": 350.0, "rest_ms": 150.0}, {}),  # as published
         *(({"seed": 5, "longest": longest, "n_images": 3}, {}) for longest in (0, 1, 7, 127, 128, 300)),
-        pytest.param(
-            {"seed": 20}, {"weight_sum": 40.0}, id="weights above the maximum"
-        ),  # few inputs are lifted past 1
-        pytest.param({"seed": 21, "excitatory_minimum_interval_ms": 0.0}, {"weight_sum": None}, id="refractory longer"),
-        pytest.param(
-            {"seed": 21, "excitatory_minimum_interval_ms": 2.05},
-            {"learning": False, "weight_sum": None},
-            id="refractory longer, asked",
-        ),
+        pytest.param({"seed": 20}, {"weight_sum": 40.0}, id="weights above the maximum"),  # few are lifted past 1
+        ({"seed": 10, "n_neurons": 6, "n_inputs": 1, "share": 0.3, "n_images": 2}, ALONE),
+        ({"seed": 21, "excitatory_minimum_interval_ms": 0.0}, ALONE),  # the refractory period is longer
+        ({"seed": 21, "excitatory_minimum_interval_ms": 2.05}, ASKED),
+        *(({"seed": 11, "share": share, "n_images": 2, "presentation_ms": 60.0}, ALONE) for share in (0.25, 1.0)),
         *(
-            pytest.param(
-                {"seed": 11, "share": share, "n_images": 2, "presentation_ms": 60.0},
-                {"weight_sum": None},
-                id=str(share),
-            )
-            for share in (0.25, 1.0)
-        ),
-        *(
-            pytest.param({"seed": 6, **changes}, {"weight_sum": None}, id="-".join(changes))
+            pytest.param({"seed": 6, **changes}, ALONE, id="-".join(changes))
             for changes in (
                 {"excitatory_minimum_interval_ms": 6.95, "pre_rate": 0.01},
                 {"excitatory_minimum_interval_ms": 6.95, "pre_rate": -0.02, "post_rate": 0.1},
@@ -130,13 +123,16 @@ def test_an_asked_module_equals_the_direct_simulation():
                 {"time_step_ms": 0.2},
                 {"excitatory_reset_mv": -70.0, "excitatory_rest_mv": -60.0, "inhibitory_reset_mv": -80.0},
                 {"rest_ms": 10.0, "presentation_ms": 51.2},
+                # No whole numbers of steps: the nearest ones
+                {"rest_ms": 30.06},
+                {"excitatory_refractory_ms": 5.06, "inhibitory_refractory_ms": 2.04},
             )
         ),
     ],
 )
 def test_other_constants_delays_and_rates_give_the_same(drawn, how):
     run = agreed(Given.drawn(**drawn), **{"weight_sum": 16.0, **how})
-    assert run.counts.sum() > 10
+    assert run.counts.sum() > 5
 
 
 def test_neurons_that_all_fire_in_the_same_step_give_the_same():
@@ -152,11 +148,6 @@ def test_neurons_that_all_fire_in_the_same_step_give_the_same():
 def test_thresholds_below_the_rest_give_the_same(theta):
     run = agreed(replace(Given.drawn(8), theta=theta))
     assert run.excitatory[0].all()
-
-
-def test_a_single_input_gives_the_same():
-    given = Given.drawn(10, 6, 1, share=0.3, n_images=2)
-    assert agreed(replace(given, weights=np.linspace(0.1, 1.0, 6)[None])).counts.sum() > 5
 
 
 def test_weights_of_0_and_of_1_give_the_same():
@@ -200,12 +191,6 @@ def test_spikes_in_the_rest_count_for_the_next_image():
     assert [module.show(silence(500, 1)).tolist() for _ in range(3)] == [[1], [3], [2]]
 
 
-@pytest.mark.parametrize(("shown", "counts"), [(501, [1, 2]), (502, [2, 1])])
-def test_the_first_step_of_the_rest_is_none_of_the_presentation(shown, counts):
-    module = restless(shown, 1000 - shown)
-    assert [int(module.show(silence(shown, 1))[0]) for _ in range(2)] == counts
-
-
 def test_without_a_rest_the_simulation_ends_with_the_presentation():
     module = restless(500, 600)
     module.show(silence(500, 1), resting=False)
@@ -229,13 +214,6 @@ def test_each_synapse_delivers_after_its_own_delay():
         since = until - 1 - 10 - delays[0]
         expected = np.where(since >= 0, weights[0] * 0.9 ** np.maximum(since, 0), 0)
         assert module.state.ge[:5] == pytest.approx(expected, rel=1e-12)
-
-
-def test_spikes_of_the_last_step_arrive_in_the_rest():
-    module = Module(np.array([[0.5]]), 1000.0, np.array([[100]]), learning=False)
-    module.physics = module.physics._replace(rest=101)
-    module.show(spikes_at(3500, 1, (3499, 0)))
-    assert module.state.ge[0] == pytest.approx(0.5 * 0.9)
 
 
 def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():

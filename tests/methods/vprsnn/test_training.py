@@ -12,7 +12,6 @@ import torch
 from little_vprsnn import SMALL, WORLD, fitted, images, one_thread, recorded_trains, same  # noqa: F401 - a fixture
 
 from vprbench import progress
-from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.arrays import unpadded
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
@@ -132,18 +131,6 @@ def test_initial_weights_are_uniform_from_the_offset_on() -> None:
     assert 0 <= shares.min() < shares.max() < 1
 
 
-def test_weights_that_do_not_learn_keep_the_published_sum() -> None:
-    state = fitted(pre_rate=0.0, post_rate=0.0).state()
-    assert state["weights"].sum(axis=1) == pytest.approx(78.0)
-
-
-def test_every_spike_raises_the_threshold_of_its_neuron() -> None:
-    state = fitted(theta_tau_ms=1e15, epochs=3).state()  # all 30 presentations are recorded
-    spikes = state["sums"].sum(axis=2)
-    assert spikes.min() < spikes.max()
-    assert state["theta"] == pytest.approx(20 + 0.05 * spikes)
-
-
 def test_delays_are_uniform_and_rounded_to_the_nearest_step() -> None:
     delays = Model(height=1, width=300, n_excitatory=1000).delays(0)
     times = np.bincount(delays.ravel(), minlength=101)
@@ -193,11 +180,6 @@ def test_the_last_presentations_are_recorded_which_changes_nothing_else(
     assert 0 < found["sums"].sum() <= whole["sums"].sum()
     assert np.array_equal(found["weights"], whole["weights"])
     assert np.array_equal(found["theta"], whole["theta"])
-
-
-def test_fewer_recorded_presentations_than_a_module_has_images_are_refused() -> None:
-    with pytest.raises(BadInput, match=r"method\.recorded_presentations=9: .* 10 images"):
-        fitted(recorded_presentations=9)
 
 
 # --- threads ----------------------------------------------------------------------------------------------------
