@@ -251,7 +251,7 @@ def test_torchs_own_encoder_gives_what_is_written_out_here() -> None:
 
 
 def test_one_tensor_under_the_names_of_two_wrappers_is_refused(folder: Path) -> None:
-    twice = {**RESNET.tensors, "backbone.frozen_layers.0.0.weight": torch.ones(1)}
+    twice = {**RESNET.tensors, "backbone.frozen_layers.0.0.weight": RESNET.tensors["backbone.net.0.weight"]}
     assert "backbone.net.0.weight" in RESNET.refusal(saved(folder / "twice.pth", twice))
 
 
