@@ -6,13 +6,12 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from described_images import drawn_images, pillow
+from described_images import drawn_images
 from published_networks import PublishedNetwork, saved, with_checks
 from torch.nn import functional
 
@@ -37,10 +36,6 @@ def drawn(backbone: str, n_dimensions: int = 64) -> dict[str, torch.Tensor]:
         "aggregation.3.weight": torch.randn(n_dimensions, n_channels, generator=generator),
         "aggregation.3.bias": 0.3 * torch.randn(n_dimensions, generator=generator),
     }
-
-
-def cosplace(path: Path, **arguments: Any) -> CosPlace:
-    return NETWORK.method(path, **arguments)
 
 
 def expected(
@@ -73,10 +68,6 @@ def expected(
     return np.array(descriptors)
 
 
-def to_48x80(antialias: bool):
-    return lambda x: functional.interpolate(x, (48, 80), mode="bilinear", align_corners=False, antialias=antialias)
-
-
 NETWORK = PublishedNetwork(
     "cosplace",
     lambda: drawn("VGG16"),
@@ -96,15 +87,19 @@ NETWORK = PublishedNetwork(
     missing=["backbone.28.bias", "aggregation.3.weight"],
     unexpected=["aggregation.3.running"],
     misshapen={"aggregation.3.weight": (64, 2048), "aggregation.1.p": (512,)},
+    options={
+        "resized": (
+            {"height": 48, "width": 80},
+            drawn_images((131, 187), (48, 80)),
+            {"resized": lambda x: functional.interpolate(x, (48, 80), mode="bilinear", antialias=True)},
+        ),
+        "black": ({}, [np.zeros((32, 48, 3), np.uint8)], {}),
+    },
+    refused=[("16 pixels", {}, (40, 15)), ("n_dimensions=64", {"n_dimensions": 128}, (64, 96))],
     contract={"backbone": "ResNet18", "n_dimensions": 64, "height": 24, "width": 32},
     draw_for_contract=lambda: drawn("ResNet18"),
 )
 EIGENPLACES = replace(NETWORK, name="eigenplaces")
-
-
-@pytest.fixture
-def published(folder: Path) -> Path:
-    return NETWORK.file(folder)
 
 
 @with_checks(NETWORK)
@@ -124,50 +119,10 @@ def test_descriptors_of_a_resnet_are_those_of_the_published_layout(
 ) -> None:
     tensors, images = drawn(backbone, n_dimensions), NETWORK.images
     path = saved(folder / f"{backbone}.pth", tensors)
-    codes = cosplace(path, backbone=backbone, n_dimensions=n_dimensions).encode(Images.from_arrays(images[:1]))
+    codes = NETWORK.method(path, backbone=backbone, n_dimensions=n_dimensions).encode(Images.from_arrays(images[:1]))
     path.unlink()
     assert codes.shape == (1, n_dimensions)
     np.testing.assert_allclose(codes, expected(tensors, images[:1], backbone), rtol=0, atol=1e-4)
-
-
-def test_images_are_resized_as_tensors_with_antialiasing_where_a_size_is_given(published: Path) -> None:
-    tensors, images = NETWORK.tensors, drawn_images((131, 187), (48, 80))
-    codes = cosplace(published, height=48, width=80).encode(Images.from_arrays(images))
-    np.testing.assert_allclose(codes, expected(tensors, images, resized=to_48x80(True)), rtol=0, atol=1e-4)
-    aliased = expected(tensors, images[:1], resized=to_48x80(False))
-    assert np.abs(codes[:1] - aliased).max() > 1e-3
-    rounded = expected(
-        tensors,
-        images[:1],
-        before=lambda image: pillow(image, 48, 80),
-    )
-    assert np.abs(codes[:1] - rounded).max() > 3e-4
-
-
-def test_black_images_have_finite_descriptors(published: Path) -> None:
-    black = cosplace(published).encode(Images.from_arrays([np.zeros((32, 48, 3), np.uint8)]))
-    assert np.isfinite(black).all()
-
-
-def test_images_that_leave_vgg_nothing_to_pool_are_refused(published: Path) -> None:
-    with pytest.raises(BadInput, match="needs 16 pixels a side"):
-        cosplace(published).encode(Images.from_arrays(drawn_images((40, 15))))
-
-
-def test_a_file_of_other_dimensions_is_refused_with_the_argument_that_it_wants(published: Path) -> None:
-    with pytest.raises(BadInput, match="n_dimensions=64"):
-        cosplace(published, n_dimensions=128).load(published)
-
-
-@pytest.mark.parametrize("backbone", CHANNELS)
-def test_the_blank_network_has_the_published_tensors(backbone: str) -> None:
-    with torch.device("meta"):
-        blank = CosPlace(weights=Weights("", "", ""), backbone=backbone, n_dimensions=512).blank()
-    published = {name: tensor.shape for name, tensor in drawn(backbone, 512).items()}
-    assert {name: tensor.shape for name, tensor in blank.state_dict().items()} == published
-
-
-# The yaml files and the contract
 
 
 @pytest.mark.parametrize(
@@ -196,6 +151,6 @@ def test_only_what_was_published_is_looked_for(
     assert found == published
 
 
-def test_what_was_not_published_is_told_with_what_was() -> None:
+def test_a_refusal_tells_which_were_published() -> None:
     with pytest.raises(BadInput, match=r"n_dimensions=64: .* VGG16 512; ResNet18 256, 512"):
         EigenPlaces(weights=Weights("x.pth", "", ""), backbone="VGG16", n_dimensions=64).files()

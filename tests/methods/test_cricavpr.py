@@ -11,11 +11,9 @@ import pytest
 import torch
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
-from described_images import distance, encoded, image, pillow
+from described_images import distance, image, pillow
 from published_networks import PublishedNetwork, with_checks
 from torch.nn import functional
-
-from vprbench.errors import BadInput
 
 TOLERANCE = 2e-5
 DIM = 128
@@ -138,14 +136,12 @@ NETWORK = PublishedNetwork(
     ],
     unexpected=["module.linear.weight"],
     hidden_prefixes=("module.",),
+    refused=[
+        ("method.height=224", {"height": 238}, (224, 224)),
+        ("method.images_together=0", {"images_together": 0}, (224, 224)),
+    ],
     draw_for_contract=lambda: drawn(64, 1),
 )
-method, tensors = NETWORK.method, NETWORK.tensors
-
-
-@pytest.fixture
-def file(folder: Path) -> Path:
-    return NETWORK.file(folder)
 
 
 @with_checks(NETWORK)
@@ -159,38 +155,25 @@ def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("batch_size", [1, 3, 16])
-def test_consecutive_images_see_one_another_whatever_the_batch(file: Path, batch_size: int) -> None:
-    codes = encoded(method(file, images_together=2, batch_size=batch_size), *IMAGES)
+def test_consecutive_images_see_one_another_whatever_the_batch(folder: Path, batch_size: int) -> None:
+    codes = NETWORK.encode(folder, *IMAGES, images_together=2, batch_size=batch_size)
     groups = [IMAGES[:2], IMAGES[2:4], IMAGES[4:]]
-    assert distance(codes, np.concatenate([expected(tensors, group) for group in groups])) < TOLERANCE
-    assert distance(codes[:4], alone(tensors, IMAGES[:4])) > 100 * TOLERANCE
+    assert distance(codes, np.concatenate([expected(NETWORK.tensors, group) for group in groups])) < TOLERANCE
+    assert distance(codes[:4], alone(NETWORK.tensors, IMAGES[:4])) > 100 * TOLERANCE
 
 
-def test_images_are_resized_without_antialiasing(file: Path) -> None:
+def test_images_are_resized_without_antialiasing(folder: Path) -> None:
     seen = image(448, 560)
     floats = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
     plain = functional.interpolate(floats, (224, 224), mode="bilinear", align_corners=False, antialias=False)
     levels = plain[0].permute(1, 2, 0).round().numpy().astype(np.uint8)
     smooth = pillow(seen, 224, 224)
-    code = encoded(method(file), seen)
-    assert distance(code, alone(tensors, [levels])) < 0.1 * distance(code, alone(tensors, [smooth]))
+    code = NETWORK.encode(folder, seen)
+    assert distance(code, alone(NETWORK.tensors, [levels])) < 0.1 * distance(code, alone(NETWORK.tensors, [smooth]))
 
 
-def test_another_size_than_that_of_the_regions_is_refused(file: Path) -> None:
-    with pytest.raises(BadInput, match=r"224x238 .* method\.height=224"):
-        encoded(method(file, height=238), IMAGES[0])
-
-
-def test_no_image_together_is_refused(file: Path) -> None:
-    with pytest.raises(BadInput, match=r"method\.images_together=0: give at least 1"):
-        encoded(method(file, images_together=0), IMAGES[0])
-
-
-# The contract and the yaml
-
-
-def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors(file: Path) -> None:
-    alone, together = method(file), method(file, images_together=16)
+def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors(folder: Path) -> None:
+    alone, together = (NETWORK.method(NETWORK.file(folder), images_together=n) for n in (1, 16))
     assert (alone.notes(), alone.keeps_descriptors()) == ((), True)
     assert "16 consecutive images" in together.notes()[0]
     assert not together.keeps_descriptors()

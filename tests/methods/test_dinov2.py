@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from backbones_oracle import Tensors, imagenet, vit_checkpoint, vit_tokens
 from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, with_checks
@@ -16,7 +15,7 @@ from torch import Generator, Tensor, randn
 
 from vprbench.api.arrays import Image
 
-TOLERANCE = 1e-5
+Resize = Callable[[Image], Image]
 
 
 def drawn() -> dict[str, Tensor]:
@@ -34,8 +33,10 @@ def described(tensors: Tensors, image: Image, pooling: str = "cls", **how: Any) 
     return (vector / vector.norm()).numpy()
 
 
-def expected(tensors: Tensors, images: Sequence[Image], pooling: str = "cls", **how: Any) -> npt.NDArray[Any]:
-    return np.stack([described(tensors, seen, pooling, **how) for seen in images])
+def expected(
+    tensors: Tensors, images: Sequence[Image], resized: Resize = lambda seen: seen, **how: Any
+) -> npt.NDArray[Any]:
+    return np.stack([described(tensors, resized(seen), **how) for seen in images])
 
 
 NETWORK = PublishedNetwork(
@@ -49,14 +50,15 @@ NETWORK = PublishedNetwork(
     missing=["norm.weight", "cls_token", "blocks.1.ls2.gamma", "blocks.1.attn.qkv.bias", "pos_embed"],
     unexpected=["register_tokens", "blocks.0.attn.extra.weight", "head.weight"],
     misshapen={"blocks.0.mlp.fc2.bias": (129,)},
+    options={
+        "pool mean": ({"pooling": "mean"}, [image(56, 98)], {"pooling": "mean"}),
+        "pool gem": ({"pooling": "gem"}, [image(56, 98)], {"pooling": "gem"}),
+        "positions as they are": ({}, [image(70, 70)], {}),
+        "nearest multiples of 14": ({}, [image(50, 90)], {"resized": lambda seen: pillow(seen, 56, 84)}),
+    },
+    forms={"no mask token": lambda tensors: {name: t for name, t in tensors.items() if name != "mask_token"}},
     contract={"height": 42, "width": 56},
 )
-method, tensors = NETWORK.method, NETWORK.tensors
-
-
-@pytest.fixture
-def file(folder: Path) -> Path:
-    return NETWORK.file(folder)
 
 
 @with_checks(NETWORK)
@@ -64,37 +66,13 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
 
 
-@pytest.mark.parametrize("pooling", ["mean", "gem"])
-def test_other_poolings_are_those_of_the_slow_computation(file: Path, pooling: str) -> None:
-    codes = encoded(method(file, pooling=pooling), *NETWORK.images)
-    assert distance(codes, expected(tensors, NETWORK.images, pooling)) < TOLERANCE
-
-
-def test_at_the_size_of_the_position_embedding_it_is_taken_as_it_is(file: Path) -> None:
-    assert distance(encoded(method(file), image(70, 70)), described(tensors, image(70, 70))) < TOLERANCE
-
-
 def test_a_gate_in_place_of_gelu_is_told_from_the_file(tmp_path: Path) -> None:
     tensors = vit_checkpoint(Generator().manual_seed(2), swiglu=True)
     path = saved(tmp_path / "gate.pth", tensors)
-    assert (
-        distance(encoded(method(path, backbone="vitg14"), image(42, 56)), described(tensors, image(42, 56))) < TOLERANCE
-    )
-
-
-def test_the_mask_token_of_the_training_changes_nothing(file: Path, tmp_path: Path) -> None:
-    without = saved(tmp_path / "without.pth", {name: t for name, t in tensors.items() if name != "mask_token"})
-    assert np.array_equal(encoded(method(file), image(42, 42)), encoded(method(without), image(42, 42)))
-
-
-def test_an_image_is_seen_at_the_nearest_multiples_of_14(file: Path) -> None:
-    seen = pillow(image(50, 90), 56, 84)
-    assert distance(encoded(method(file), image(50, 90)), described(tensors, seen)) < TOLERANCE
-
-
-# Files
+    code = encoded(NETWORK.method(path, backbone="vitg14"), image(42, 56))
+    assert distance(code, described(tensors, image(42, 56))) < NETWORK.tolerance
 
 
 def test_a_file_of_another_family_is_refused(tmp_path: Path) -> None:
-    prefixed = {f"backbone.model.{name}": tensor for name, tensor in tensors.items()}
+    prefixed = {f"backbone.model.{name}": tensor for name, tensor in NETWORK.tensors.items()}
     assert "patch_embed.proj.weight" in NETWORK.refusal(saved(tmp_path / "salad.ckpt", prefixed))

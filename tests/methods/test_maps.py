@@ -1,8 +1,10 @@
-"""What every method without a published network does with its map: places, copies, and asking too early."""
+"""What every method without a published network does with its arguments and its map: places, copies, asking early."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from vprbench.methods.densevlad.method import DenseVLAD
 from vprbench.methods.hog import HOG
 from vprbench.methods.pca import PCA
 from vprbench.methods.sad import SAD
+from vprbench.plugins import registry
 
 IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
 METHODS = {
@@ -27,10 +30,40 @@ METHODS = {
 }
 STORED = ["cohog", "densevlad", "pca"]
 
+#: Arguments that do not fit, and what the refusal names besides the first of them.
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    ("cohog", {"size": 500}, "method.cell=16"),
+    ("cohog", {"size": 16}, "32 pixels"),
+    ("cohog", {"cell": 0}, ""),
+    ("cohog", {"bins": 1}, ""),
+    ("cohog", {"sobel": 4}, "3, 5 or 7"),
+    ("cohog", {"entropy_radius": -1}, ""),
+    ("cohog", {"entropy_threshold": float("nan")}, ""),
+    ("densevlad", {"words": 0}, ""),
+    ("densevlad", {"n_components": -1}, ""),
+    ("hog", {"height": 500}, "method.block=16"),
+    ("hog", {"width": 8}, ""),
+    ("hog", {"block": 16, "cell": 12}, "method.cell=12"),
+    ("hog", {"cell": 0}, ""),
+    ("hog", {"block": 0}, "method.cell=16"),
+    ("hog", {"stride": 0}, ""),
+    ("hog", {"bins": 256}, "1 to 255"),
+    ("hog", {"sigma": 0.0}, ""),
+    ("pca", {"components": 0}, ""),
+    ("pca", {"height": 0, "preprocessing": "grey"}, "method.width=28"),
+]
+
 
 @pytest.fixture(params=METHODS)
 def make(request: pytest.FixtureRequest) -> Callable[[], Method]:
     return METHODS[request.param]
+
+
+@pytest.mark.parametrize(("name", "arguments", "besides"), REFUSED)
+def test_arguments_that_do_not_fit_are_named(name: str, arguments: dict[str, Any], besides: str) -> None:
+    argument, value = next(iter(arguments.items()))
+    with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b.*{re.escape(besides)}"):
+        registry.entries("method")[name].target()(**arguments).fit(IMAGES, np.arange(12))
 
 
 def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make: Callable[[], Method]) -> None:

@@ -8,18 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from backbones_oracle import Tensors, imagenet, salad, salad_checkpoint, vit_checkpoint, vit_tokens
-from described_images import distance, encoded, image
+from described_images import image
 from published_networks import PublishedNetwork, with_checks
 from safetensors.torch import save_file
 from torch import Generator, Tensor, randn
 from torch.nn import functional
 
 from vprbench.api.arrays import Image
-from vprbench.errors import BadInput
 
-TOLERANCE = 1e-5
 N_CLUSTERS, CLUSTER_DIM, TOKEN_DIM, N_DIMENSIONS = 7, 12, 10, 40
 
 
@@ -41,7 +38,10 @@ def saved(path: Path, tensors: Tensors) -> Path:
     return path
 
 
-def described(tensors: Tensors, seen: Tensor, final_norm: bool = True, unit: bool = True) -> npt.NDArray[Any]:
+def described(
+    tensors: Tensors, seen: Tensor, side: tuple[int, int] | None = None, final_norm: bool = True, unit: bool = True
+) -> npt.NDArray[Any]:
+    seen = seen if side is None else functional.interpolate(seen, side, mode="bilinear", antialias=True)
     tokens = vit_tokens(tensors, "backbone.", seen, final_norm=final_norm)[0]
     inner = salad(tensors, "aggregator.agg.", tokens) * (1 if unit else 7)
     weight, bias = (tensors[f"aggregator.linear.{part}"].double() for part in ("weight", "bias"))
@@ -49,8 +49,8 @@ def described(tensors: Tensors, seen: Tensor, final_norm: bool = True, unit: boo
     return (vector / vector.norm()).numpy()
 
 
-def expected(tensors: Tensors, images: Sequence[Image], **trap: bool) -> npt.NDArray[Any]:
-    return np.stack([described(tensors, imagenet(seen), **trap) for seen in images])
+def expected(tensors: Tensors, images: Sequence[Image], **how: Any) -> npt.NDArray[Any]:
+    return np.stack([described(tensors, imagenet(seen), **how) for seen in images])
 
 
 NETWORK = PublishedNetwork(
@@ -72,31 +72,14 @@ NETWORK = PublishedNetwork(
     unexpected=["aggregator.score.0.weight", "backbone.model.cls_token"],
     misshapen={"aggregator.linear.weight": (3, 5), "aggregator.agg.token_features.2.bias": (3, 5)},
     hidden_prefixes=("backbone.",),
+    options={
+        f"antialiased floats of {rows}x{columns} patches": ({}, [image(*size)], {"side": (14 * rows, 14 * columns)})
+        for size, rows, columns in [((50, 90), 4, 6), ((64, 96), 5, 7), ((41, 43), 3, 3)]
+    },
+    refused=[("6 patches", {}, (28, 42))],
 )
-method, tensors = NETWORK.method, NETWORK.tensors
-
-
-@pytest.fixture
-def file(folder: Path) -> Path:
-    return NETWORK.file(folder)
 
 
 @with_checks(NETWORK)
 def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
-
-
-@pytest.mark.parametrize(("height", "width", "rows", "columns"), [(50, 90, 4, 6), (64, 96, 5, 7), (41, 43, 3, 3)])
-def test_an_image_is_seen_at_the_nearest_multiples_of_14_as_antialiased_floats(
-    file: Path, height: int, width: int, rows: int, columns: int
-) -> None:
-    given = image(height, width)
-    seen = functional.interpolate(
-        imagenet(given), (14 * rows, 14 * columns), mode="bilinear", align_corners=False, antialias=True
-    )
-    assert distance(encoded(method(file), given), described(tensors, seen)) < TOLERANCE
-
-
-def test_an_image_with_no_more_patches_than_clusters_is_refused(file: Path) -> None:
-    with pytest.raises(BadInput, match=r"6 patches .* 7 clusters .* method\.height and method\.width to 42 pixels"):
-        encoded(method(file), image(28, 42))

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from described_images import distance, drawn_images, pillow
+from described_images import distance, drawn_images, encoded, pillow
 from PIL import Image as PillowImage
 from published_networks import PublishedNetwork, saved, with_checks
 from torch.nn import functional
 
-from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.methods.mixvpr import MixVPR
@@ -46,10 +44,6 @@ def drawn(n_positions: int = 24, channels: int = 16, rows: int = 3) -> dict[str,
         "aggregator.row_proj.weight": normal(rows, n_positions, scale=n_positions**-0.5),
         "aggregator.row_proj.bias": normal(rows),
     }
-
-
-def mixvpr(path: Path, **arguments: Any) -> MixVPR:
-    return NETWORK.method(path, **arguments)
 
 
 def as_tensor(x: torch.Tensor) -> torch.Tensor:
@@ -104,6 +98,10 @@ NETWORK = PublishedNetwork(
     missing=["aggregator.mix.3.mix.3.bias", "aggregator.row_proj.weight"],
     unexpected=["backbone.model.layer4.0.conv1.weight"],
     misshapen={"aggregator.channel_proj.weight": (16, 2048), "aggregator.mix.0.mix.0.weight": (25,)},
+    refused=[
+        ("n_dimensions=48", {"n_dimensions": 4096}, (64, 96)),
+        *(("weights are for 24", {side: None}, (90, 120)) for side in ("height", "width")),
+    ],
     contract={"n_dimensions": 48, "height": 32, "width": 32},
     draw_for_contract=lambda: drawn(4),
 )
@@ -114,38 +112,10 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
 
 
-@pytest.fixture
-def published(folder: Path) -> Path:
-    return NETWORK.file(folder)
-
-
 def test_levels_are_rounded_before_they_become_floats(folder: Path) -> None:
     images = NETWORK.images[1:2]
     unrounded = expected(NETWORK.tensors, images, before=lambda image: image, resized=as_tensor)
     assert distance(NETWORK.codes(folder)[1:2], unrounded) > 5e-4
-
-
-def test_a_file_of_the_published_sizes_describes_images_of_320x320(folder: Path) -> None:
-    path = saved(folder / "large.ckpt", drawn(400, 64, 2))
-    method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
-    assert method.encode(Images.from_arrays(drawn_images((90, 120)))).shape == (1, 128)
-
-
-def test_images_of_another_size_than_the_weights_are_refused(folder: Path) -> None:
-    path = saved(folder / "large.ckpt", drawn(400, 64, 2))
-    with pytest.raises(BadInput, match=r"24 positions, .* 400: .*method.height=320"):
-        mixvpr(path, n_dimensions=128).encode(Images.from_arrays(drawn_images((90, 120))))
-
-
-def test_images_are_never_left_as_they_are(published: Path) -> None:
-    for side in ("height", "width"):
-        with pytest.raises(BadInput, match="positions, these weights are for 24"):
-            mixvpr(published, **{side: None}).encode(Images.from_arrays(drawn_images((90, 120))))
-
-
-def test_a_file_of_other_dimensions_is_refused_with_the_argument_that_it_wants(published: Path) -> None:
-    with pytest.raises(BadInput, match="n_dimensions=48"):
-        mixvpr(published, n_dimensions=4096).load(published)
 
 
 @pytest.mark.parametrize(("n_dimensions", "sizes"), [(4096, (1024, 4)), (512, (256, 2)), (128, (64, 2))])
@@ -156,6 +126,15 @@ def test_the_blank_network_has_the_published_tensors(n_dimensions: int, sizes: t
     assert {name: tensor.shape for name, tensor in blank.state_dict().items()} == published
 
 
+def test_weights_for_images_of_320x320_ask_for_their_size(folder: Path) -> None:
+    path = saved(folder / "large.ckpt", drawn(400, 64, 2))
+    (image,) = drawn_images((90, 120))
+    method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
+    assert encoded(method, image).shape == (1, 128)
+    with pytest.raises(BadInput, match=r"24 positions, .* 400: .*method.height=320"):
+        encoded(NETWORK.method(path, n_dimensions=128), image)
+
+
 def test_there_is_no_blank_network_of_other_dimensions() -> None:
     with pytest.raises(BadInput, match="4096, 512, 128"):
-        mixvpr(Path("none"), n_dimensions=64).blank()
+        NETWORK.method(Path("none"), n_dimensions=64).blank()

@@ -18,13 +18,11 @@ from published_networks import PublishedNetwork, with_checks
 from torch import Tensor
 from torch.nn import functional
 
-from vprbench.errors import BadInput
 from vprbench.methods.netvlad import NetVLAD
 
 IMAGENET = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])
 AVERAGE = np.array([117.5, 120.25, 90.75])  # of the .mat; unlike the usual mean, so that only the file's will do
 SIZES = [(64, 96), (49, 70), (64, 96)]
-FAMILIES = ("matconvnet", "pytorch", "patch-netvlad")
 
 Tensors = dict[str, Tensor]
 
@@ -131,6 +129,14 @@ TRAPS = ({"last": 29}, {"last": 30}, {"unit_locals": False}, {"intra": False})
 def network(name: str, family: str, draw: Callable[[], Tensors], n_dimensions: int, **more: Any) -> PublishedNetwork:
     more["traps"] = [*more["traps"], *TRAPS]
     whiten = family != "pytorch"
+    options = {"few dimensions": ({"n_dimensions": 3}, drawn_images((49, 70)), {"keep": 3}), **more.pop("options", {})}
+    options |= {"unwhitened": ({"whiten": False}, drawn_images((64, 96)), {"whiten": False})}
+    refused = [
+        *((f"method.n_dimensions={wrong}", {"n_dimensions": wrong}, (49, 70)) for wrong in (0, n_dimensions + 1)),
+        ("method.longest_side=0", {"longest_side": 0}, (32, 32)),
+        ("16 pixels", {}, (15, 40)),
+        *([] if whiten else [("method.whiten=true", {"whiten": True}, (32, 32))]),
+    ]
     return PublishedNetwork(
         name,
         draw,
@@ -143,6 +149,8 @@ def network(name: str, family: str, draw: Callable[[], Tensors], n_dimensions: i
         batch_tolerance=1e-5,
         alike_in_half=0.98,
         trap_distance=2e-3,
+        options=options,
+        refused=refused,
         contract={"height": 16, "width": 32},
         **more,
     )
@@ -156,6 +164,13 @@ NETWORKS = {
         8,
         traps=[{"cluster_fastest": False}, {"levels": False}, {"sign": -1.0}],
         misshapen={"WPCA.0.weight": (8, 1024, 1, 1)},
+        options={
+            "unrounded means of a long image": (
+                {"longest_side": 96, "resize": "area"},
+                drawn_images((128, 192)),
+                {"resized": lambda image: image.reshape(64, 2, 96, 2, 3).mean((1, 3))},
+            )
+        },
     ),
     "pytorch": network(
         "netvlad_pytorch",
@@ -174,6 +189,13 @@ NETWORKS = {
         missing=["encoder.28.bias", "pool.centroids", "WPCA.0.weight", "WPCA.0.bias"],
         unexpected=["pool.conv.bias"],
         misshapen={"encoder.5.bias": (63,)},
+        options={
+            "antialiased": (
+                {"height": 48, "width": 64},
+                drawn_images((150, 210)),
+                {"resized": partial(pillow, height=48, width=64)},
+            )
+        },
     ),
 }
 
@@ -197,41 +219,6 @@ def test_one_network_gives_one_descriptor_in_two_layouts_when_the_whitening_is_p
     c = encoded(netvlad("patch-netvlad", write_checkpoint(folder / "c.pth.tar", channel_fastest)), *images)
     a_file = write_struct(folder / "a.mat", cluster_fastest, 255 * IMAGENET[0])
     assert distance(encoded(netvlad("matconvnet", a_file), *images), c) < 1e-4
-
-
-@pytest.mark.parametrize("family", ["matconvnet", "patch-netvlad"])
-def test_without_whitening_the_order_is_that_of_the_family(family: str, netvlad) -> None:
-    images, tensors = drawn_images((64, 96)), NETWORKS[family].tensors
-    vlad = encoded(netvlad(family, whiten=False), *images)
-    assert vlad.shape[1] == 512 * len(tensors["pool.centroids"])
-    assert distance(vlad, expected(tensors, images, family, whiten=False)) < 1e-4
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_fewer_dimensions_are_the_first_at_unit_length_and_more_are_refused(family: str, netvlad) -> None:
-    images, own = drawn_images((49, 70)), NETWORKS[family]
-    few = encoded(netvlad(family, n_dimensions=3), *images)
-    assert distance(few, expected(own.tensors, images, family, keep=3)) < 1e-4
-    more = own.n_dimensions + 1
-    with pytest.raises(BadInput, match=rf"method\.n_dimensions={more}.* {more - 1}\b"):
-        encoded(netvlad(family, n_dimensions=more), *images)
-
-
-def test_images_are_resized_antialiased_as_pillow_does(netvlad) -> None:
-    images, tensors = drawn_images((150, 210)), NETWORKS["patch-netvlad"].tensors
-    code = encoded(netvlad("patch-netvlad", height=48, width=64), *images)
-    aliased = expected(tensors, images, resized=lambda image: image[1::3, 1::3][:48, :64])
-    assert distance(code, expected(tensors, images, resized=lambda image: pillow(image, 48, 64))) < 1e-4
-    assert distance(code, aliased) > 1e-2
-
-
-def test_an_image_that_is_too_long_shrinks_to_unrounded_means(netvlad) -> None:
-    images = drawn_images((128, 192))
-    code = encoded(netvlad("matconvnet", longest_side=96, resize="area"), *images)
-    levels = NETWORKS["matconvnet"].tensors, images, "matconvnet"
-    right = expected(*levels, resized=lambda image: image.reshape(64, 2, 96, 2, 3).mean((1, 3)))
-    assert distance(code, right) < 1e-4
-    assert distance(code, expected(*levels, resized=lambda image: pillow(image, 64, 96))) > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -325,35 +312,6 @@ def test_what_is_no_mat_is_refused(content: bytes | None, folder: Path) -> None:
     path = folder / "x.mat"
     path.write_bytes(own.file(folder).read_bytes()[:100_000] if content is None else content)
     assert "MatConvNet" in own.refusal(path)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ({"whiten": True}, "method.whiten=true"),
-        ({"n_dimensions": 0}, "^method.n_dimensions=0: give at least 1"),
-        ({"longest_side": 0}, "^method.longest_side=0: give at least 1"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_named(arguments: dict[str, Any], complaint: str, netvlad) -> None:
-    with pytest.raises(BadInput, match=complaint):
-        encoded(netvlad("pytorch", **arguments), *drawn_images((32, 32)))
-
-
-def test_an_image_of_less_than_one_local_descriptor_is_refused(netvlad) -> None:
-    with pytest.raises(BadInput, match="16 pixels"):
-        encoded(netvlad("pytorch"), *drawn_images((15, 40)))
-
-
-def test_the_licence_of_a_converted_file_is_that_of_its_origin() -> None:
-    assert composed("method=netvlad")["weights"]["licence"].startswith("MIT, that of github.com/Relja/netvlad;")
-
-
-def test_the_file_of_the_pytorch_family_has_to_be_fetched_by_hand() -> None:
-    weights = composed("method=netvlad_pytorch")["weights"]
-    assert weights["url"] is None
-    assert "https://drive.google.com/open?id=17luTjZFCX639guSVy00OUtzfTQo4AMF2" in weights["by_hand"]
-    assert "checkpoints/checkpoint.pth.tar" in weights["by_hand"]
 
 
 def test_the_yaml_states_sizes_and_hashes() -> None:

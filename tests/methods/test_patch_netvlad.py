@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from PIL import Image as PillowImage
-from published_networks import PublishedNetwork
+from described_images import drawn_images, image, pillow
+from published_networks import PublishedNetwork, with_checks
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -23,10 +24,8 @@ from vprbench.api.method import held_together
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods import netvlad, patch_netvlad
-from vprbench.methods.parts.patch_geometry import centres, inliers, mutual, score
-from vprbench.methods.parts.patch_network import PatchNetwork
+from vprbench.methods.parts.patch_geometry import inliers, score
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
-from vprbench.plugins import conformance
 
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
@@ -54,12 +53,6 @@ def written(path: Path, tensors: Tensors) -> Path:
 def made(path: Path | str = "none", n_components: int = 10, **arguments: Any) -> PatchNetVLAD:
     arguments = {"components": dict.fromkeys(SIDES, n_components), "height": 144, "width": 160, **arguments}
     return PatchNetVLAD(weights=Weights("x", "", "", path=str(path)), **arguments)
-
-
-def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    coarse = cv2.resize(generator.integers(0, 256, (6, 7, 3), dtype=np.uint8), (width, height))
-    return np.clip(coarse + generator.normal(0, 30, coarse.shape), 0, 255).astype(np.uint8)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -94,9 +87,8 @@ def expected(tensors: Tensors, features: Tensor, sides: Sequence[int]) -> np.nda
 def described_slowly(tensors: Tensors, images: Sequence[np.ndarray]) -> np.ndarray:
     """The codes of images, from all features of each."""
     codes = []
-    for image in images:
-        seen = np.asarray(PillowImage.fromarray(image).resize((160, 144), PillowImage.Resampling.BILINEAR))
-        features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(seen), 28)[0]
+    for seen in images:
+        features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(pillow(seen, 144, 160)), 28)[0]
         assert features.shape == (512, 9, 10)
         codes.append(unit(expected(tensors, features, (2, 5, 8)).ravel()))
     return np.stack(codes)
@@ -105,7 +97,7 @@ def described_slowly(tensors: Tensors, images: Sequence[np.ndarray]) -> np.ndarr
 NETWORK = PublishedNetwork(
     "patch_netvlad",
     drawn,
-    [picture(150, 170), picture(90, 90, 1)],
+    drawn_images((150, 170), (90, 90)),
     10 * (1 + 8 * 9 + 5 * 6 + 2 * 3),
     described_slowly,
     written,
@@ -115,43 +107,44 @@ NETWORK = PublishedNetwork(
     misshapen={"encoder.28.bias": (9,)},
     alike_in_half=0.95,
     tolerance=1e-4,
+    refused=[
+        ("method.components.speed=10", {"components": {"speed": 512}, "configuration": "speed"}, (150, 170)),
+        ("method.height=None, method.width=160", {"height": None}, (32, 32)),
+        ("128x128 pixels", {"width": 127}, (32, 32)),
+        ("80x80 pixels", {"height": 79, "configuration": "speed"}, (32, 32)),
+        ("method.candidates=0", {"candidates": 0}, (32, 32)),
+        ("performance", {"components": {"speed": 512}}, (32, 32)),
+    ],
     contract=None,  # checked with a network that is shallow
 )
 
 
-@pytest.mark.parametrize(
-    "check", [pytest.param(check, id=name) for name, check in NETWORK.checks() if name != "contract"]
-)
+@with_checks(NETWORK)
 def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
 
 
-def test_a_file_of_other_components_is_refused_with_the_argument_that_it_wants(folder: Path) -> None:
-    path = NETWORK.file(folder)
-    refusal = NETWORK.refusal(path, components={"speed": 512}, configuration="speed")
-    assert "method.components.speed=10" in refusal
+def shallow() -> Tensors:
+    """Tensors of a network with one convolution in VGG16's place."""
+    weight = torch.randn(512, 3, 16, 16, generator=torch.Generator().manual_seed(0)) / 16
+    return drawn(2, 24, {"encoder.0.weight": weight, "encoder.0.bias": torch.zeros(512)})
 
 
-@pytest.fixture
-def file(folder: Path) -> Path:
-    return NETWORK.file(folder)
-
-
-@pytest.fixture
-def code(folder: Path) -> np.ndarray:
-    """The descriptors of an image and its patches, for all patch sizes, unit vectors."""
-    return unit(NETWORK.codes(folder)[0].reshape(-1, 10))
-
-
-@pytest.fixture
-def shallow(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A file of a network with one convolution in VGG16's place, which that is replaced by."""
+@pytest.mark.parametrize("configuration", ["performance", "storage"])
+def test_the_contract_is_kept(configuration: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(netvlad, "vgg16_features", lambda _: nn.Sequential(nn.Conv2d(3, 512, 16, stride=16)))
-    generator = torch.Generator().manual_seed(0)
-    weight = torch.randn(512, 3, 16, 16, generator=generator) / 16
-    return written(
-        tmp_path / "x.pth.tar", drawn(2, 24, {"encoder.0.weight": weight, "encoder.0.bias": torch.zeros(512)})
-    )
+    own = {"components": dict.fromkeys(SIDES, 24), "candidates": 4, "height": 144, "width": 144}
+    network = replace(NETWORK, draw_for_contract=shallow, contract=own)
+    assert network.check_contract(folder, configuration=configuration) == set()
+
+
+@pytest.mark.parametrize("configuration", SIDES)
+def test_the_bytes_of_a_code_are_known_beforehand(configuration: str, folder: Path) -> None:
+    (code,) = NETWORK.encode(folder, NETWORK.images[0], configuration=configuration)
+    assert NETWORK.method(NETWORK.file(folder), configuration=configuration).code_bytes == code.nbytes
+    published = made(n_components=4096, height=480, width=640)
+    assert published.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
+    assert held_together(published, 128) == 23
 
 
 def as_published(tensors: Tensors, features: Tensor, side: int) -> np.ndarray:
@@ -170,13 +163,13 @@ def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
     """Most clusters get hardly a share of most local descriptors: what an integral image leaves of it is rounding."""
     tensors = drawn()
     tensors["pool.conv.weight"] *= 40
-    path, image = written(tmp_path / "x.pth.tar", tensors), picture(144, 160)
-    features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(image), 28)[0]
+    path, seen = written(tmp_path / "x.pth.tar", tensors), image(144, 160)
+    features = oracle.vgg16(tensors, "encoder.", oracle.imagenet(seen), 28)[0]
     exact = expected(tensors, features, (5,))[1:]
 
     def cosines(precision: str) -> np.ndarray:
         method = made(path, configuration="speed", precision=precision)
-        return (unit(method.encode(Images.from_arrays([image])).reshape(-1, 10))[1:] * exact).sum(1)
+        return (unit(method.encode(Images.from_arrays([seen])).reshape(-1, 10))[1:] * exact).sum(1)
 
     assert cosines("float32").min() > 0.99999
     spoilt = cosines("float32_as_published") < 0.97
@@ -184,31 +177,10 @@ def test_cancellation_as_published_is_had_on_request(tmp_path: Path) -> None:
     np.testing.assert_array_equal(spoilt, (as_published(tensors, features, 5) * exact).sum(1) < 0.97)
 
 
-def test_a_configuration_of_one_size_has_those_patches_alone(code: np.ndarray, file: Path) -> None:
-    fewer = made(file, configuration="speed").encode(Images.from_arrays([picture(150, 170)])).reshape(-1, 10)
+def test_a_configuration_of_one_size_has_those_patches_alone(folder: Path) -> None:
+    code = unit(NETWORK.codes(folder)[0].reshape(-1, 10))
+    fewer = NETWORK.encode(folder, NETWORK.images[0], configuration="speed").reshape(-1, 10)
     np.testing.assert_allclose(unit(fewer), np.concatenate([code[:1], code[73:103]]), atol=1e-5)
-
-
-@pytest.mark.parametrize(("side", "patches"), [(2, 1131), (5, 936), (8, 759)])
-def test_a_published_size_has_the_published_number_of_patches(side: int, patches: int) -> None:
-    network = PatchNetwork(1, 2, (side,))
-    network.encoder = nn.Sequential(nn.Conv2d(3, 512, 16, stride=16))
-    with torch.no_grad():
-        for values in network.parameters():
-            values.normal_()
-        assert network(torch.rand(1, 3, 480, 640)).shape == (1, 2 * (1 + patches))
-
-
-def test_only_patches_that_are_nearest_to_one_another_are_pairs() -> None:
-    generator = np.random.default_rng(0)
-    query, reference = unit(generator.standard_normal((2, 40, 3)))
-    distances = np.linalg.norm(query[:, None] - reference, axis=2)
-    wanted = [
-        (q, r) for r in range(40) for q in range(40) if distances[q].argmin() == r and distances[:, r].argmin() == q
-    ]
-    assert 3 < len(wanted) < 40
-    pairs = mutual((query @ reference.T).argmax(0), (query @ reference.T).argmax(1))
-    assert list(zip(*pairs, strict=True)) == wanted
 
 
 FOUR, SEVEN = [0, 4, 11, 13], [0, 2, 4, 6, 9, 11, 13]
@@ -247,59 +219,15 @@ def slow_displacement_score(pairs: Sequence[tuple[int, int]], rows: int, columns
     return total / (rows * columns)
 
 
-def test_the_displacement_score_is_that_of_direct_loops() -> None:
-    pairs = [(0, 6), (3, 4), (11, 2), (7, 13), (1, 8), (12, 5)]
-    found = score("displacement", cells(3, 5), 5, (np.array([q for q, _ in pairs]), np.array([r for _, r in pairs])))
-    assert found == pytest.approx(slow_displacement_score(pairs, 3, 5))
-
-
-@pytest.mark.parametrize("side", [2, 5, 8])
-def test_a_patch_stands_in_the_middle_of_what_its_corners_see(side: int) -> None:
-    for x, y in [(0, 0), (3, 0), (2, 7)]:
-        seen = [(16 * cell - 90, 16 * cell - 90 + 195) for cell in (x, x + side - 1, y, y + side - 1)]
-        middle = [int((seen[0][0] + seen[1][1]) / 2), int((seen[2][0] + seen[3][1]) / 2)]
-        assert centres(np.array([[x, y]]), side).tolist() == [middle]
-
-
-def points(n: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform((0, 0), (640, 480), (n, 2))
-
-
-def moved(reference: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    ahead = np.column_stack([reference, np.ones(len(reference))]) @ homography.T
-    return ahead[:, :2] / ahead[:, 2:]
-
-
-HOMOGRAPHY = np.array([[1.1, 0.1, -20], [-0.05, 0.9, 30], [1e-4, -2e-4, 1]])
-
-
-def test_the_tolerance_of_24_pixels_is_one_in_the_query_image() -> None:
-    reference = points(40)
-    query = 4 * reference
+def test_points_are_inliers_within_24_pixels_of_the_query_image_whatever_was_asked_before() -> None:
+    reference = np.random.default_rng(0).uniform((0, 0), (640, 480), (40, 2)).astype(np.float32)
+    query, near, far = 4 * reference, reference.copy(), reference.copy()
     query[::4] += 90 * unit(np.random.default_rng(1).standard_normal((10, 2)))  # 22.5 pixels in the reference
-    assert inliers(query.astype(np.float32), reference.astype(np.float32)) == 30
-
-
-@pytest.mark.parametrize(("off", "counted"), [(18, 41), (40, 40)])
-def test_a_point_may_be_a_little_off(off: float, counted: int) -> None:
-    reference = points(41)
-    query = reference.copy()
-    query[7, 0] += off
-    assert inliers(query.astype(np.float32), reference.astype(np.float32)) == counted
-
-
-def test_points_on_one_spot_are_no_error() -> None:
-    spot = np.full((6, 2), 50, np.float32)
-    assert 0 <= inliers(spot, spot) <= 6
-
-
-def test_the_inliers_do_not_depend_on_what_was_asked_before() -> None:
-    reference, query = (points(60, seed).astype(np.float32) for seed in (2, 3))
-    counts = set()
+    near[7, 0], far[7, 0] = near[7, 0] + 18, far[7, 0] + 40
     for seed in range(5):
         cv2.setRNGSeed(seed)
-        counts.add(inliers(query, reference))
-    assert len(counts) == 1
+        assert [inliers(points, reference) for points in (query, near, far)] == [30, 40, 39]
+    assert 0 <= inliers(reference[[0] * 6], reference[[0] * 6]) <= 6
 
 
 LOWEST = np.full(100, 1 / math.sqrt(99))
@@ -315,12 +243,6 @@ def test_candidates_score_above_every_cosine_in_the_order_of_their_agreement(agr
     np.testing.assert_allclose(scores, agreement + 2 + math.sqrt(len(agreement) - 1), rtol=1e-6, atol=1e-5)
     assert scores.min() > 1.99999
     assert scores.dtype == np.float32
-
-
-def test_of_equal_agreement_the_higher_cosine_comes_first() -> None:
-    scores = above_cosines(np.zeros(4), np.array([0.3, 0.9, 0.3, 0.5], np.float32))
-    assert scores[1] > scores[3] > scores[0] == scores[2]
-    np.testing.assert_allclose(scores, 2 + math.sqrt(3), rtol=1e-6)
 
 
 N_PLACES, ROWS, COLUMNS, COMPONENTS = 7, 9, 10, 12
@@ -349,9 +271,9 @@ def slow_scores(world: SimpleNamespace, code: np.ndarray, configuration: str, n_
     split = [unit(one.reshape(-1, COMPONENTS).astype(np.float64)) for one in world.codes]
     query = unit(code.reshape(-1, COMPONENTS).astype(np.float64))
     best = {}
-    for image, place in enumerate(world.places.tolist()):
-        cosine = float(split[image][0] @ query[0])
-        best[place] = max(best.get(place, (-2.0, -1)), (cosine, image))
+    for number, place in enumerate(world.places.tolist()):
+        cosine = float(split[number][0] @ query[0])
+        best[place] = max(best.get(place, (-2.0, -1)), (cosine, number))
     scores = np.array([best[place][0] for place in range(N_PLACES)])
     candidates = sorted(range(N_PLACES), key=lambda place: -scores[place])[:n_candidates]
     fused = np.zeros(n_candidates)
@@ -411,10 +333,18 @@ def test_scores_are_those_of_direct_loops(configuration: str, n_candidates: int,
     assert np.count_nonzero(scores >= 2, axis=1).tolist() == [n_candidates] * 3
 
 
-def test_references_in_float16_give_almost_the_same_scores(world, monkeypatch) -> None:
-    scores, rounded = (fitted(world, monkeypatch, patches=kind).query(world.queries) for kind in ("float32", "float16"))
-    np.testing.assert_allclose(rounded, scores, atol=0.3)
-    assert rounded.argmax(1).tolist() == scores.argmax(1).tolist()
+def test_float16_gives_almost_the_same_scores_and_descriptors_from_elsewhere_the_same_map(world, monkeypatch) -> None:
+    references, queries = world.codes[:-3], world.codes[-3:]
+    world.codes.flags.writeable = references.flags.writeable = False  # as what is read from disk
+    scores = {}
+    for kind in ("float32", "float16"):
+        method = made(n_components=COMPONENTS, patches=kind).fit_descriptors(references, world.places)
+        assert method._map.codes.dtype == kind
+        assert np.shares_memory(method._map.codes, references) is (kind == "float32")
+        scores[kind] = fitted(world, monkeypatch, patches=kind).query(world.queries)
+        np.testing.assert_array_equal(method.match(queries), scores[kind])
+    np.testing.assert_allclose(scores["float16"], scores["float32"], atol=0.3)
+    assert np.array_equal(scores["float16"].argmax(1), scores["float32"].argmax(1))
 
 
 def cosines(world: SimpleNamespace) -> np.ndarray:
@@ -433,13 +363,6 @@ def test_candidates_of_equal_scores_keep_the_order_of_their_cosines(constant: fl
     np.testing.assert_array_equal(np.argsort(scores), np.argsort(cosines(world)))
 
 
-def test_float16_holds_for_descriptors_from_elsewhere_too(world, monkeypatch) -> None:
-    method = made(n_components=COMPONENTS, patches="float16").fit_descriptors(world.codes[:-3], world.places)
-    assert method._map.codes.dtype == np.float16
-    rounded = fitted(world, monkeypatch, patches="float16").query(world.queries)
-    np.testing.assert_array_equal(method.match(world.codes[-3:]), rounded)
-
-
 def test_candidates_are_taken_from_what_an_approximate_index_retrieves(world, monkeypatch) -> None:
     method = fitted(world, monkeypatch, index="hnsw", neighbours=3)
     scores = method.query(world.queries)
@@ -448,19 +371,8 @@ def test_candidates_are_taken_from_what_an_approximate_index_retrieves(world, mo
     assert (shown.sum(1) <= 3).all()
     assert shown[np.arange(3), cosines(world).argmax(1)].all()
     assert (scores[~shown] == -np.inf).all()
-
-
-def test_an_index_can_be_audited(world, monkeypatch) -> None:
     audit = fitted(world, monkeypatch, index="hnsw").audit(world.codes[-3:])
     assert audit.recall_at_1 == audit.recall_at_10 == 1
-
-
-def test_descriptors_from_elsewhere_give_the_same_map_and_are_not_copied(world, monkeypatch) -> None:
-    method, references = made(n_components=COMPONENTS), world.codes[:-3]
-    world.codes.flags.writeable = references.flags.writeable = False  # as what is read from disk
-    scores = method.fit_descriptors(references, world.places).match(world.codes[-3:])
-    np.testing.assert_array_equal(scores, fitted(world, monkeypatch).query(world.queries))
-    assert np.shares_memory(method._map.codes, references)
 
 
 @pytest.mark.parametrize(("configuration", "kept"), [("performance", False), ("speed", False), ("storage", True)])
@@ -489,45 +401,3 @@ def test_patches_that_do_not_fit_into_memory_are_refused_before_any_is_made(
     images = Images(lambda _: pytest.fail("an image was read"), ["x"] * 1000)
     with pytest.raises(BadInput, match=rf"{needed} .*{advice}"):
         method.fit(images, np.arange(1000)) if call == "fit" else method.encode(images)
-
-
-@pytest.mark.parametrize("configuration", SIDES)
-def test_the_bytes_of_a_code_are_those_that_encode_gives(configuration: str, file: Path) -> None:
-    method = made(file, configuration=configuration)
-    (code,) = method.encode(Images.from_arrays([picture(150, 170)]))
-    assert method.code_bytes == code.nbytes
-
-
-def test_a_gibibyte_holds_23_codes_of_the_published_size() -> None:
-    method = made(n_components=4096, height=480, width=640)
-    assert method.code_bytes == 4 * 4096 * (1 + 1131 + 936 + 759)
-    assert held_together(method, 128) == 23
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ({"height": None}, "method.height=None, method.width=160: give both"),
-        ({"width": 127}, "need at least 128x128 pixels"),
-        ({"height": 79, "configuration": "speed"}, "configuration=speed need at least 80x80 pixels"),
-        ({"candidates": 0}, "method.candidates=0: give at least 1 place"),
-        ({"components": {"speed": 512}}, "method.components=.*performance"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_named(arguments: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(BadInput, match=complaint):
-        made(**arguments).encode(Images.from_arrays([picture(32, 32)]))
-
-
-@pytest.mark.parametrize("configuration", ["performance", "storage"])
-def test_the_contract_is_kept(configuration: str, shallow: Path) -> None:
-    config = {
-        "_target_": "vprbench.methods.patch_netvlad.PatchNetVLAD",
-        "configuration": configuration,
-        "components": dict.fromkeys(SIDES, 24),
-        "candidates": 4,
-        "weights": {"file": "x", "licence": "", "trained_on": "", "path": str(shallow)},
-        "height": 144,
-        "width": 144,
-    }
-    assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []

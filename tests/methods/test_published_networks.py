@@ -19,7 +19,11 @@ from vprbench.plugins import registry
 
 ENTRIES = registry.entries("method")
 NETWORKS = [name for name, entry in ENTRIES.items() if issubclass(entry.target(), NeuralDescriptor)]
+GITHUB, DRIVE = "https://github.com", "https://drive.google.com/uc?id"
 DINOV2 = "https://dl.fbaipublicfiles.com/dinov2"
+COSPLACE = f"{GITHUB}/gmberton/CosPlace/releases/download/v1.0"
+INDOOR = f"{GITHUB}/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0"
+NETVLAD = "https://cvg-data.inf.ethz.ch/hloc/netvlad"
 PATCH_NETVLAD = "https://huggingface.co/TobiasRobotics/Patch-NetVLAD/resolve/main"
 
 #: Options in which a yaml departs from the defaults of its class.
@@ -29,90 +33,60 @@ OWN = {
     "mixvpr_512": {"n_dimensions": 512},
 }
 
-#: The file of each network, and the url that it is fetched from.
-FILES = {
-    "ap_gem": ("Resnet-101-AP-GeM.pt", None),
-    "boq": ("dinov2_12288.pth", "https://github.com/amaralibey/Bag-of-Queries/releases/download/v1.0/dinov2_12288.pth"),
-    "boq_resnet50": (
-        "resnet50_16384.pth",
-        "https://github.com/amaralibey/Bag-of-Queries/releases/download/v1.0/resnet50_16384.pth",
-    ),
-    "cliquemining": ("cliquemining.ckpt", "https://drive.google.com/uc?id=1B06ysb-Wjb4KDcNrl-7pyj1mJve1jqdk"),
-    "conv_ap": ("resnet50_ConvAP_1024_2x2.ckpt", None),
-    "conv_ap method.channels=128": ("resnet50_ConvAP_128_2x2.ckpt", None),
-    "cosplace": (
-        "ResNet50_2048_cosplace.pth",
-        "https://github.com/gmberton/CosPlace/releases/download/v1.0/ResNet50_2048_cosplace.pth",
-    ),
-    "cosplace method.backbone=VGG16 method.n_dimensions=128": (
-        "VGG16_128_cosplace.pth",
-        "https://github.com/gmberton/CosPlace/releases/download/v1.0/VGG16_128_cosplace.pth",
-    ),
-    "cricavpr": ("CricaVPR.pth", "https://github.com/Lu-Feng/CricaVPR/releases/download/v1.0/CricaVPR.pth"),
+#: The url that each network's file is fetched from, which ends in the file's name unless NAMES has another.
+URLS = {
+    "boq": f"{GITHUB}/amaralibey/Bag-of-Queries/releases/download/v1.0/dinov2_12288.pth",
+    "boq_resnet50": f"{GITHUB}/amaralibey/Bag-of-Queries/releases/download/v1.0/resnet50_16384.pth",
+    "cliquemining": f"{DRIVE}=1B06ysb-Wjb4KDcNrl-7pyj1mJve1jqdk",
+    "cosplace": f"{COSPLACE}/ResNet50_2048_cosplace.pth",
+    "cosplace method.backbone=VGG16 method.n_dimensions=128": f"{COSPLACE}/VGG16_128_cosplace.pth",
+    "cricavpr": f"{GITHUB}/Lu-Feng/CricaVPR/releases/download/v1.0/CricaVPR.pth",
     **{
-        f"dinov2 method.backbone={backbone}": (
-            f"dinov2_{backbone}_pretrain.pth",
-            f"{DINOV2}/dinov2_{backbone}/dinov2_{backbone}_pretrain.pth",
-        )
+        f"dinov2 method.backbone={backbone}": f"{DINOV2}/dinov2_{backbone}/dinov2_{backbone}_pretrain.pth"
         for backbone in ("vits14", "vitb14", "vitl14", "vitg14")
     },
-    "anyloc": ("dinov2_vitg14_pretrain.pth", f"{DINOV2}/dinov2_vitg14/dinov2_vitg14_pretrain.pth"),
-    "eigenplaces": (
-        "ResNet50_2048_eigenplaces.pth",
-        "https://github.com/gmberton/EigenPlaces/releases/download/v1.0/ResNet50_2048_eigenplaces.pth",
-    ),
-    "eigenplaces_indoor": (
-        "eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
-        "https://github.com/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0/eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
-    ),
-    "gcl": ("MSLS_resnet152_GeM_480_GCL.pth", None),
-    "gcl method.backbone=resnext method.pooling=avg method.loss=CL": ("MSLS_resnext_avg_480_CL.pth", None),
-    "megaloc": ("MegaLoc.safetensors", "https://huggingface.co/gberton/MegaLoc/resolve/main/model.safetensors"),
-    "mixvpr": (
-        "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt",
-        "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L",
-    ),
-    "mixvpr_512": (
-        "resnet50_MixVPR_512_channels(256)_rows(2).ckpt",
-        "https://drive.google.com/uc?id=1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj",
-    ),
-    "mixvpr_128": (
-        "resnet50_MixVPR_128_channels(64)_rows(2).ckpt",
-        "https://drive.google.com/uc?id=1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz",
-    ),
+    "anyloc": f"{DINOV2}/dinov2_vitg14/dinov2_vitg14_pretrain.pth",
+    "eigenplaces": f"{GITHUB}/gmberton/EigenPlaces/releases/download/v1.0/ResNet50_2048_eigenplaces.pth",
+    "eigenplaces_indoor": f"{INDOOR}/eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
+    "megaloc": "https://huggingface.co/gberton/MegaLoc/resolve/main/model.safetensors",
+    "mixvpr": f"{DRIVE}=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L",
+    "mixvpr_512": f"{DRIVE}=1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj",
+    "mixvpr_128": f"{DRIVE}=1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz",
     **{
-        f"{name} method.weights.file={file}": (file, f"{folder}/{file}")
+        f"{name} method.weights.file={file}": f"{folder}/{file}"
         for name, folder, files in [
-            (
-                "netvlad",
-                "https://cvg-data.inf.ethz.ch/hloc/netvlad",
-                ("Pitts30K_struct.mat", "TokyoTM_struct.mat"),
-            ),
+            ("netvlad", NETVLAD, ("Pitts30K_struct.mat", "TokyoTM_struct.mat")),
             ("netvlad_msls", PATCH_NETVLAD, ("mapillary_WPCA4096.pth.tar", "pitts_WPCA128.pth.tar")),
         ]
         for file in files
     },
     **{
-        f"patch_netvlad method.configuration={configuration}": (
-            f"mapillary_WPCA{n}.pth.tar",
-            f"{PATCH_NETVLAD}/mapillary_WPCA{n}.pth.tar",
-        )
+        f"patch_netvlad method.configuration={configuration}": f"{PATCH_NETVLAD}/mapillary_WPCA{n}.pth.tar"
         for configuration, n in (("performance", 4096), ("speed", 512), ("storage", 128))
     },
-    "salad": (
-        "dino_salad.ckpt",
-        "https://github.com/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
-    ),
-    "salad_indoor": (
-        "salad_Dinov2_8448_GB1_10_25.pth",
-        "https://github.com/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0/salad_Dinov2_8448_GB1_10_25.pth",
-    ),
-    "sfrs": ("vgg16_netvlad.pth", "https://github.com/yxgeee/OpenIBL/releases/download/v0.1.0-beta/vgg16_netvlad.pth"),
-    "supervlad": ("SuperVLAD.pth", "https://drive.google.com/uc?id=1wRkUO4E8s5hNRNNIWcuA8RUvlGob3Tbf"),
-    "supervlad_crossimage": (
-        "SuperVLAD_crossimage.pth",
-        "https://drive.google.com/uc?id=1yomnWGTJko6nf3F2Ju6RWsLhP2EG82tL",
-    ),
+    "salad": f"{GITHUB}/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
+    "salad_indoor": f"{INDOOR}/salad_Dinov2_8448_GB1_10_25.pth",
+    "sfrs": f"{GITHUB}/yxgeee/OpenIBL/releases/download/v0.1.0-beta/vgg16_netvlad.pth",
+    "supervlad": f"{DRIVE}=1wRkUO4E8s5hNRNNIWcuA8RUvlGob3Tbf",
+    "supervlad_crossimage": f"{DRIVE}=1yomnWGTJko6nf3F2Ju6RWsLhP2EG82tL",
+}
+
+#: The files whose url does not end in their name, or that are fetched by hand.
+NAMES = {
+    "ap_gem": "Resnet-101-AP-GeM.pt",
+    "cliquemining": "cliquemining.ckpt",
+    "conv_ap": "resnet50_ConvAP_1024_2x2.ckpt",
+    "conv_ap method.channels=128": "resnet50_ConvAP_128_2x2.ckpt",
+    "gcl": "MSLS_resnet152_GeM_480_GCL.pth",
+    "gcl_whitened": "MSLS_resnet152_GeM_480_GCL.pth",
+    "gcl method.backbone=resnext method.pooling=avg method.loss=CL": "MSLS_resnext_avg_480_CL.pth",
+    "megaloc": "MegaLoc.safetensors",
+    "mixvpr": "resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt",
+    "mixvpr_512": "resnet50_MixVPR_512_channels(256)_rows(2).ckpt",
+    "mixvpr_128": "resnet50_MixVPR_128_channels(64)_rows(2).ckpt",
+    "netvlad_pytorch": "vgg16_netvlad_checkpoint.pth.tar",
+    "supervlad": "SuperVLAD.pth",
+    "supervlad_crossimage": "SuperVLAD_crossimage.pth",
 }
 
 #: The size that images are resized to, and how; `authors` in the yaml.
@@ -185,15 +159,15 @@ def test_the_yaml_holds_the_defaults_of_the_class(name: str) -> None:
     assert departs == OWN.get(name, {})
 
 
-@pytest.mark.parametrize("words", FILES)
+@pytest.mark.parametrize("words", {**URLS, **NAMES})
 def test_the_yaml_names_the_published_file(words: str) -> None:
-    weights = configuration(words)["weights"]
-    assert (weights["file"], weights["url"]) == FILES[words]
-    assert (weights["by_hand"] is None) is (weights["url"] is not None)
+    weights, url = configuration(words)["weights"], URLS.get(words)
+    assert (weights["file"], weights["url"]) == (NAMES.get(words) or url.rsplit("/")[-1], url)
+    assert (weights["by_hand"] is None) is (url is not None)
 
 
 def test_every_network_has_its_published_file_stated_here() -> None:
-    assert set(NETWORKS) - {words.split()[0] for words in FILES} == {"gcl_whitened", "netvlad_pytorch"}
+    assert set(NETWORKS) <= {words.split()[0] for words in (*URLS, *NAMES)}
 
 
 @pytest.mark.parametrize("name", SEEN)
@@ -238,13 +212,12 @@ def test_the_published_centres_of_anyloc_follow_from_the_domain(domain: str) -> 
     assert centres["url"] == f"https://github.com/AnyLoc/DINO/releases/download/v1/{centres['file']}"
 
 
-@pytest.mark.parametrize("name", ["boq", "boq_resnet50"])
 def test_without_its_file_a_run_ends_in_one_line(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
-    assert main([f"method={name}", "dataset.places=12", "dataset.first_query_place=0", "threads=1"]) == 2
+    assert main(["method=boq", "dataset.places=12", "dataset.first_query_place=0", "threads=1"]) == 2
     captured = capsys.readouterr()
-    assert FILES[name][1] in captured.err.strip().splitlines()[-1]
+    assert URLS["boq"] in captured.err.strip().splitlines()[-1]
     assert "Traceback" not in captured.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -54,6 +55,12 @@ class PublishedNetwork:
     missing: Sequence[str] = ()
     unexpected: Sequence[str] = ()
     misshapen: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    #: By name: arguments, images and the keyword arguments under which `expected` gives their descriptors.
+    options: Mapping[str, tuple[Mapping[str, Any], Sequence[Image], Mapping[str, Any]]] = field(default_factory=dict)
+    #: What the refusal names, the arguments and the size of the image that are refused.
+    refused: Sequence[tuple[str, Mapping[str, Any], tuple[int, int]]] = ()
+    #: By name: what makes another form of the same file of its tensors.
+    forms: Mapping[str, Callable[[Tensors], Mapping[str, Any]]] = field(default_factory=dict)
     #: What messages may leave out of the names of tensors.
     hidden_prefixes: tuple[str, ...] = ()
     #: Options under which the contract is checked (None: it is not), and a smaller network if this one takes too long.
@@ -83,10 +90,14 @@ class PublishedNetwork:
         }
         return kind(**{**given, **self.arguments, **arguments})
 
+    def encode(self, folder: Path, *images: Image, **arguments: Any) -> npt.NDArray[np.float32]:
+        """Return the descriptors of images under arguments."""
+        return encoded(self.method(self.file(folder), **arguments), *images)
+
     def codes(self, folder: Path) -> npt.NDArray[np.float32]:
         """Return the descriptors of the images, computed once."""
         if "codes" not in self._kept:
-            self._kept["codes"] = encoded(self.method(self.file(folder)), *self.images)
+            self._kept["codes"] = self.encode(folder, *self.images)
         return self._kept["codes"]
 
     def refusal(self, path: Path, **arguments: Any) -> str:
@@ -124,6 +135,12 @@ class PublishedNetwork:
             yield f"missing {name}", partial(self._names, name, None)
         for name, shape in (dict.fromkeys(self.unexpected, (3, 3)) | dict(self.misshapen)).items():
             yield f"other {name}", partial(self._names, name, shape)
+        for name, option in self.options.items():
+            yield f"option {name}", partial(self._has_the_descriptors_under, *option)
+        for told, arguments, size in self.refused:
+            yield f"refused {told} {arguments}", partial(self._refuses, told, arguments, size)
+        for name, form in self.forms.items():
+            yield f"form {name}", partial(self._reads, form)
         if self.contract is not None:
             yield "contract", self._keeps_the_contract
 
@@ -164,6 +181,21 @@ class PublishedNetwork:
         path = self.write(folder / "changed.weights", changed)
         refusal = self.refusal(path)
         assert any(name.removeprefix(prefix) in refusal for prefix in ("", *self.hidden_prefixes))
+
+    def _has_the_descriptors_under(
+        self, arguments: Mapping[str, Any], images: Sequence[Image], how: Mapping[str, Any], folder: Path
+    ) -> None:
+        codes = self.encode(folder, *images, **arguments)
+        assert distance(codes, self.expected(self.tensors, images, **how)) < self.tolerance
+
+    def _refuses(self, told: str, arguments: Mapping[str, Any], size: tuple[int, int], folder: Path) -> None:
+        with pytest.raises(BadInput, match=re.escape(told)) as error:
+            self.encode(folder, image(*size), **arguments)
+        assert "\n" not in str(error.value)
+
+    def _reads(self, form: Callable[[Tensors], Mapping[str, Any]], folder: Path) -> None:
+        method = self.method(self.write(folder / "form.weights", form(self.tensors)))
+        assert distance(encoded(method, *self.images), self.codes(folder)) < self.batch_tolerance
 
     def _keeps_the_contract(self, folder: Path) -> None:
         assert self.check_contract(folder) == set()
