@@ -454,3 +454,8 @@ def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_in
     assert answer.stdout.strip() == key
     monkeypatch.setattr(record, "SCHEMA", record.SCHEMA + 1)
     assert content_key(CONTENT) != key
+
+
+def test_an_array_of_objects_is_refused_when_it_is_stored(store: Store) -> None:
+    with pytest.raises(ValueError, match="Object arrays"):
+        store.save(a_run(top_places=np.array([[None]])))

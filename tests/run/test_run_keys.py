@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from little import Lookup, journey, pictures
+from little import Lookup, journey, picture, pictures
 from little_runs import QUICK, asked_for, run_of
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.methods.hog import HOG
 from vprbench.plugins.networks import Files
 from vprbench.run import harness, machine
@@ -120,3 +121,14 @@ def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None
         "the harness changed: if a run may now have other answers or times, raise harness.VERSION; in any case write "
         f"{json.dumps(now)} to {DECIDED}"
     )
+
+
+@pytest.mark.parametrize("changes", [{"changed": {"window": 5}}, {"code": "c0de"}, {"timing": {"sample": 3}}])
+def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, Any]) -> None:
+    assert key(**changes) == key()
+
+
+def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:
+    named = Images.from_arrays([picture(0), picture(1)], ["a.png", "b.png"])
+    renamed = Images.from_arrays([picture(0), picture(1)], ["a.png", "c.png"])
+    assert named.fingerprint() != renamed.fingerprint()

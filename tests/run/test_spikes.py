@@ -15,6 +15,7 @@ from little import Lookup, journey
 from little_runs import run_of
 from stopped_clock import Clock
 
+from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput, NotFittedError
@@ -208,3 +209,17 @@ def test_in_8_bits_the_spikes_are_the_quantised_ones() -> None:
     assert steps == pytest.approx(np.rint(steps), abs=1e-3)
     assert outputs == pytest.approx(method.match(codes), abs=1e-5)
     assert features == pytest.approx(by_eq_1(dict(method.state()), codes)[0], abs=0.03)
+
+
+def test_a_run_of_vprtempo_keeps_three_layers() -> None:
+    world = Journey.draw(0)
+    queries = Images.from_arrays(world.queries)
+    right = tuple(np.array([place]) for place in world.right.tolist())
+    dataset = Dataset("world", Images.from_arrays(world.references), world.places, queries, right, {})
+    found = run_of(VPRTempo(**SMALL), dataset).spikes
+    assert found is not None
+    assert [(layer["name"], layer["neurons"]) for layer in found["layers"]] == [
+        ("input", 144),
+        ("feature", 3 * 288),
+        ("output", 20),
+    ]

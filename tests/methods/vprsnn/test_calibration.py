@@ -14,6 +14,7 @@ from little_vprsnn import held_out as others
 
 from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
+from vprbench.errors import NotFittedError
 from vprbench.methods.vprsnn import query, training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -269,3 +270,8 @@ def test_each_member_of_an_ensemble_is_calibrated_as_it_would_be_alone() -> None
         alone = VPRSNN(**given, seed=seed).fit(*references(5)).calibrate(others()).state()
         assert same(member(together, number), alone)
         assert alone["threshold"] > 0
+
+
+def test_a_calibration_before_fit_is_refused() -> None:
+    with pytest.raises(NotFittedError, match="fit"):
+        VPRSNN(**SMALL).calibrate(others())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, references, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, references, same, second_sight
 
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -244,3 +244,10 @@ def test_published_weights_of_another_size_are_refused(
     with pytest.raises(BadInput) as error:
         fitted(n_places, published_weights=str(folder), **change)
     assert culprit in str(error.value)
+
+
+def test_a_smaller_last_module_recognises_its_places() -> None:
+    found = fitted(7, epochs=12)
+    scores = found.query(second_sight(7))
+    assert scores.shape == (7, 7)
+    assert scores.argmax(1)[5:].tolist() == [5, 6]

@@ -13,6 +13,8 @@ from vprbench.api.arrays import Scores
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.scoring import Responses, labels
 from vprbench.methods.vprsnn.training_sets import modules
+from vprbench.metrics.accuracy import average_precision, pr_curve, recall_at
+from vprbench.metrics.ranking import outcome
 
 Array = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
@@ -269,3 +271,18 @@ def test_the_threshold_with_the_highest_recall_at_one_is_chosen(
 ) -> None:
     found = scoring.best_threshold(lambda t: np.array(scores[t], np.float32), np.array(right), [*scores])
     assert found == best
+
+
+def test_a_silent_query_is_judged_a_miss_even_where_the_right_place_is_the_first() -> None:
+    responses = np.array([[[0, 0]], [[0, 1]], [[0, 0]]])
+    spoken_for = np.array([[0, 1]])
+    scores = scoring.no_match(scoring.standard(responses, spoken_for, nobody(spoken_for), 2), responses)
+    judged = outcome(scores, [np.array([0]), np.array([1]), np.array([1])])
+    for n in (1, 2):  # at every depth: it is no guess, and no candidate either
+        recall = recall_at(judged, n)
+        assert recall is not None
+        assert (recall.expected, recall.pessimistic, recall.optimistic) == (1 / 3, 1 / 3, 1 / 3)
+    curve = pr_curve(judged, "A")  # it retrieves nothing, so it is no false positive
+    assert curve is not None
+    assert curve.precision.tolist() == [1, 1]
+    assert average_precision(curve) == pytest.approx(1 / 3)
