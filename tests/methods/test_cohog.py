@@ -8,14 +8,9 @@ import torch
 from corridor import needs_corridor, right, scored, stored
 
 from vprbench.api.images import Images
-from vprbench.methods import cohog
-from vprbench.methods.cohog import (
-    CoHOG,
-    from_tiles,
-    in_tiles,
-    mean_best_cosine,
-    mean_best_cosine_in_tiles,
-)
+from vprbench.methods.cohog import CoHOG
+from vprbench.methods.parts import best_cosine
+from vprbench.methods.parts.best_cosine import from_tiles, in_tiles, mean_best_cosine, mean_best_cosine_in_tiles
 
 SMALL = {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3, "entropy_threshold": 0.45}
 
@@ -119,7 +114,7 @@ def test_regions_their_goodness_and_scores_equal_the_slow_implementation(argumen
 @pytest.mark.parametrize("n_regions", [1, 31, 32, 33, 100])
 @pytest.mark.parametrize("d", [1, 8, 33])
 def test_the_best_dots_in_blocks_and_in_tiles_equal_a_loop(monkeypatch, n_query, n_regions, d, block_bytes):
-    monkeypatch.setattr(cohog, "_PRODUCT_BYTES", block_bytes)
+    monkeypatch.setattr(best_cosine, "_PRODUCT_BYTES", block_bytes)
     generator = np.random.default_rng(0)
     query = generator.normal(-1, 1, (n_query, d)).astype(np.float32)  # most numbers are negative
     references = generator.normal(0.5, 1, (3, n_regions, d)).astype(np.float32)
