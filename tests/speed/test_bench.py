@@ -277,7 +277,10 @@ def test_an_exponent_has_students_interval_if_there_are_three_sizes() -> None:
     # log n = 0, 1, 2 and log t = 0, 0, 1: slope 1/2, residuals 1/6, -1/3, 1/6; Student 12.7062
     seconds = {1: 1.0, 10: 1.0, 100: 10.0}
     half = 12.7062 * math.sqrt(1 / 12)
-    time: Any = lambda cell: seconds[cell.places]  # noqa: E731
+
+    def time(cell: Any) -> float:
+        return seconds[cell.places]
+
     assert bench.grown(cells(1, 10, 100), time) == f"0.50 [{0.5 - half:.2f}, {0.5 + half:.2f}] (3 sizes)"
     assert bench.grown(cells(10, 100), time) == "1.00 (2 sizes, no interval)"
     assert bench.grown(cells(10), time) == "1 sizes: needs two"

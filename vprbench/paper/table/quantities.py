@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
@@ -45,7 +46,7 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(ABC):
     """A column of the table."""
 
     name: str  # in the CSV, and of what the paper printed
@@ -63,9 +64,9 @@ class Quantity:
         """Return the runs of a row that say something of it."""
         return runs
 
+    @abstractmethod
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
         """Return what the runs of a row gave; None if it is undefined."""
-        raise NotImplementedError
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
         """Return the row that a test separates from all others; None if no row is, or if there is no test."""
