@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -95,14 +95,15 @@ class OxfordRobotcar:
 
     def _stamps(self, traverses: Sequence[str], layout: str) -> tuple[Path, dict[str, list[int]]]:
         """Return the root, and the timestamps of each traverse, one a place; raises NotThere and BadInput."""
-        published = {traverse: published_timestamps(traverse) for traverse in traverses}
         if self.image_list == "vprtempo":  # arguments that its lists do not fit are refused before a look at the root
-            every(published[traverses[0]], self.stride, self.places)
+            stamps = self._one_a_place({traverse: published_timestamps(traverse) for traverse in traverses})
+            return root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD), stamps
         top = root_folder(self.name, self.root, "the traverses", layout, _DOWNLOAD)
-        if self.image_list == "vprsnn":
-            folder = lists_folder(self.lists, [top, data_folder(_DOWNLOAD)])
-            published = {traverse: vprsnn_timestamps(folder, traverse) for traverse in traverses}
-        return top, {traverse: every(stamps, self.stride, self.places) for traverse, stamps in published.items()}
+        folder = lists_folder(self.lists, [top, data_folder(_DOWNLOAD)])
+        return top, self._one_a_place({traverse: vprsnn_timestamps(folder, traverse) for traverse in traverses})
+
+    def _one_a_place(self, listed: Mapping[str, Sequence[int]]) -> dict[str, list[int]]:
+        return {traverse: every(stamps, self.stride, self.places) for traverse, stamps in listed.items()}
 
 
 oxford_robotcar = function_of(OxfordRobotcar)
