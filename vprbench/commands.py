@@ -61,14 +61,14 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
 
 
 def search_parameters(options: list[str]) -> int:
-    """Search the best hyperparameters of VPRTempo on places that no result uses, and write them."""
+    """Search the best hyperparameters of conf/search.yaml's method on places that no result uses, and write them."""
     from vprbench.run.store import Store
-    from vprbench.tuning import search, text
+    from vprbench.tuning import search, space, text
 
     settings = chosen(search.Settings, options, search.QUICK)
     check_names([f"dataset={settings.dataset}"])
     root = [] if settings.root is None else [f"dataset.root={settings.root}"]
-    config = composed(readable(["method=vprtempo", f"dataset={settings.dataset}", *root]))
+    config = composed(readable([f"method={space.METHOD}", f"dataset={settings.dataset}", *root]))
     folder = Path(settings.results).expanduser()
     Store(folder).prepare()
     with progress_shown("search"):
