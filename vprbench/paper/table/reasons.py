@@ -172,6 +172,5 @@ def _protocol(run: Run, paper: _Protocol) -> Iterator[Reason]:
 
 
 def _leaves_out(run: Run, paper: _Protocol) -> bool:
-    """Tell whether a run asked the paper's queries of their own places alone, as VPRSNN's authors do."""
-    asked_alone = run.outcome.n_places == len(run.outcome) == paper.queries
-    return asked_alone and run.protocol.get("protocol") == "vprsnn"
+    """Tell whether a run asked the paper's queries of their own places alone."""
+    return run.outcome.n_places == len(run.outcome) == paper.queries
