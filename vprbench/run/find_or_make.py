@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import chdir
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,44 +28,74 @@ from vprbench.storage.hashes import content_hash
 from vprbench.text import printable
 
 
-def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
-    """Find the run in the store or make it, and say it; `asked` is its configuration.
+class UnstoredRunError(BadInput):
+    """A run was made and the store refused it; what was measured is not lost."""
 
-    Raises BadInput for data that the cheap checks find wrong and if the run cannot be stored, and what a run raises.
+    def __init__(self, why: BadInput, run: Run) -> None:
+        """Say `why`, and hold the run."""
+        super().__init__(str(why))
+        self.run = run
+
+
+@dataclass(frozen=True)
+class Made:
+    """A run that was asked for, the folder that holds it, and whether it lay there already."""
+
+    run: Run
+    folder: Path
+    from_store: bool
+
+
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
+    """Find the run in the store or make it, and say it; raises what `find_or_make` raises."""
+    try:
+        made = find_or_make(name, asked, settings, store)
+    except UnstoredRunError as error:
+        say(_text(error.run, None, False, settings))
+        raise
+    say(_text(made.run, made.folder, made.from_store, settings))
+    return 0
+
+
+def find_or_make(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Made:
+    """Return the run of method `name` from the store, or make and store it; `asked` is its configuration.
+
+    `asked` is told what method and dataset turned out to be. Raises BadInput for data that the cheap checks find wrong
+    and if the run cannot be stored (UnstoredRunError if it was made by then), and what a run raises.
     """
     asked["method"], tuned_on = registry.declared(name, asked["method"])
+    return made(_request(name, asked, settings, store), settings, store, tuned_on)
+
+
+def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[str, Any]) -> Made:
+    """Return the run of a request from the store, or make and store it; raises what `find_or_make` raises."""
     process, refused = os.getpid(), _refused(store)
-    request = _request(name, asked, settings, store)
-    key = request.key()
+    key, dataset = request.key(), request.dataset
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))
-    dataset = request.dataset
-    found = None if settings.force else _usable(store.find(dataset.name, name, key), settings, request.files)
+    found = None if settings.force else _usable(store.find(dataset.name, request.name, key), settings, request.files)
     if found is None and refused is not None:
         raise refused
     with ledger():  # what was trained is kept until the run is stored
         if found is not None:  # whoever stored it may have asked in other words
-            run = replace(found, config={**found.config, "overrides": asked["overrides"]})
+            run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
         else:
-            for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
+            for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
                 insist_on_writing(place)
-            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
+            with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
                 run = runner.run(request, key)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = replace(run, tuned_on=tuned_on)
         try:
-            folder = store.folder(dataset.name, name, key) if known else store.save(run)
-        except BadInput:
-            # what was measured is shown even if it cannot be kept
-            say(_text(run, None, found is not None, settings))
-            raise
+            folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
+        except BadInput as error:
+            raise UnstoredRunError(error, run) from error
     ending.tell(code=0)
-    say(_text(run, folder, found is not None, settings))
     if settings.frames:
         _keep_frames(store, run, dataset)
-    return 0
+    return Made(run, folder, found is not None)
 
 
 def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Request:
