@@ -48,12 +48,12 @@ def table_text(
     room = console()
     cells = [[printable(text) for text in row] for row in (columns, *rows)]
     widths: list[int] = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
-    kept = [*range(len(widths))]
+    kept = list(range(len(widths)))
     order = [columns.index(name) for name in least if name in columns]
     order += [at for at in reversed(kept[2:]) if at not in order]
 
     def width() -> int:
-        return sum(widths[at] for at in kept) + _GAP * (len(kept) - 1)
+        return sum((widths[at] + _GAP for at in kept), -_GAP)
 
     while not wide and order and width() > room.width:
         kept.remove(order.pop(0))
