@@ -192,7 +192,8 @@ class Images(Sequence[Image]):
     def fingerprint(self) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
-        Files count by name, size and content. If images have neither files nor a stamp, sixteen of them are decoded.
+        Files count by name, size and content. Of images that have neither files nor a stamp sixteen are decoded, of
+        those in memory all count.
         """
         digest = hashlib.sha256("\n".join(self.names).encode(errors="surrogateescape"))
         files = self.file_hashes()
@@ -202,7 +203,8 @@ class Images(Sequence[Image]):
             for i in range(len(self)):
                 digest.update(self._stamp(i))
         elif files is None:
-            for i in np.linspace(0, len(self) - 1, min(len(self), _FINGERPRINT_SAMPLE)).astype(int).tolist():
+            most = len(self) if self._in_memory else _FINGERPRINT_SAMPLE
+            for i in np.linspace(0, len(self) - 1, min(len(self), most)).astype(int).tolist():
                 image = self._read(i)
                 digest.update(repr(image.shape).encode() + image.tobytes())
         return digest.hexdigest()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, cast
 
 import hydra
 from hydra._internal.utils import get_args_parser
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
@@ -18,8 +20,8 @@ from vprbench.run.settings import KNOWN
 from vprbench.run.stopwatch import Protocol
 
 
-def composed(options: Sequence[str]) -> dict[str, Any]:
-    """Return the configuration of a run with these options, as plain values.
+def composed(options: Sequence[str], values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the configuration of a run with these options, and these values by dotted names, as plain values.
 
     Raises BadInput for what begins with a dash, Hydra's errors for the rest.
     """
@@ -27,7 +29,21 @@ def composed(options: Sequence[str]) -> dict[str, Any]:
         if option.startswith("-"):
             raise BadInput(f"{option} is no option here: see python -m vprbench --help")
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
-        return cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=list(options)), resolve=True))
+        config = hydra.compose("run", overrides=list(options))
+    for name, value in (values or {}).items():
+        OmegaConf.update(config, name, value)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+
+
+def composed_in_python(options: Sequence[str], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `composed` does in a program that may use Hydra itself; raises BadInput for all that does not fit."""
+    kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
+    try:
+        return composed(options, values)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise BadInput(explained(error, [*options, *values])) from error
+    finally:
+        GlobalHydra.instance().hydra = kept
 
 
 def readable(arguments: Sequence[str]) -> list[str]:

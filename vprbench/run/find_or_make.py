@@ -14,6 +14,7 @@ from typing import Any
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
@@ -103,14 +104,26 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    threads = n_threads(settings)
-    machine.pin_threads(threads)
-    files = networks.chosen_files(settings.save, settings.load, settings.force)
+    machine.pin_threads(n_threads(settings))
     with chdir("."):
         method = registry.make_method(asked["method"])
         dataset = registry.make_dataset(asked["dataset"])
-        # what the cheap checks warn of is among the dataset's notes
-        dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+    return requested(name, (method, dataset), asked, settings, store)
+
+
+def requested(
+    name: str, built: tuple[Method, Dataset], asked: dict[str, Any], settings: Settings, store: Store
+) -> Request:
+    """Return the run of a method and a dataset that are built; `asked` is told what the method's files hold.
+
+    Raises BadInput for data that the cheap checks find wrong.
+    """
+    method, dataset = built
+    threads = n_threads(settings)
+    machine.pin_threads(threads)
+    files = networks.chosen_files(settings.save, settings.load, settings.force)
+    # what the cheap checks warn of is among the dataset's notes
+    dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]

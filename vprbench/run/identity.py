@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -86,8 +87,14 @@ class Request:
 
 
 def code_hash(method: type[Method]) -> str:
-    """Return the hash of the code that computes a method's answers, and of the version of the harness around it."""
-    return _with_harness(sources.source_hash(method))
+    """Return the hash of the code that computes a method's answers, and of the version of the harness around it.
+
+    Of a class without source it is another one each time: its runs are never found again.
+    """
+    try:
+        return _with_harness(sources.source_hash(method))
+    except OSError:
+        return uuid.uuid4().hex
 
 
 def code_hash_of(target: str) -> str | None:

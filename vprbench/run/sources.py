@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench import api
+from vprbench.run import loose_code
 
 #: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
 COMPUTING = frozenset(
@@ -27,14 +28,24 @@ def source_hash(kind: type) -> str:
     """Return the hash of the code behind a class: its own file, and all that compute for it.
 
     Comments, docstrings, imports for types and the places of files do not count: an edited sentence and a moved file
-    give the same hash. Values, defaults and statements count. Raises OSError for a class without a source file.
+    give the same hash. Values, defaults and statements count. Of a class of a notebook or a script it is what
+    `loose_code.told` finds. Raises OSError for a class without source.
     """
-    return meaning(behind(kind).values())
+    if kind.__module__ != "__main__":
+        return meaning(behind(kind).values())
+    texts, used = loose_code.told(kind)
+    files: dict[str, Path] = {}
+    for name, file in used:
+        if name == api.__name__:  # of which any name may be used
+            files |= {home: path for home in COMPUTING if (path := _file(home)) is not None}
+        elif _counts(name, name) or name.partition(".")[0] != "vprbench":
+            files |= behind_file(name, file)
+    return meaning(files.values(), texts.values())
 
 
-def meaning(files: Iterable[Path]) -> str:
+def meaning(files: Iterable[Path], texts: Iterable[str] = ()) -> str:
     """Return the hash of what Python files say to the interpreter, in whatever order and under whatever names."""
-    texts = (path.read_text(encoding="utf-8") for path in files)
+    texts = (*texts, *(path.read_text(encoding="utf-8") for path in files))
     return hashlib.sha256("".join(sorted(map(_hash_of, texts))).encode()).hexdigest()
 
 
@@ -42,9 +53,12 @@ def behind(kind: type) -> dict[str, Path]:
     """Return the files that compute for a class by module name, in order of the names.
 
     Imports are followed, inside functions too, within the package of the class and the `COMPUTING` modules of this
-    project: the versions of other packages stand for what these hold.
+    project: the versions of other packages stand for what these hold. Raises OSError for a class without a file.
     """
-    return behind_file(kind.__module__, Path(inspect.getfile(kind)))
+    try:
+        return behind_file(kind.__module__, Path(inspect.getfile(kind)))
+    except TypeError as error:
+        raise loose_code.UntoldError(f"the source of {kind.__qualname__} is not known") from error
 
 
 def behind_file(name: str, file: Path) -> dict[str, Path]:
