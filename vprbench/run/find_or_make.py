@@ -19,6 +19,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
+from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
@@ -111,6 +112,9 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
         dataset = registry.make_dataset(asked["dataset"])
         # what the cheap checks warn of is among the dataset's notes
         dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+        if needed := adaptation(method, dataset.n_places, asked):
+            asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
+            method = registry.make_method(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
