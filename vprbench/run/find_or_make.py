@@ -20,6 +20,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
+from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
@@ -104,26 +105,33 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    machine.pin_threads(n_threads(settings))
     with chdir("."):
-        method = registry.make_method(asked["method"])
         dataset = registry.make_dataset(asked["dataset"])
-    return requested(name, (method, dataset), asked, settings, store)
+    return requested(name, registry.make_method, dataset, asked, settings, store)
 
 
 def requested(
-    name: str, built: tuple[Method, Dataset], asked: dict[str, Any], settings: Settings, store: Store
+    name: str,
+    build: Callable[[Mapping[str, Any]], Method],
+    dataset: Dataset,
+    asked: dict[str, Any],
+    settings: Settings,
+    store: Store,
 ) -> Request:
-    """Return the run of a method and a dataset that are built; `asked` is told what the method's files hold.
+    """Return the run of a method, which `build` makes of its arguments; `asked` is told what it turned out to be.
 
-    Raises BadInput for data that the cheap checks find wrong.
+    Raises BadInput for data that the cheap checks find wrong, and what `build` raises.
     """
-    method, dataset = built
     threads = n_threads(settings)
     machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
-    # what the cheap checks warn of is among the dataset's notes
-    dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+    with chdir("."):
+        method = build(asked["method"])
+        # what the cheap checks warn of is among the dataset's notes
+        dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+        if needed := adaptation(method, dataset.n_places, asked):
+            asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
+            method = build(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]

@@ -13,6 +13,7 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.run import machine, spikes
+from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import Learnt, learn
@@ -67,7 +68,13 @@ def run(request: Request, key: str) -> Run:
     with stopwatch.lap() as auditing:
         measured["search"] = scoring.audited.search()
         measured["spikes"], spike_notes = spikes.counted(method, queries)
-    told = (*learnt.notes, *noted("method", method.notes()), *_cache_notes(dataset, learnt.from_cache, from_cache))
+    adapted = noted("adapted", adaptation_words(request.config, dataset.n_places))
+    told = (
+        *adapted,
+        *learnt.notes,
+        *noted("method", method.notes()),
+        *_cache_notes(dataset, learnt.from_cache, from_cache),
+    )
     finished = _finished(request, key, learnt, answers, measured)
     return replace(
         finished,

@@ -13,6 +13,7 @@ from made_table import NAMES
 from stored_runs import (
     NETVLAD,
     NORDLAND,
+    PLAN,
     RAIL,
     RAILWAY,
     SAD,
@@ -24,8 +25,10 @@ from stored_runs import (
     run,
 )
 
-from vprbench.paper.plan import Row
-from vprbench.paper.selection import ResolvedColumn
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ResolvedColumn, groups
+from vprbench.paper.table.build import assemble
+from vprbench.paper.table.quantities import quantities
 from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 
@@ -299,3 +302,14 @@ def test_the_order_of_a_store_changes_nothing() -> None:
         shuffled = runs.copy()
         random.Random(seed).shuffle(shuffled)
         assert asdict(table(shuffled, failures[::-1])) == first
+
+
+def test_a_comparison_has_its_own_title_and_neither_published_numbers_nor_times_on_a_gpu() -> None:
+    mine = PlannedColumn("mine", "My street", ("dataset=street",))
+    asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
+    found = groups([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
+    made = assemble(found, rows, PLAN, {}, quantities(["recall_at_5"], ("cpu",)), "My street")
+    assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
+    assert [q.name for q in made.quantities] == ["recall_at_1", "train_cpu", "query_cpu", "recall_at_5"]
+    assert {each.published_mark for row in made.rows for each in row.cells.values()} == {"none"}
+    assert made.caption[0] == "R@1 in %, training in minutes, query rates in Hz."

@@ -18,6 +18,7 @@ from made_table import GPU, NAMES, OTHER, cell, found, measured, paper, row, sma
 
 from vprbench.paper.table import formats
 from vprbench.paper.table.cells import Cell, Column, Table
+from vprbench.paper.table.quantities import quantities
 
 STORED = Path(__file__).parent / "stored"
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
@@ -187,6 +188,22 @@ def test_only_what_a_table_shows_is_explained(made: Table, words: set[str]) -> N
     known |= {"Italics", "Training:", "brackets encoding", "memory, encoding and", "without brackets"}
     text = formats.markdown(made)
     assert {word for word in known if word in text} == words
+
+
+def test_a_comparison_keeps_its_order_and_says_nothing_of_a_paper() -> None:
+    rows = row("VPRTempo", spiking=True, recall_at_1=found(54.3, notes=(1,))), row("SAD", recall_at_1=found(40.0))
+    made = small(*rows, title="Corridor_1", quantities=quantities([], ("cpu",)), notes=told("a note"))
+    assert [line[0] for line in markdown_table(made)] == ["method", "VPRTempo", "SAD"]
+    assert [line["quantity"] for line in in_csv(made)][:3] == ["recall_at_1", "train_cpu", "query_cpu"]
+    texts = [getattr(formats, form)(made) for form in ("markdown", "csv", "latex", "html")]
+    fragment = formats.latex(made, fragment=True)
+    for text in (*texts, fragment):
+        assert not any(word in text for word in ("Table II", "aper line", "ICRA", "GPU", "Line paper"))
+    assert [line for line in fragment.splitlines() if line.startswith("{")] == [
+        r"{VPRTempo} & 54.3 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
+        r"{SAD} & 40.0 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
+    ]
+    assert "documentclass" not in fragment
 
 
 def test_a_table_of_no_runs_is_one_of_words() -> None:

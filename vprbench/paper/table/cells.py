@@ -77,6 +77,12 @@ class Table:
     notes: tuple[Reason, ...]  # note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
     quantities: tuple[Quantity, ...] = QUANTITIES
+    title: str | None = None  # None: Table II, whose spiking rows stand apart
+
+    @property
+    def heading(self) -> str:
+        """Return what stands above it."""
+        return "Table II" if self.title is None else self.title
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,15 @@ def markdown(table: Table) -> str:
     return _without_gaps(document("table/table.md.j2", table=table, words=words))
 
 
-def latex(table: Table) -> str:
-    """Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
+def latex(table: Table, fragment: bool = False) -> str:
+    r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
 
-    Two datasets stand in one table: more would be too small to read.
+    Two datasets stand in one table: more would be too small to read. A cell fills two columns, its value on the right
+    of the first and what goes with it on the left of the second; words fill both. A fragment holds these tables alone,
+    for \input and booktabs, and tells what their numbers are in comments.
     """
-    return _without_gaps(document("table/table.tex.j2", table=table, words=words, n=len(table.quantities)))
+    values = {"table": table, "words": words, "n": len(table.quantities), "fragment": fragment}
+    return _without_gaps(document("table/table.tex.j2", **values)).lstrip()
 
 
 def html(table: Table) -> str:

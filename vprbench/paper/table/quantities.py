@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
 from typing import ClassVar, Literal
@@ -13,7 +13,7 @@ from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.selection import Device
+from vprbench.paper.selection import DEVICES, Device
 from vprbench.paper.table.best import (
     Contestant,
     best_rate,
@@ -235,10 +235,11 @@ RATES = (Rate("query_cpu", "query CPU", "Hz", "cpu"), Rate("query_gpu", "query G
 QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
 
 
-def quantities(metrics: Sequence[str]) -> tuple[Quantity, ...]:
-    """Return the columns of a table: those of the paper, and `metrics` by their names."""
+def quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
+    """Return the columns of a table: those of the paper, times on these devices, and `metrics` by their names."""
+    shown = (one for one in QUANTITIES if one.device is None or one.device in devices)
     more = (METRICS[name] for name in dict.fromkeys(metrics) if name != RECALL.name)
-    return (*QUANTITIES, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
+    return (*shown, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
 
 
 def exponent(value: float, decimals: int) -> int:

@@ -10,7 +10,6 @@ from vprbench.paper.table.cells import Column, Measured, Table, TableRow
 from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity, exponent
 from vprbench.paper.templates import ENVIRONMENT, sentences
 
-TITLE = "Table II"
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
 SPIKING = "spiking"
@@ -59,10 +58,10 @@ def of_cell(table: Table, row: TableRow, column: Column, quantity: Quantity) -> 
 
 
 def sections(table: Table, columns: Sequence[Column]) -> list[list[tuple[TableRow, list[Words]]]]:
-    """Return the conventional and the spiking rows, apart, each with its cells in some columns."""
+    """Return the rows with their cells in some columns; of Table II the conventional and the spiking ones apart."""
     lines = [(row, [of_cell(table, row, c, q) for c in columns for q in table.quantities]) for row in table.rows]
     parts = [[line for line in lines if line[0].spiking is spiking] for spiking in (False, True)]
-    return [part for part in parts if part]
+    return [part for part in (parts if table.title is None else [lines]) if part]
 
 
 def data(column: Column) -> str:
