@@ -1,8 +1,8 @@
 """A benchmark for Visual Place Recognition: which method is better, how fast it is, and how sure that is.
 
-    import vprbench
-    result = vprbench.run("hog", vprbench.dataset("synthetic", places=100))
-    result.recall(1), result.interval(), result.failures()
+import vprbench
+result = vprbench.run("hog", vprbench.dataset("synthetic", places=100))
+result.recall(1), result.interval(), result.failures()
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _HOMES = {
     "Result": "result",
     "run": "running",
 }
-__all__ = [*_HOMES]  # noqa: PLE0604 - names that type checkers read above
+_ROOMS = ("compare", "datasets", "methods", "run")  # packages that have the name of a function
+__all__ = [*_HOMES]
 
 # In a bare checkout `methods/`, `datasets/` and `conf/` stand beside this package instead of inside it;
 # a wheel maps them to vprbench.methods, vprbench.datasets and vprbench.conf.
@@ -51,20 +52,20 @@ class _Room(ModuleType):
     """A package that shares its name with a function: `vprbench.run` is both, and is called as the function."""
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        return _found(self.__name__.rpartition(".")[2])(*given, **named)
+        return _home(self.__name__)(*given, **named)
 
     @property
-    def __signature__(self) -> Any:  # for help in an editor or a notebook
+    def __signature__(self) -> Any:  # for an editor or a notebook
         from inspect import signature
 
-        return signature(_found(self.__name__.rpartition(".")[2]))
+        return signature(_home(self.__name__))
 
 
 class _Face(ModuleType):
-    """This package: a room that is imported, by whomever, can be called where a function has its name."""
+    """This package, whose rooms can be called where a function has their name, whoever imported them."""
 
     def __setattr__(self, name: str, value: object) -> None:
-        if name in _HOMES and isinstance(value, ModuleType):
+        if name in _ROOMS and isinstance(value, ModuleType):
             value.__class__ = _Room
         super().__setattr__(name, value)
 
@@ -72,14 +73,17 @@ class _Face(ModuleType):
 sys.modules[__name__].__class__ = _Face
 
 
-def _found(name: str) -> Any:
+def _home(name: str) -> Any:
+    name = name.rpartition(".")[2]
     return getattr(import_module(f"vprbench.interactive.{_HOMES[name]}"), name)
 
 
 def __getattr__(name: str) -> Any:
     """Import the name that a program asks for; raises AttributeError, with the near names, for an unknown one."""
+    if name in _ROOMS:
+        return import_module(f"vprbench.{name}")
     if name in _HOMES:
-        return _found(name)
+        return _home(name)
     from vprbench.text import near
 
     raise AttributeError(f"vprbench has no {name}: {near(name, __all__)}")

@@ -40,7 +40,9 @@ def dataset_of(
     asked = _listed(queries, "queries")
     counts = sorted({len(images) for images in several})
     if len(counts) > 1:
-        raise BadInput(f"references: the traverses have {' and '.join(map(str, counts))} images; wanted as many in each")
+        raise BadInput(
+            f"references: the traverses have {' and '.join(map(str, counts))} images; wanted as many in each"
+        )
     n_places, n_queries = counts[0], len(asked)
     given = positives is not None
     if tolerance < 0 or (given and tolerance):
@@ -84,7 +86,7 @@ def _traverses(references: Any) -> list[Any]:
 def _listed(traverse: Any, option: str) -> list[Path] | list[Image]:
     """Return the files or the arrays of one traverse; raises what `dataset_of` raises, naming the `option`."""
     if isinstance(traverse, str | Path):
-        reader = registry.entries("dataset")["folders"].beside("readers.image_files")
+        reader = registry.beside(registry.entries("dataset")["folders"], "readers.image_files")
         found: list[Path] = reader.images_in(traverse, option, "give a folder of images")
         return found
     if isinstance(traverse, np.ndarray) and traverse.ndim == 3 and traverse.shape[2] in (3, 4):
@@ -123,7 +125,9 @@ def _right_places(positives: Any, n_queries: int, n_places: int) -> tuple[npt.ND
         row = np.asarray(right)
         if row.dtype == bool:
             if row.shape != (n_places,):
-                raise BadInput(f"positives of query {query}: {row.shape} booleans came; wanted one for each of {n_places}")
+                raise BadInput(
+                    f"positives of query {query}: {row.shape} booleans came; wanted one for each of {n_places}"
+                )
             row = np.flatnonzero(row)
         elif row.size and row.dtype.kind not in "iu":
             raise BadInput(f"positives of query {query}: {right!r} came; wanted numbers of places, or booleans")

@@ -42,7 +42,7 @@ def told(kind: type) -> tuple[dict[str, str], set[tuple[str, Path]]]:
         home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
         if not isinstance(value, ModuleType | type | FunctionType):
             texts[name] = "" if _is_installed(value) else _plain_text(name, value)
-        elif home == "__main__":
+        elif home == "__main__" and not isinstance(value, ModuleType):
             texts[name] = text = _source(value)
             waiting += _named(text, value)
         elif (file := getattr(sys.modules.get(str(home)), "__file__", None)) and _counts(str(home), file):

@@ -17,15 +17,15 @@ METHOD = (
 )
 
 
-def recall_interval(runs: Sequence[Run]) -> WiderInterval | None:
-    """Return the 95 % interval of R@1 over all queries, 0 to 1; of several seeds, of the mean hits over them.
+def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInterval | None:
+    """Return the interval of R@1 over all queries, 0 to 1; of several seeds, of the mean hits over them.
 
     None if no query has a right place. At least one run, all of the same queries.
     """
     if not runs[0].outcome.answerable.any():
         return None
     hits = np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
-    return share_interval(hits[along_the_journey(runs[0])])
+    return share_interval(hits[along_the_journey(runs[0])], confidence)
 
 
 def interval_between(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:

@@ -13,7 +13,7 @@ from typing import Any, ParamSpec
 import matplotlib.style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as MatplotlibFigure
 
 from vprbench.errors import BadInput
 from vprbench.storage.atomic import replace_bytes
@@ -57,6 +57,13 @@ _SETTINGS: dict[str, Any] = {
     "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
     "savefig.dpi": 200,
 }
+
+
+class Figure(MatplotlibFigure):
+    """A figure that a notebook shows."""
+
+    def _repr_png_(self) -> bytes:
+        return _saved(self, "png", {"Software": None})
 
 
 @dataclass(frozen=True)

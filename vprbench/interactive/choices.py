@@ -1,0 +1,226 @@
+"""What a program chooses to run: registered methods and datasets by name, with options, or objects of its own."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import inspect
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
+from vprbench.plugins import registry
+from vprbench.plugins.entries import Group, entries, insist_on_one
+from vprbench.run.compose import composed_in_python
+from vprbench.run.loose_code import UntoldError, plain
+from vprbench.run.sources import source_hash
+from vprbench.text import near
+
+
+@dataclass(frozen=True, repr=False)
+class NamedMethod:
+    """A registered method and options of its own; it is built when it runs."""
+
+    name: str
+    options: Mapping[str, Any]
+
+    def build(self, seed: int = 0, device: str = "cpu") -> Method:
+        """Return a new method, which has learnt nothing; raises BadInput for options that do not fit."""
+        return registry.make_method(self.config(seed, device))
+
+    def config(self, seed: int, device: str) -> dict[str, Any]:
+        """Return its arguments, and what its yaml declares of it."""
+        values = {**_values("method", self.options), "seed": seed, "device": device}
+        return dict(composed_in_python([f"method={self.name}"], values)["method"])
+
+    def __repr__(self) -> str:
+        return _as_call("method", self.name, self.options)
+
+
+@dataclass(frozen=True, repr=False)
+class NamedDataset:
+    """A registered dataset and options of its own; it is built when a method runs on it."""
+
+    name: str
+    options: Mapping[str, Any]
+
+    def build(self) -> Dataset:
+        """Return the dataset; raises BadInput for options that do not fit, NotThere where its frames are missing."""
+        return registry.make_dataset(self.config())
+
+    def config(self) -> dict[str, Any]:
+        """Return its arguments."""
+        return dict(composed_in_python([f"dataset={self.name}"], _values("dataset", self.options))["dataset"])
+
+    def __repr__(self) -> str:
+        return _as_call("dataset", self.name, self.options)
+
+
+AnyMethod = str | NamedMethod | Method | type[Method]
+AnyDataset = str | NamedDataset | Dataset
+
+
+def method(name: str, /, **options: Any) -> NamedMethod:
+    """Return a registered method with options of its own, as in `method("vprtempo", max_module=50)`.
+
+    Raises BadInput, with the near names, for a method or an option that there is not.
+    """
+    _insist("method", name, options)
+    return NamedMethod(name, options)
+
+
+def dataset(name: str, /, **options: Any) -> NamedDataset:
+    """Return a registered dataset with options of its own, as in `dataset("synthetic", places=100)`.
+
+    Raises BadInput, with the near names, for a dataset or an option that there is not.
+    """
+    _insist("dataset", name, options)
+    return NamedDataset(name, options)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A dataset that is built, and its arguments."""
+
+    dataset: Dataset
+    config: Mapping[str, Any]
+    overrides: tuple[str, ...]  # what was asked for, as on the command line
+
+
+def place(chosen: AnyDataset) -> Place:
+    """Build a dataset; raises what its builder raises, BadInput for what is none."""
+    chosen = dataset(chosen) if isinstance(chosen, str) else chosen
+    if isinstance(chosen, NamedDataset):
+        config = chosen.config()
+        return Place(registry.make_dataset(config), config, _asked("dataset", chosen))
+    if not isinstance(chosen, Dataset):
+        raise BadInput(
+            f"a dataset of type {type(chosen).__name__} came; wanted a name, vprbench.dataset(...) or a Dataset, as "
+            "vprbench.dataset_of(...) makes one of images"
+        )
+    return Place(chosen, {"name": chosen.name}, (f"dataset={chosen.name}",))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a method is made: from the arguments that a record holds."""
+
+    name: str
+    config: Mapping[str, Any]  # its arguments, and what its yaml declares of it
+    changed: Mapping[str, Any]  # from its defaults
+    overrides: tuple[str, ...]  # what was asked for, as on the command line
+    build: Callable[[Mapping[str, Any]], Method]
+    untold: str | None = None  # why its runs cannot be told apart from others, and so are not stored
+
+
+def recipe(chosen: AnyMethod, seed: int | None, device: str | None) -> Recipe:
+    """Return how a method is made under a seed and on a device; None: those of an object, else 0 and the CPU.
+
+    Raises BadInput for what is no method.
+    """
+    chosen = method(chosen) if isinstance(chosen, str) else chosen
+    if isinstance(chosen, NamedMethod):
+        config = chosen.config(seed or 0, device or "cpu")
+        changed = entries("method")[chosen.name].changed(config)
+        return Recipe(chosen.name, config, changed, _asked("method", chosen), registry.make_method)
+    if not isinstance(chosen, Method) and not (isinstance(chosen, type) and issubclass(chosen, Method)):
+        raise BadInput(
+            f"a method of type {type(chosen).__name__} came; wanted a name, vprbench.method(...) or an object whose "
+            "class subclasses vprbench.api.Method"
+        )
+    return _of_object(chosen() if isinstance(chosen, type) else chosen, {"seed": seed, "device": device})
+
+
+def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
+    """Return how methods of the class and arguments of an object are made; itself is never fitted."""
+    kind = type(given)
+    arguments, untold = _arguments(given)
+    arguments |= {name: value for name, value in per_run.items() if name in arguments and value is not None}
+    recorded: dict[str, Any] = {}
+    for name, value in arguments.items():
+        try:
+            recorded[name] = plain(value)
+        except UntoldError as error:
+            untold = f"its argument {name} cannot be recorded, for a {error}"
+    try:
+        source_hash(kind)
+    except OSError as error:
+        untold = str(error)
+
+    def build(wanted: Mapping[str, Any]) -> Method:
+        if not arguments:
+            return copy.deepcopy(given)
+        return kind(
+            **{name: wanted[name] if wanted.get(name) != recorded.get(name) else arguments[name] for name in arguments}
+        )
+
+    own = {name: one.default for name, one in inspect.signature(kind).parameters.items()}
+    changed = {
+        name: value for name, value in recorded.items() if name not in per_run and not _alike(value, own.get(name))
+    }
+    asked = (f"method={kind.__name__}", *(f"method.{name}={_text(value)}" for name, value in changed.items()))
+    config = {"_target_": f"{kind.__module__}.{kind.__qualname__}", **recorded}
+    return Recipe(kind.__name__, config, changed, asked, build, untold)
+
+
+def _arguments(given: Method) -> tuple[dict[str, Any], str | None]:
+    """Return the arguments that an object was made of, and why they cannot be told, if so.
+
+    They are its fields if it is a dataclass, else the attributes that have their names.
+    """
+    if dataclasses.is_dataclass(given):
+        return {field.name: getattr(given, field.name) for field in dataclasses.fields(given) if field.init}, None
+    found: dict[str, Any] = {}
+    for name in inspect.signature(type(given)).parameters:
+        held = next((one for one in (name, f"_{name}") if hasattr(given, one)), None)
+        if held is None:
+            return {}, f"its argument {name} cannot be told: keep it as an attribute of that name, or use a dataclass"
+        found[name] = getattr(given, held)
+    return found, None
+
+
+def _alike(recorded: Any, default: Any) -> bool:
+    try:
+        return bool(recorded == plain(default))
+    except UntoldError:
+        return False
+
+
+def _insist(group: Group, name: str, options: Mapping[str, Any]) -> None:
+    insist_on_one(group, name)
+    known = entries(group)
+    if name not in known:
+        raise BadInput(f"{group} {name} is unknown: {near(name, known)}")
+    for option in options:
+        if option not in known[name].options:
+            raise BadInput(f"option {option} is unknown to {name}: {near(option, known[name].options)}")
+
+
+def _values(group: Group, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options under the names that a configuration has for them, those of a mapping one by one."""
+    return {f"{group}.{name}": plain(value) for name, value in _flat(options)}
+
+
+def _flat(options: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value
+
+
+def _asked(group: Group, chosen: NamedMethod | NamedDataset) -> tuple[str, ...]:
+    named = _values(group, chosen.options)
+    return (f"{group}={chosen.name}", *(f"{name}={_text(value)}" for name, value in named.items()))
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _as_call(group: Group, name: str, options: Mapping[str, Any]) -> str:
+    return f"{group}({', '.join([repr(name), *(f'{option}={value!r}' for option, value in options.items())])})"

@@ -1,0 +1,136 @@
+"""What a run gave, for Python programs and notebooks: numbers, tables of its queries, and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import hits_at, recall_at
+from vprbench.metrics.intervals import WiderInterval
+from vprbench.metrics.registry import METRICS
+from vprbench.run import rows
+from vprbench.run.rates import streaming_rate
+from vprbench.run.recall_intervals import interval_between, recall_interval
+from vprbench.run.record import Run
+from vprbench.run.stopwatch import Timing
+from vprbench.run.tuned import all_notes
+from vprbench.run.verdicts import RIGHT, UNANSWERABLE, judged
+
+if TYPE_CHECKING:
+    from vprbench.paper.figures.style import Figure
+    from vprbench.paper.selection import Series
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Result:
+    """One finished run: how often its best places are right, how fast it was, and where it failed."""
+
+    run: Run  # the record: raw answers and raw times
+    folder: Path | None  # that holds the run; None: it is not stored
+    queries: tuple[str, ...]  # names of the query images
+    from_store: bool = False  # it was run before
+
+    @property
+    def name(self) -> str:
+        """The name of the method, with the arguments that were asked for."""
+        return rows.label(self.run)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Every accuracy by its name, 0 to 1; NaN where it is undefined."""
+        found = {name: metric.of(self.run) for name, metric in METRICS.items()}
+        return {name: NAN if value is None else value for name, value in found.items()}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the numbers has to know, a line each."""
+        return tuple(note.text for note in all_notes(self.run))
+
+    @property
+    def hz(self) -> float:
+        """Queries per second, one at a time, encode and match together; NaN if the run was not timed."""
+        timing: Timing | None = self.run.timing
+        return NAN if timing is None else streaming_rate(timing.streaming.total_seconds)
+
+    def recall(self, n: int = 1) -> float:
+        """Return the share of queries with a right place among the best `n`, 0 to 1; NaN if none has a right place."""
+        found = recall_at(self.run.outcome, n)
+        return NAN if found is None else found.expected
+
+    def interval(self, other: Result | None = None, confidence: float = 0.95) -> WiderInterval | None:
+        """Return the interval of R@1, or of R@1 less that of another result on the same queries (-1 to 1).
+
+        None if no query has a right place, or if fewer than 20 queries tell two results apart. Raises BadInput for
+        results on different data.
+        """
+        if other is None:
+            return recall_interval([self.run], confidence)
+        if (self.run.fingerprint, self.run.protocol) != (other.run.fingerprint, other.run.protocol):
+            raise BadInput(
+                f"{self.run.dataset} and {other.run.dataset}: a difference needs results on the same queries"
+            )
+        return interval_between(self.run, other.run, confidence)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a row for each query.
+
+        `score` is that of the best place, of equals a wrong one. `rank` is that of the best right place, from 1, 0 if
+        none was found; `hit` the chance that the best place is right, ties broken at random; `margin` the score of the
+        best right place less that of the best wrong one, NaN where that is undefined.
+        """
+        answers = judged(self.run)
+        return pd.DataFrame(
+            {
+                "query": self.queries,
+                "best_place": answers.places[:, 0],
+                "score": answers.scores[:, 0],
+                "right_places": [right.tolist() for right in self.run.positives],
+                "rank": answers.ranks,
+                "hit": hits_at(self.run.outcome, 1),
+                "margin": answers.margins,
+            }
+        )
+
+    def failures(self) -> pd.DataFrame:
+        """Return the rows of `to_frame` that are not answered right, the surest errors first.
+
+        Queries that have no right place are left out.
+        """
+        verdicts = np.array([*judged(self.run).verdicts])
+        wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE))]
+        return wrong.sort_values("margin", kind="stable")
+
+    def plot_pr(self) -> Figure:
+        """Return the figure of precision and recall; raises BadInput if no query has a right place."""
+        from vprbench.paper.figures.accuracy import precision_recall
+
+        return precision_recall([self.series()]).figure
+
+    def plot_matrix(self) -> Figure:
+        """Return the figure of ground truth and scores; raises BadInput if there were too many scores to keep."""
+        from vprbench.paper.figures.pictures import similarity
+
+        return similarity(self.run, self.name).figure
+
+    def series(self) -> Series:
+        """Return the run as figures and rankings take it."""
+        from vprbench.paper.selection import Series
+
+        return Series(self.name, self.run.spikes is not None, (self.run,))
+
+    def __repr__(self) -> str:
+        row = rows.readable_row(self.run)
+        return f"<{self.name} on {self.run.dataset}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>"
+
+    def _repr_html_(self) -> str:
+        row = {"dataset": self.run.dataset, **rows.readable_row(self.run)}
+        notes: list[Any] = [{"notes": note} for note in self.notes]
+        tables = [pd.DataFrame([row]), *([pd.DataFrame(notes)] if notes else [])]
+        return "".join(table.to_html(index=False, border=0) for table in tables)
