@@ -58,6 +58,8 @@ def vpr_bench(
         unmatched,
         {
             "protocol": "vpr_bench",
+            "references": "ref",
+            "queries": "query",
             "ground_truth": stored.name,
             "out_of_range": out_of_range,
             "out_of_range_queries": len(corrected),

@@ -136,7 +136,7 @@ def _run(config: DictConfig) -> int:
     registry.insist_on_one("method", choices["method"])
     registry.insist_on_one("dataset", choices["dataset"])
     asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load", "limit_minutes")}
-    asked["overrides"] = list(HydraConfig.get().overrides.task)
+    asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
     from vprbench.run import machine
     from vprbench.run.find_or_make import answer
     from vprbench.run.record import Failure

@@ -164,20 +164,24 @@ def list_plugins(options: list[str]) -> int:
     return 0
 
 
-def check_method(options: list[str]) -> int:
-    """Test a method against the rules of the contract and count them; raises BadInput if no method is named."""
+def check(options: list[str]) -> int:
+    """Test a method or dataset against the rules of the contract and count them; raises BadInput if none is named."""
     from vprbench.plugins import conformance
     from vprbench.run import machine
 
-    if not any(option.startswith("method=") for option in options):
-        raise BadInput(f"check needs method=NAME; {registry.near('', registry.entries('method'))}")
+    groups = [group for group in ("method", "dataset") if any(option.startswith(f"{group}=") for option in options)]
+    if len(groups) != 1:
+        raise BadInput(f"check needs method=NAME or dataset=NAME; {registry.near('', registry.entries('method'))}")
     check_names(options)
     options = readable(options)
     config = composed(options)
     machine.pin_threads(n_threads(checked_settings(config)))
     asked = {option.split("=")[0].removeprefix("method.") for option in options}
-    with progress_shown(config["method"]["_target_"].rpartition(".")[2]):  # a file may have to be downloaded
-        results = list(conformance.check(config["method"], asked))
+    with progress_shown(str(config[groups[0]].get("_target_", "")).rpartition(".")[2]):  # a file may be downloaded
+        if groups == ["method"]:
+            results = list(conformance.check(config["method"], asked))
+        else:
+            results = list(conformance.check_dataset(config["dataset"]))
     for result in results:
         print(printable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
@@ -234,7 +238,7 @@ def fetch(options: list[str]) -> int:
 #: What may stand in place of a run's options.
 COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "list": list_plugins,
-    "check": check_method,
+    "check": check,
     "doctor": doctor,
     "fetch": fetch,
     "table": table,

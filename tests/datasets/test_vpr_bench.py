@@ -107,6 +107,8 @@ def test_the_protocol_says_everything_that_was_selected(root):
     dataset = vpr_bench(root=str(root))
     assert dict(dataset.protocol) == {
         "protocol": "vpr_bench",
+        "references": "ref",
+        "queries": "query",
         "ground_truth": "ground_truth_new.npy",
         "out_of_range": "error",
         "out_of_range_queries": 0,

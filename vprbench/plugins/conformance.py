@@ -1,14 +1,16 @@
-"""The contract's rules as checks that any method can be put to."""
+"""The contract's rules as checks that any method or dataset can be put to."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
-from vprbench.plugins import networks
-from vprbench.plugins.registry import arguments, make_method
-from vprbench.plugins.rules import RULES, STORED_RULE, RuleBrokenError
+from vprbench.plugins import faults, networks
+from vprbench.plugins.dataset_rules import DATASET_RULES, Made
+from vprbench.plugins.registry import arguments, make_dataset, make_method
+from vprbench.plugins.rules import RULES, STORED_RULE, RuleBrokenError, RuleExceptedError
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,30 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     for rule, test in RULES.items():
         if rule in exceptions:
             yield Result(rule, "excepted", exceptions.pop(rule))
-            continue
-        try:
-            test(lambda: make_method(config), config)
-        except RuleBrokenError as error:
-            yield Result(rule, "broken", str(error))
-        except Exception as error:  # whatever a method raises here breaks the rule, and the other rules still count
-            yield Result(rule, "broken", f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
         else:
-            yield Result(rule, "kept")
+            yield _result(rule, partial(test, partial(make_method, config), config))
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
+
+
+def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
+    """Put the dataset of a configuration to every rule; of its images some are read.
+
+    Raises BadInput where it cannot be made, as for frames that are missing.
+    """
+    made = Made(make_dataset(config), partial(make_dataset, config), config)
+    for rule, test in DATASET_RULES.items():
+        yield _result(rule, partial(test, made))
+
+
+def _result(rule: str, test: Callable[[], None]) -> Result:
+    """Return what becomes of a rule; whatever a plug-in raises breaks it, and the other rules still count."""
+    try:
+        test()
+    except RuleExceptedError as error:
+        return Result(rule, "excepted", str(error))
+    except RuleBrokenError as error:
+        return Result(rule, "broken", str(error))
+    except Exception as error:
+        return Result(rule, "broken", faults.told(error))
+    return Result(rule, "kept")

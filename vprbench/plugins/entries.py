@@ -25,6 +25,9 @@ _NO_ARGUMENTS = ("_target_", "defaults", *DECLARED)
 _NO_CHOICE = (*_NO_ARGUMENTS, "seed", "device")  # what every run sets for itself
 
 
+_LOOSE: dict[Group, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
+
+
 @dataclass(frozen=True)
 class TunedOn:
     """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
@@ -44,6 +47,7 @@ class Entry:
     name: str
     path: Path
     provider: str
+    asked: str = ""  # of one in a loose file: what another process knows it by
 
     @property
     def description(self) -> str:
@@ -132,7 +136,22 @@ def entries(group: Group) -> dict[str, Entry]:
     If several share a name, it is this project's own method or dataset, or none.
     """
     usable = {name: few[0] for name, few in _offered(group).items() if len(few) == 1 or few[0].provider == "vprbench"}
-    return dict(sorted(usable.items()))
+    return dict(sorted({**usable, **_LOOSE[group]}.items()))
+
+
+def add(entry: Entry) -> None:
+    """Register the method or dataset of a loose file in this process; raises BadInput if its name is another's."""
+    for name, other in entries(entry.group).items():
+        if name.casefold() == entry.name.casefold() and other.path != entry.path:
+            raise BadInput(f"{entry.group}={entry.path}:{entry.name}: {other.path} has that name too: rename yours")
+    _LOOSE[entry.group][entry.name] = entry
+
+
+def as_asked(option: str) -> str:
+    """Return an option method=NAME or dataset=NAME as another process understands it: with a loose file's path."""
+    group, equals, names = option.partition("=")
+    loose = {name: entry.asked for known in _LOOSE for name, entry in _LOOSE[known].items() if known == group}
+    return f"{group}=" + ",".join(loose.get(name, name) for name in names.split(",")) if equals and loose else option
 
 
 def insist_on_one(group: Group, name: str) -> None:

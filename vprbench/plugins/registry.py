@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any, get_type_hints
 
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.utils import get_object
@@ -19,9 +20,11 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import entries as yamls
+from vprbench.plugins import faults, loose
 from vprbench.plugins.checked import checked as checked
 from vprbench.plugins.entries import Entry as Entry
 from vprbench.plugins.entries import Group as Group
+from vprbench.plugins.entries import as_asked as as_asked
 from vprbench.plugins.entries import broken_plugins as broken_plugins
 from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
@@ -62,6 +65,19 @@ def make_dataset(config: Mapping[str, Any]) -> Dataset:
     return insist_on_dataset(dataset, config["_target_"])
 
 
+def named(group: Group, text: str) -> str:
+    """Return the name of a method or dataset; one in a loose file, ./mine.py:MyMethod, is registered by it first.
+
+    Raises BadInput if the file cannot be imported, or if the name is another's.
+    """
+    if not loose.is_loose(text):
+        return text
+    entry = loose.load(group, text)
+    yamls.add(entry)
+    ConfigStore.instance().store(group=group, name=entry.name, node=entry.values())
+    return entry.name
+
+
 def register_search_path() -> None:
     """Let Hydra find the yaml files of installed plug-ins."""
     Plugins.instance().register(_PluginSearchPath)
@@ -92,13 +108,8 @@ def _locate(target: str) -> Callable[..., Any]:
         ending.tell(doing=f"importing {target}")
         found = get_object(target)
         ending.tell(doing=None)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # a plug-in may fail in any way, and must hurt only itself
-        cause = error.__cause__ or error
-        reason = (str(cause).splitlines() or [""])[0] or type(cause).__name__
-        raise BadInput(f"{target} cannot be imported: {reason}") from error
+    except (Exception, SystemExit) as error:  # a plug-in may fail in any way, and must hurt only itself
+        raise BadInput(f"{target} cannot be imported: {faults.told(error.__cause__ or error)}") from error
     if not callable(found):
         raise BadInput(f"{target} is a {type(found).__name__}, not a class or function")
     return found  # type: ignore[no-any-return]
@@ -106,10 +117,8 @@ def _locate(target: str) -> Callable[..., Any]:
 
 def _build(group: Group, config: Mapping[str, Any]) -> Any:
     target = located(group, config, f"the yaml of {group} {config.get('name', '')}")
-    arguments = {name: value for name, value in config.items() if name != "_target_"}
-    known = inspect.signature(target).parameters
-    plain_class = inspect.isclass(target) and not is_dataclass(target)
-    hints = get_type_hints(target.__init__ if plain_class else target)
+    arguments = {name: value for name, value in config.items() if name != "_target_" and value != "???"}
+    known, hints = _parameters(target, config["_target_"])
     for name, value in arguments.items():
         if name not in known:
             raise BadInput(f"{group}.{name} is unknown to {config['_target_']}: {near(name, known)}")
@@ -117,4 +126,18 @@ def _build(group: Group, config: Mapping[str, Any]) -> Any:
     missing = [n for n, p in known.items() if p.default is p.empty and p.kind < p.VAR_POSITIONAL and n not in arguments]
     if missing:
         raise BadInput(f"{group}.{missing[0]} is missing: {config['_target_']} has no default for it")
-    return target(**arguments)
+    try:
+        return target(**arguments)
+    except (BadInput, OSError):
+        raise
+    except Exception as error:
+        raise BadInput(f"{config['_target_']} fails when it is made: {faults.told(error)}") from error
+
+
+def _parameters(target: Callable[..., Any], name: str) -> tuple[Mapping[str, inspect.Parameter], dict[str, Any]]:
+    """Return the parameters of a class or function and their type hints; raises BadInput if it has none to be read."""
+    plain_class = inspect.isclass(target) and not is_dataclass(target)
+    try:
+        return inspect.signature(target).parameters, get_type_hints(target.__init__ if plain_class else target)
+    except Exception as error:
+        raise BadInput(f"the type hints of {name} cannot be read ({error}): import what they name") from error

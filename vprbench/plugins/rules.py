@@ -27,7 +27,11 @@ Make = Callable[[], Method]
 
 
 class RuleBrokenError(AssertionError):
-    """A method broke a rule; the message says what was seen."""
+    """A method or dataset broke a rule; the message says what was seen."""
+
+
+class RuleExceptedError(Exception):
+    """A rule does not hold for a dataset, and need not; the message says why."""
 
 
 @dataclass(frozen=True)

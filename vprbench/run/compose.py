@@ -49,11 +49,15 @@ def composed_in_python(options: Sequence[str], values: Mapping[str, Any]) -> dic
 def readable(arguments: Sequence[str]) -> list[str]:
     """Put quotes around values, such as paths with letters from abroad, that Hydra's grammar cannot read bare.
 
-    Of a list, as in [~/north,~/south], around each value.
+    Of a list, as in [~/north,~/south], around each value. A method or dataset in a loose file, ./mine.py:MyMethod, is
+    registered and gets its name. Raises BadInput for a file that cannot be imported.
     """
     quoted = []
     for argument in arguments:
         key, equals, value = argument.partition("=")
+        if key in ("method", "dataset"):
+            value = ",".join(registry.named("method" if key == "method" else "dataset", n) for n in value.split(","))
+            argument = f"{key}{equals}{value}"
         if equals and not argument.startswith("-") and not _is_override(argument):
             parts = (
                 [f"{key}=[{','.join(map(_quoted, value[1:-1].split(',')))}]"] if value[:1] + value[-1:] == "[]" else []
@@ -160,6 +164,7 @@ def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
     given = next((a.split("=", 1)[1] for a in arguments if a.startswith(f"{group}=")), "")
     entries = registry.entries(group)
     for chosen in given.strip("'\"").split(",") if given else [{"method": "sad", "dataset": "synthetic"}[group]]:
+        chosen = registry.named(group, chosen)
         known = entries[chosen].options if chosen in entries else []
         if option.split(".")[0] not in known:
             return f"option {group}.{option} is unknown to {chosen}: {registry.near(option, known)}"

@@ -47,6 +47,10 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
     A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
     Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
     """
+    if in_sweep:
+        from vprbench.plugins.entries import as_asked
+
+        arguments = [*map(as_asked, arguments)]
     home = str(checkout_folder())
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     with _slip() as left, _signals_passed_on() as (children, signals):

@@ -68,7 +68,7 @@ def behind_file(name: str, file: Path) -> dict[str, Path]:
     while waiting:
         current = waiting.pop()
         for imported in _imported(current, found[current]):
-            if imported not in found and _counts(imported, name) and (path := _file(imported)) is not None:
+            if imported not in found and _counts(imported, name, file) and (path := _file(imported)) is not None:
                 found[imported] = path
                 waiting.append(imported)
     return dict(sorted(found.items()))
@@ -94,10 +94,11 @@ def defined_in(target: str) -> tuple[str, Path] | None:
     return None
 
 
-def _counts(module: str, asking: str) -> bool:
-    ours, package = module.partition(".")[0] == "vprbench", asking.partition(".")[0]
-    if not ours:
-        return module.partition(".")[0] == package
+def _counts(module: str, asking: str, file: Path) -> bool:
+    top, package = module.partition(".")[0], asking.partition(".")[0]
+    if top != "vprbench":
+        beside = (file.with_name(f"{top}.py"), file.parent / top / "__init__.py")
+        return top == package or (asking == package and any(path.is_file() for path in beside))
     return module in COMPUTING or module.startswith("vprbench.methods.")
 
 
