@@ -7,6 +7,7 @@ import os
 import shutil
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from contextvars import ContextVar
@@ -79,7 +80,8 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
     shown = _Forgiving(sys.stderr if stream is None else stream)
     title = printable(title)
-    with _bar(title, shown) if shown.isatty() else nullcontext(_lines(title, shown)) as show, listening(show):
+    moving = shown.isatty() or _in_notebook()
+    with _bar(title, shown) if moving else nullcontext(_lines(title, shown)) as show, listening(show):
         yield
 
 
@@ -102,11 +104,17 @@ class _Forgiving:
             self._stream.flush()
 
 
+def _in_notebook() -> bool:
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
 @contextmanager
 def _bar(title: str, stream: _Forgiving) -> Iterator[Listener]:
     """Yield what moves a bar, and draws it anew for a new stage."""
-    from tqdm import tqdm
-
+    with warnings.catch_warnings():  # without ipywidgets the bar of a notebook is text
+        warnings.simplefilter("ignore")
+        from tqdm.auto import tqdm
     columns, rows = shutil.get_terminal_size()  # 80 and 24 if a terminal does not tell
     layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
     current = ""

@@ -65,21 +65,19 @@ AnyDataset = str | NamedDataset | Dataset
 
 
 def method(name: str, /, **options: Any) -> NamedMethod:
-    """Return a registered method with options of its own, as in `method("vprtempo", max_module=50)`.
+    """Return a registered method, or one in a file, with options of its own: `method("vprtempo", max_module=50)`.
 
     Raises BadInput, with the near names, for a method or an option that there is not.
     """
-    _insist("method", name, options)
-    return NamedMethod(name, options)
+    return NamedMethod(_insist("method", name, options), options)
 
 
 def dataset(name: str, /, **options: Any) -> NamedDataset:
-    """Return a registered dataset with options of its own, as in `dataset("synthetic", places=100)`.
+    """Return a registered dataset, or one in a file, with options of its own: `dataset("synthetic", places=100)`.
 
     Raises BadInput, with the near names, for a dataset or an option that there is not.
     """
-    _insist("dataset", name, options)
-    return NamedDataset(name, options)
+    return NamedDataset(_insist("dataset", name, options), options)
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,9 @@ def _alike(recorded: Any, default: Any) -> bool:
         return False
 
 
-def _insist(group: Group, name: str, options: Mapping[str, Any]) -> None:
+def _insist(group: Group, asked: str, options: Mapping[str, Any]) -> str:
+    """Return the name of an entry, which may be in a loose file; raises BadInput."""
+    name = registry.named(group, asked)
     insist_on_one(group, name)
     known = entries(group)
     if name not in known:
@@ -198,6 +198,7 @@ def _insist(group: Group, name: str, options: Mapping[str, Any]) -> None:
     for option in options:
         if option not in known[name].options:
             raise BadInput(f"option {option} is unknown to {name}: {near(option, known[name].options)}")
+    return name
 
 
 def _values(group: Group, options: Mapping[str, Any]) -> dict[str, Any]:

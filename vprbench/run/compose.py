@@ -37,6 +37,7 @@ def composed(options: Sequence[str], values: Mapping[str, Any] | None = None) ->
 
 def composed_in_python(options: Sequence[str], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what `composed` does in a program that may use Hydra itself; raises BadInput for all that does not fit."""
+    registry.register_search_path()
     kept, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
         return composed(options, values)

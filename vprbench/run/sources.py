@@ -38,7 +38,7 @@ def source_hash(kind: type) -> str:
     for name, file in used:
         if name == api.__name__:  # of which any name may be used
             files |= {home: path for home in COMPUTING if (path := _file(home)) is not None}
-        elif _counts(name, name) or name.partition(".")[0] != "vprbench":
+        elif _counts(name, name, file):
             files |= behind_file(name, file)
     return meaning(files.values(), texts.values())
 
