@@ -74,7 +74,7 @@ def dataset_of(
 
 def _traverses(references: Any) -> list[Any]:
     """Return each traverse of what may be one or a list of them."""
-    if isinstance(references, str | Path | np.ndarray) or not len(references):
+    if isinstance(references, str | Path) or not isinstance(references, Sequence) or not references:
         return [references]
     first = references[0]
     if isinstance(first, str | Path):

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 _SEVERAL = 1 << 16  # numbers of an array beyond which its hash stands for them
-_INSTALLED = tuple(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib"))
+_PYTHON = Path(sysconfig.get_path("stdlib")).resolve()
 
 
 class UntoldError(OSError):
@@ -82,7 +82,8 @@ def _is_installed(value: Any) -> bool:
 
 
 def _counts(module: str, file: str) -> bool:
-    installed = any(Path(file).resolve().is_relative_to(folder) for folder in _INSTALLED)
+    path = Path(file).resolve()
+    installed = path.is_relative_to(_PYTHON) or {"site-packages", "dist-packages"} & {*path.parts}
     return file.endswith(".py") and (not installed or module.partition(".")[0] == "vprbench")
 
 

@@ -59,7 +59,7 @@ _SETTINGS: dict[str, Any] = {
 }
 
 
-class _Shown(Figure):
+class NotebookFigure(Figure):
     """A figure that a notebook shows."""
 
     def _repr_png_(self) -> bytes:
@@ -135,7 +135,7 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
 def new(width_mm: float, height_mm: float, rows: int = 1, columns: int = 1) -> tuple[Figure, tuple[Axes, ...]]:
     """Return an empty figure and its axes, row by row; labels make room for themselves within the given size."""
     with matplotlib.style.context(_SETTINGS, after_reset=True):
-        figure = _Shown(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
+        figure = NotebookFigure(figsize=(width_mm / 25.4, height_mm / 25.4), layout="constrained")
         FigureCanvasAgg(figure)
         return figure, tuple(figure.subplots(rows, columns, squeeze=False).flat)
 

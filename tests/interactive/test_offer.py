@@ -1,0 +1,52 @@
+"""What `import vprbench` offers: functions that cost nothing until they are asked for, and rooms that are called."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+
+import pytest
+from checkout import ROOT
+
+import vprbench
+import vprbench.run.rates as by_its_name
+
+
+def test_importing_the_package_imports_nothing_else() -> None:
+    code = "import sys; before = {*sys.modules}; import vprbench; print(*({*sys.modules} - before))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert {name for name in done.stdout.split() if name.startswith("vprbench")} == {"vprbench"}
+    assert {name.partition(".")[0] for name in done.stdout.split()} <= {"vprbench"} | sys.stdlib_module_names
+
+
+def test_type_checkers_see_the_names_that_programs_find() -> None:
+    tree = ast.parse((ROOT / "vprbench/__init__.py").read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom) and node.module != "typing"]
+    assert sorted(alias.name for node in imports for alias in node.names) == sorted(vprbench.__all__)
+    for node in imports:
+        for alias in node.names:
+            found = getattr(vprbench, alias.name)
+            home = sys.modules.get(str(node.module))
+            assert inspect.ismodule(found) or found is getattr(home, alias.name)
+
+
+def test_a_room_that_has_the_name_of_a_function_is_both() -> None:
+    assert vprbench.run.rates is by_its_name
+    assert list(inspect.signature(vprbench.run).parameters) == ["method", "dataset", "options"]
+    assert "sad" in set(vprbench.methods()["name"])
+
+
+def test_an_unknown_name_raises_with_the_near_names() -> None:
+    with pytest.raises(AttributeError, match="compare"):
+        _ = vprbench.compre
+
+
+def test_registered_methods_and_datasets_are_tables() -> None:
+    methods, datasets = vprbench.methods().set_index("name"), vprbench.datasets().set_index("name")
+    assert methods.loc[["vprtempo", "netvlad", "sad"], "spiking"].tolist() == [True, False, False]
+    assert methods.loc[["vprtempo", "netvlad", "sad"], "needs_weights"].tolist() == [False, True, False]
+    assert datasets.loc["synthetic", "provider"] == "vprbench"
+    assert datasets["description"].str.len().min() > 0

@@ -1,0 +1,69 @@
+"""A result by its numbers, worked by hand: `little.a_run`, whose right places stand 1st, 1st, 3rd and 8th."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from little import a_run, unanswerable_run
+
+from vprbench.api import BadInput
+from vprbench.interactive.result import Result
+from vprbench.metrics.registry import METRICS
+
+NAMES = ("a.png", "b.png", "c.png", "d.png")
+
+
+@pytest.fixture
+def result() -> Result:
+    return Result(a_run(), None, NAMES)
+
+
+def test_recalls_rates_and_metrics(result: Result) -> None:
+    assert [result.recall(n) for n in (1, 3, 8)] == [0.5, 0.75, 1.0]
+    assert result.hz == pytest.approx(80)
+    assert list(result.metrics) == list(METRICS)
+    assert result.metrics["recall_at_5"] == 0.75
+    assert math.isnan(result.metrics["ap_c"])  # the run keeps two of ten places
+    nothing = Result(unanswerable_run(), None, NAMES)
+    assert math.isnan(nothing.recall(1))
+    assert nothing.interval() is None
+
+
+def test_more_confidence_is_a_wider_interval(result: Result) -> None:
+    usual, wider = result.interval(), result.interval(confidence=0.99)
+    assert usual is not None
+    assert wider is not None
+    assert wider.low < usual.low < 0.5 < usual.high < wider.high
+
+
+def test_a_difference_needs_the_same_queries(result: Result) -> None:
+    with pytest.raises(BadInput):
+        result.interval(Result(a_run(fingerprint="e" * 64), None, NAMES))
+    assert result.interval(result) is None  # four queries are too few
+
+
+def test_the_frame_has_a_row_a_query_and_failures_come_by_their_margin(result: Result) -> None:
+    run = a_run(scores=np.full((4, 10), 0.1, np.float32))
+    for query, (right, wrong) in enumerate([(0.9, 0.1), (0.8, 0.2), (0.5, 0.7), (0.2, 0.6)]):
+        run.scores[query, run.positives[query]] = right
+        run.scores[query, 9] = wrong
+    frame = Result(run, None, NAMES).to_frame()
+    assert frame["query"].tolist() == list(NAMES)
+    assert frame["best_place"].tolist() == [0, 1, 9, 7]
+    assert frame["right_places"].tolist() == [[0], [1, 5], [2], [3]]
+    assert frame["rank"].tolist() == [1, 1, 3, 8]
+    assert frame["hit"].tolist() == [1, 1, 0, 0]
+    np.testing.assert_allclose(frame["margin"][2:], [-0.2, -0.4], atol=1e-6)
+    assert Result(run, None, NAMES).failures().index.tolist() == [3, 2]
+
+
+def test_it_shows_itself_in_few_words_and_draws(result: Result) -> None:
+    assert len(repr(result)) < 100
+    assert "little window=5 on journey" in repr(result)
+    page = result._repr_html_()
+    assert page.count("<table") == page.count("</table>") == 2
+    assert "two carts" in page
+    assert result.plot_pr()._repr_png_()[:4] == b"\x89PNG"  # type: ignore[attr-defined]
+    assert len(result.plot_matrix().axes) == 3

@@ -1,0 +1,144 @@
+"""`vprbench.run`: names and objects run in this process, are found again, and what does not fit is an error."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from little import Lookup, Prototypes, journey
+
+import vprbench
+from vprbench.api import BadInput, Method, NotThere
+from vprbench.cli import main
+
+SMALL: dict[str, Any] = {"places": 12, "first_query_place": 0}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+class Plain(Method):
+    """No dataclass; keeps its argument under another name if asked to."""
+
+    def __init__(self, weight: float = 1.0, hidden: bool = False) -> None:
+        if hidden:
+            self.secret = weight
+        else:
+            self.weight = weight
+        self.hidden = hidden
+
+    def fit(self, references: Any, places: Any) -> Any:
+        self.n_places = int(places.max()) + 1
+        return self
+
+    def encode(self, images: Any) -> Any:
+        return np.stack([image.ravel() for image in images])
+
+    def match(self, codes: Any) -> Any:
+        return np.zeros((len(codes), self.n_places), np.float32)
+
+
+def test_a_named_run_is_the_one_that_the_command_line_stores(capsys: pytest.CaptureFixture[str]) -> None:
+    result = vprbench.run("sad", vprbench.dataset("synthetic", **SMALL), timing="none")
+    assert (result.from_store, result.folder is not None and result.folder.is_dir()) == (False, True)
+    options = [f"dataset.{name}={value}" for name, value in SMALL.items()]
+    assert main(["method=sad", *options, "timing=none", "output=json"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed["from_store"]
+    assert printed["recall_at_1"] == result.recall(1)
+
+
+def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments() -> None:
+    data, method = journey(6, 6), Prototypes(noise=0.0)
+    first, again = (vprbench.run(method, data, timing="none") for _ in range(2))
+    assert (first.recall(1), first.from_store, again.from_store) == (1.0, False, True)
+    assert method._means is None
+    assert first.run.method == "Prototypes"
+    assert first.run.config["changed"] == {"noise": 0.0}
+    assert not vprbench.run(Prototypes(noise=0.25), data, timing="none").from_store
+    assert vprbench.run(Prototypes(0.0), data, timing="none").from_store
+
+
+def test_seed_and_device_are_those_of_the_object_unless_asked_for() -> None:
+    data = journey(4, 4)
+    seeds = [
+        vprbench.run(Prototypes(seed=5), data, timing="none", **more).run.config["seed"] for more in ({}, {"seed": 2})
+    ]
+    assert seeds == [5, 2]
+    assert vprbench.run(Prototypes, data, timing="none", seed=3).run.config["method"]["seed"] == 3
+
+
+def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(caplog: pytest.LogCaptureFixture) -> None:
+    data = journey(4, 4)
+    stored = vprbench.run(Plain(weight=2.0), data, timing="none")
+    assert stored.run.config["method"]["weight"] == 2.0
+    with caplog.at_level(logging.WARNING):
+        hidden = vprbench.run(Plain(weight=2.0, hidden=True), data, timing="none")
+    assert hidden.folder is None
+    assert any("weight" in record.getMessage() for record in caplog.records)
+    assert hidden.recall(1) == stored.recall(1) == 0.25
+
+
+def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path: Path) -> None:
+    asked: list[list[int]] = []
+    method = Lookup(np.eye(4, dtype=np.float32), asked)
+    for _ in range(2):
+        result = vprbench.run(method, journey(4, 4), timing="none", results=None)
+        assert (result.folder, result.from_store) == (None, False)
+    assert len(asked) >= 2
+    assert list(tmp_path.iterdir()) == []
+    assert result.run.scores is not None
+    assert result.run.scores.shape == (4, 4)
+
+
+def test_results_is_a_row_for_each_stored_run() -> None:
+    data = journey(6, 6)
+    assert vprbench.results("there").empty
+    for noise in (0.0, 0.25):
+        vprbench.run(Prototypes(noise), data, timing="none", results="there", seed=1)
+    table = vprbench.results("there").sort_values("arguments")
+    assert table[["method", "dataset", "seed"]].drop_duplicates().to_numpy().tolist() == [["Prototypes", "journey", 1]]
+    assert table["arguments"].tolist() == ["noise=0.0", "noise=0.25"]
+    assert table["recall_at_1"].iloc[0] == 1.0
+    assert table["hz"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("method", "dataset", "options", "error", "named"),
+    [
+        ("sadd", "synthetic", {}, BadInput, "sad"),
+        ("sad", "synthetik", {}, BadInput, "synthetic"),
+        (3, "synthetic", {}, BadInput, "int"),
+        ("sad", 3, {}, BadInput, "int"),
+        ("sad", "synthetic", {"sed": 1}, BadInput, "seed"),
+        ("sad", "synthetic", {"seed": -1}, BadInput, "seed"),
+        ("sad", "synthetic", {"timing": "quik"}, BadInput, "quik"),
+        ("sad", "synthetic", {"timing": {"minimum_second": 1}}, BadInput, "minimum_second"),
+        ("sad", "folders", {}, NotThere, "references"),
+        (Prototypes(), "synthetic", {"device": "gpu"}, BadInput, "gpu"),
+    ],
+)
+def test_what_does_not_fit_is_an_error_that_names_it(
+    method: Any, dataset: Any, options: Any, error: type[Exception], named: str
+) -> None:
+    with pytest.raises(error, match=named):
+        vprbench.run(method, dataset, **options)
+
+
+def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say() -> None:
+    with pytest.raises(BadInput, match="patch"):
+        vprbench.method("sad", patsh=3)
+    with pytest.raises(BadInput, match=r"dataset\.places"):
+        vprbench.dataset("synthetic", places="ten").build()
+    assert repr(vprbench.dataset("synthetic", **SMALL)) == "dataset('synthetic', places=12, first_query_place=0)"
+    data = vprbench.dataset("synthetic", references=("spring",), name="it's [a, b]=\\c", **SMALL)
+    with pytest.raises(BadInput, match="name"):
+        data.build()
+    assert vprbench.dataset("synthetic", references=("spring",), **SMALL).build().n_places == 12
+    assert vprbench.method("vprtempo", max_module=np.int64(50)).build(seed=4).max_module == 50  # type: ignore[attr-defined]
