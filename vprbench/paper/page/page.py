@@ -24,6 +24,7 @@ from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
 
+TITLE = "Visual place recognition, measured"
 MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger
 
 _FOLDER = Path(__file__).parent
@@ -62,7 +63,7 @@ def page(
     table_html: str,
     pictures: Sequence[Picture],
     sections: Sequence[Section],
-    title: str = "Visual place recognition, measured",
+    title: str = TITLE,
     made_from: str = "",
     measured: Sequence[tuple[str, Series]] = (),
     absent: Sequence[str] = (),
