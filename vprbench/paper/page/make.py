@@ -11,6 +11,7 @@ from vprbench.paper.selection import accuracy_series, series, title
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
+from vprbench.progress import progress_shown
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 
@@ -26,7 +27,8 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     found = gather(asked, options, compose)
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), asked, absent.append)
-    pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
+    with progress_shown("report"):
+        pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
     rows = found.chosen.rows
     groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
@@ -38,7 +40,10 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     runs = [run for _, one in measured for run in one.runs]
     newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
     made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
-    text = page(formats.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent)
+    with progress_shown("report"):
+        text = page(
+            formats.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent
+        )
     folder = Path(asked.results).expanduser()
     Store(folder).prepare()
     default = asked.name is None and not asked.columns
