@@ -48,16 +48,28 @@
   const EDGE = 8; // pixels to the border of the window
   const note = document.getElementById("footnote");
 
-  function tell(link) {
-    note.textContent = document.getElementById(link.hash.slice(1)).textContent;
-    note.showPopover();
-    const mark = link.getBoundingClientRect();
+  let told = null; // the link whose footnote is shown
+
+  function place() {
+    if (!told) return;
+    const mark = told.getBoundingClientRect();
     const below = mark.bottom + note.offsetHeight + EDGE < innerHeight;
     note.style.left = `${Math.max(EDGE, Math.min(mark.left, innerWidth - note.offsetWidth - EDGE))}px`;
     note.style.top = `${below ? mark.bottom : mark.top - note.offsetHeight}px`;
   }
 
-  const hide = () => note.hidePopover();
+  function tell(link) {
+    told = link;
+    note.textContent = document.getElementById(link.hash.slice(1)).textContent;
+    note.showPopover();
+    place();
+  }
+
+  function hide() {
+    told = null;
+    note.hidePopover();
+  }
+
   for (const link of table.querySelectorAll("sup a")) {
     link.setAttribute("aria-describedby", link.hash.slice(1));
     link.addEventListener("mouseenter", () => tell(link));
@@ -72,5 +84,5 @@
   }
   note.addEventListener("mouseleave", hide);
   document.addEventListener("keydown", (event) => event.key === "Escape" && hide());
-  document.addEventListener("scroll", hide, { capture: true, passive: true });
+  document.addEventListener("scroll", place, { capture: true, passive: true });
 })();
