@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from vprbench.paper.missing_runs import fill, results_folder
 from vprbench.paper.plan import Quantity, Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
 from vprbench.paper.shelf import Compose
+from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
 from vprbench.run.record import Run
@@ -70,8 +72,12 @@ def draw_all(
     asked: TableRequest,
     report: Callable[[str], None] = logger.info,
 ) -> Iterator[tuple[str, Drawn]]:
-    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why."""
-    for name, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
+    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why.
+
+    Without `growth` none is drawn. Names hold the paper's numbers of figures if the table is Table II.
+    """
+    for numbered, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
+        name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
         try:
             yield name, draw()
         except BadInput as error:
@@ -112,7 +118,8 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn
         parts = series(group, rows), series(group, rows, "cuda"), rows, group.asked.planned, _marks(found, group)
         yield "fig2a-training-time", partial(speed.training_time, *parts)
         yield "fig2b-query-rate", partial(speed.query_rate, *parts)
-    yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
+    if growth:
+        yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
@@ -157,8 +164,9 @@ def _of_columns(found: Material, asked: TableRequest) -> Iterator[tuple[str, Dra
         thumbnails = thumbnails_of(group, asked)
         if thumbnails is not None:
             yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
-        papers = [one for one in shown if one.name in found.chosen.plan.rows] or shown
-        one = papers[-1]  # VPRTempo, as in the paper, where it has runs
+        papers = [one for one in shown if one.name in found.chosen.plan.rows]
+        best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
+        one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
         yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
         yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
