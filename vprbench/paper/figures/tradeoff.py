@@ -39,7 +39,7 @@ def against_rate(series: Sequence[Series]) -> Drawn:
 
     Raises BadInput for no rows, for rows on different data and if no query has a right place.
     """
-    points = _points(series, "accuracy against query rate", lambda run: contests.rate(run, None))
+    points = _points(series, "accuracy against query rate", contests.rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     return Drawn(figure, caption("against_rate", series, best=best))

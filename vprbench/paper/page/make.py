@@ -12,6 +12,7 @@ from vprbench.paper.selection import accuracy_series, series, title
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
+from vprbench.progress import progress_shown
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 
@@ -42,7 +43,8 @@ def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Pat
     from vprbench.paper.figures.style import png
     from vprbench.paper.page.page import TITLE, Picture, Section, page
 
-    pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
+    with progress_shown("report"):
+        pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
     rows = found.chosen.rows
     groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
@@ -56,7 +58,8 @@ def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Pat
     newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
     made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
     heading = found.table.title or TITLE
-    text = page(formats.html(found.table), pictures, sections, heading, made_from, measured, absent)
+    with progress_shown("report"):
+        text = page(formats.html(found.table), pictures, sections, heading, made_from, measured, absent)
     Store(path.parent).prepare()
     replace_text(path, text)
     return path
