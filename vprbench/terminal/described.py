@@ -1,0 +1,156 @@
+"""Options with type, default and meaning, read from where they are declared: a dataclass's fields or a yaml's keys.
+
+Nothing is imported for it: a trailing comment is the meaning of what stands before it.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+_NO_OPTIONS = ("_target_", "defaults", "hydra", "tuned_on", "tags")
+_LINE = re.compile(r"( *)(\w+):(?: +(.*?))?(?: +# (.*))?")
+_WORDS = {"None": "null", "True": "true", "False": "false"}  # of Python, as the command line has them
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of the command line, in words."""
+
+    name: str
+    kind: str = ""  # its type
+    default: str = ""
+    meaning: str = ""
+
+    def values(self) -> list[str]:
+        """Return all values that it may have, if they are few words."""
+        return {"bool": ["true", "false"]}.get(self.kind, self.kind.split(" or ") if " or " in self.kind else [])
+
+    def is_list(self) -> bool:
+        """Tell whether it takes several values."""
+        return self.kind.startswith("list")
+
+
+def of_yaml(path: Path) -> list[Option]:
+    """Return the options that a yaml holds, those of a mapping as `mapping.option`."""
+    found: list[Option] = []
+    above: list[str] = []
+    for parts in filter(None, map(_LINE.fullmatch, path.read_text(encoding="utf-8").splitlines())):
+        indent, name, default, meaning = (part or "" for part in parts.groups())
+        above = [*above[: len(indent) // 2], name]
+        if default and above[0] not in _NO_OPTIONS and not default.startswith("${"):
+            found.append(Option(".".join(above), _kind_of(default), default, meaning))
+    return found
+
+
+def of_class(named: str) -> list[Option]:
+    """Return the fields of a dataclass or the parameters of a function, `package.module:Name`, with its bases' first.
+
+    Empty if its source is not there.
+    """
+    module, _, name = named.partition(":")
+    path = source_of(module)
+    if path is None:
+        return []
+    text = path.read_text(encoding="utf-8")
+    lines, tree = text.splitlines(), ast.parse(text)
+    found: dict[str, Option] = {}
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef) and node.name == name:
+            for base in node.bases:
+                found |= {option.name: option for option in of_class(_home(ast.unparse(base), module, tree))}
+            fields = [
+                each for each in node.body if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
+            ]
+            for each in fields:
+                meaning = re.search(r"  # (.*)$", lines[(each.end_lineno or 1) - 1])
+                name_of, kind = ast.unparse(each.target), _typed(each.annotation, module, tree)
+                found[name_of] = Option(name_of, kind, _default(each.value), _words(meaning[1]) if meaning else "")
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            given = [*node.args.args, *node.args.kwonlyargs]
+            found |= {each.arg: Option(each.arg, _typed(each.annotation, module, tree)) for each in given}
+    return [option for option in found.values() if not option.name.startswith("_")]
+
+
+def together(declared: Iterable[Option], others: Iterable[Option]) -> list[Option]:
+    """Return the declared options, with the types of `others`, and with their defaults and meanings where none is declared."""
+    known = {option.name: option for option in others}
+    found = []
+    for option in declared:
+        other = known.get(option.name, option)
+        meaning, default = option.meaning or other.meaning, option.default or other.default
+        found.append(Option(option.name, other.kind or option.kind, default, meaning))
+    return found
+
+
+def source_of(module: str) -> Path | None:
+    """Return the file of a module, without importing it or the packages that it is in; None if it is not found."""
+    top, *rest = module.split(".")
+    if top == "vprbench":
+        import vprbench
+
+        places = list(vprbench.__path__)
+    else:
+        spec = PathFinder.find_spec(top)
+        places = list(spec.submodule_search_locations or ()) if spec else []
+    files = [Path(place).joinpath(*rest) for place in places]
+    found = [path for file in files for path in (file.with_suffix(".py"), file / "__init__.py") if path.is_file()]
+    return found[0] if found else None
+
+
+def _home(name: str, module: str, tree: ast.Module) -> str:
+    """Return where a base of a class is defined, as `package.module:Name`."""
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and name in [alias.asname or alias.name for alias in node.names]:
+            return f"{node.module}:{name}"
+    return f"{module}:{name}"
+
+
+def _typed(annotation: ast.expr | None, module: str, tree: ast.Module) -> str:
+    """Return a type hint in words; a name that stands for a Literal is looked up."""
+    text = "" if annotation is None else ast.unparse(annotation).removesuffix(" | None")
+    if text.isidentifier() and text[0].isupper():
+        home, _, name = _home(text, module, tree).partition(":")
+        path = source_of(home)
+        for node in ast.parse(path.read_text(encoding="utf-8")).body if path else ():
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+                text = ast.unparse(node.value)
+    if choice := re.search(r"Literal\[(.*?)\]", text):
+        return " or ".join(word.strip().strip("'") for word in choice[1].split(","))
+    return _words(text)
+
+
+def _default(value: ast.expr | None) -> str:
+    """Return the default of a field as the command line would be given it; nothing for what is known at run time."""
+    if isinstance(value, ast.Call):
+        factory = [keyword.value for keyword in value.keywords if keyword.arg in ("default", "default_factory")]
+        value = (factory or value.args or [None])[0]
+        if isinstance(value, ast.Name) and value.id in ("list", "dict"):
+            return "[]" if value.id == "list" else "{}"
+    try:
+        plain = ast.literal_eval(value) if value is not None else ""
+    except ValueError:
+        return ""
+    return _words(str(plain)).replace("'", "").replace(", ", ",")
+
+
+def _kind_of(default: str) -> str:
+    """Return the type of what a yaml holds."""
+    for kind, pattern in {
+        "": r"|null",
+        "bool": r"true|false",
+        "int": r"-?\d+",
+        "float": r"-?\d[\d.]*(e-?\d+)?",
+        "list": r"\[.*\]",
+    }.items():
+        if re.fullmatch(pattern, default):
+            return kind
+    return "str"
+
+
+def _words(text: str) -> str:
+    return re.sub(r"\b(None|True|False)\b", lambda found: _WORDS[found[0]], text)
