@@ -48,36 +48,38 @@ def of_yaml(path: Path) -> list[Option]:
 
 
 def of_class(named: str) -> list[Option]:
-    """Return the fields of a dataclass or the parameters of a function, `package.module:Name`, with its bases' first.
+    """Return the fields of a dataclass, `package.module:Name`, its bases' first, or the parameters of a function.
 
-    Empty if its source is not there.
+    Empty if its source is not found.
     """
-    module, _, name = named.partition(":")
-    path = source_of(module)
-    if path is None:
+    defined = _defined(*named.split(":"))
+    if defined is None:
         return []
-    text = path.read_text(encoding="utf-8")
-    lines, tree = text.splitlines(), ast.parse(text)
+    module, text, node = defined
     found: dict[str, Option] = {}
-    for node in tree.body:
-        if isinstance(node, ast.ClassDef) and node.name == name:
-            for base in node.bases:
-                found |= {option.name: option for option in of_class(_home(ast.unparse(base), module, tree))}
-            fields = [
-                each for each in node.body if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
-            ]
-            for each in fields:
-                meaning = re.search(r"  # (.*)$", lines[(each.end_lineno or 1) - 1])
-                name_of, kind = ast.unparse(each.target), _typed(each.annotation, module, tree)
-                found[name_of] = Option(name_of, kind, _default(each.value), _words(meaning[1]) if meaning else "")
-        if isinstance(node, ast.FunctionDef) and node.name == name:
-            given = [*node.args.args, *node.args.kwonlyargs]
-            found |= {each.arg: Option(each.arg, _typed(each.annotation, module, tree)) for each in given}
+    if isinstance(node, ast.FunctionDef):
+        for each in (*node.args.args, *node.args.kwonlyargs):
+            found[each.arg] = Option(each.arg, _typed(each.annotation, module))
+    elif isinstance(node, ast.ClassDef):
+        for base in node.bases:
+            found |= {option.name: option for option in of_class(f"{module}:{ast.unparse(base)}")}
+        lines = text.splitlines()
+        for field in (each for each in node.body if isinstance(each, ast.AnnAssign)):
+            name, said = ast.unparse(field.target), re.search("  # (.*)$", lines[(field.end_lineno or 1) - 1])
+            meaning = _words(said[1]) if said else ""
+            found[name] = Option(name, _typed(field.annotation, module), _default(field.value), meaning)
     return [option for option in found.values() if not option.name.startswith("_")]
 
 
+def sentence_of(named: str) -> str:
+    """Return the first line of the docstring of a function or class, `package.module:name`, without its full stop."""
+    defined = _defined(*named.split(":"))
+    said = ast.get_docstring(defined[2]) if defined and isinstance(defined[2], ast.FunctionDef | ast.ClassDef) else None
+    return (said or "").split("\n")[0].removesuffix(".")
+
+
 def together(declared: Iterable[Option], others: Iterable[Option]) -> list[Option]:
-    """Return the declared options, with the types of `others`, and with their defaults and meanings where none is declared."""
+    """Return the declared options with the types of `others`, and where one has no default or meaning with theirs."""
     known = {option.name: option for option in others}
     found = []
     for option in declared:
@@ -87,7 +89,22 @@ def together(declared: Iterable[Option], others: Iterable[Option]) -> list[Optio
     return found
 
 
-def source_of(module: str) -> Path | None:
+def _defined(module: str, name: str) -> tuple[str, str, ast.stmt] | None:
+    """Return the module, its text and the statement that define a name, followed through imports; None if not found."""
+    path = _source_of(module)
+    text = path.read_text(encoding="utf-8") if path else ""
+    tree = ast.parse(text)
+    for node in tree.body:
+        if getattr(node, "name", None) == name or (isinstance(node, ast.Assign) and _first(node) == name):
+            return module, text, node
+    for found in ast.walk(tree):
+        if isinstance(found, ast.ImportFrom) and any(name == (each.asname or each.name) for each in found.names):
+            above = module.split(".")[: -found.level] if found.level else []
+            return _defined(".".join([*above, *filter(None, [found.module])]), name)
+    return None
+
+
+def _source_of(module: str) -> Path | None:
     """Return the file of a module, without importing it or the packages that it is in; None if it is not found."""
     top, *rest = module.split(".")
     if top == "vprbench":
@@ -102,33 +119,25 @@ def source_of(module: str) -> Path | None:
     return found[0] if found else None
 
 
-def _home(name: str, module: str, tree: ast.Module) -> str:
-    """Return where a base of a class is defined, as `package.module:Name`."""
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and name in [alias.asname or alias.name for alias in node.names]:
-            return f"{node.module}:{name}"
-    return f"{module}:{name}"
+def _first(node: ast.Assign) -> str:
+    return ast.unparse(node.targets[0])
 
 
-def _typed(annotation: ast.expr | None, module: str, tree: ast.Module) -> str:
+def _typed(annotation: ast.expr | None, module: str) -> str:
     """Return a type hint in words; a name that stands for a Literal is looked up."""
     text = "" if annotation is None else ast.unparse(annotation).removesuffix(" | None")
-    if text.isidentifier() and text[0].isupper():
-        home, _, name = _home(text, module, tree).partition(":")
-        path = source_of(home)
-        for node in ast.parse(path.read_text(encoding="utf-8")).body if path else ():
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
-                text = ast.unparse(node.value)
+    if text.isidentifier() and text[0].isupper() and (defined := _defined(module, text)):
+        text = ast.unparse(defined[2])
     if choice := re.search(r"Literal\[(.*?)\]", text):
         return " or ".join(word.strip().strip("'") for word in choice[1].split(","))
-    return _words(text)
+    return _words(text) if "\n" not in text else "mapping"
 
 
 def _default(value: ast.expr | None) -> str:
     """Return the default of a field as the command line would be given it; nothing for what is known at run time."""
     if isinstance(value, ast.Call):
         factory = [keyword.value for keyword in value.keywords if keyword.arg in ("default", "default_factory")]
-        value = (factory or value.args or [None])[0]
+        value = next(iter([*factory, *value.args]), None)
         if isinstance(value, ast.Name) and value.id in ("list", "dict"):
             return "[]" if value.id == "list" else "{}"
     try:
