@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Mapping
-from contextlib import chdir
+from contextlib import chdir, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,8 @@ from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
@@ -75,9 +77,18 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))
-    found = None if settings.force else _usable(store.find(dataset.name, request.name, key), settings, request.files)
+    stored = store.find(dataset.name, request.name, key)
+    found = None if settings.force else _usable(stored, settings, request.files)
     if found is None and refused is not None:
         raise refused
+
+    def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
+        ending.leave_if_forked(process)
+        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
+        if stored is None:
+            with suppress(BadInput):  # which is raised when it is stored with its times
+                store.save(replace(scored, tuned_on=tuned_on))
+
     with ledger():  # what was trained is kept until the run is stored
         if found is not None:  # whoever stored it may have asked in other words
             run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
@@ -85,7 +96,7 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
             for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
                 insist_on_writing(place)
             with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
-                run = runner.run(request, key)
+                run = runner.run(request, key, keep)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = replace(run, tuned_on=tuned_on)
@@ -135,16 +146,25 @@ def _refused(store: Store) -> BadInput | None:
 
 
 def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
-    """Return a stored run; None if it lacks a network that is to be saved, or what was asked for without a cache."""
+    """Return a stored run; None if it lacks a network to save, times, or what was asked for without a cache."""
     if run is None:
         return None
     if files.save is not None and not files.replace:
         logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
         return None
+    if less := run.timed_by.shortfalls(settings.timing):
+        timed = f"timed by less than asked for ({', '.join(less)})" if run.timed_by.rates else "not timed"
+        logging.info("%s on %s is stored, %s: running again", run.method, run.dataset, timed)
+        return None
     if not settings.cache and run.fit_seconds is None and run.network is None:
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
     return run
+
+
+def _recall(run: Run) -> str:
+    first = recall_at(run.outcome, 1)
+    return "R@1 is undefined" if first is None else f"R@1 {METRICS['recall_at_1'].text(first.expected)} %"
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:

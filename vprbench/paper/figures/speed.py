@@ -100,6 +100,7 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 
 
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
+    runs = [run for run in runs if run.timing is not None]
     if not runs:
         return _Bar(word=word)
     rates = list(map(best.rate, runs))

@@ -143,8 +143,11 @@ def _timed_by(run: Run) -> tuple[object, ...]:
 
 
 def laps(run: Run, boundary: Boundary | None = None) -> Seconds:
-    """Return the seconds of the streaming laps: of encode and match together, or of one of them alone."""
-    encode, match, both = run.timing.streaming.by_stage
+    """Return the seconds of the streaming laps: of encode and match together, or of one of them alone.
+
+    Raises ValueError for a run that was not timed.
+    """
+    encode, match, both = run.insist_on_timing().streaming.by_stage
     return both if boundary is None else encode if boundary == "encode" else match
 
 

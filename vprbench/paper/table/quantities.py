@@ -208,6 +208,10 @@ class Rate(Quantity):
     device: Device = "cpu"
     audited: ClassVar[bool] = True
 
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs that were timed."""
+        return tuple(run for run in runs if run.timing is not None)
+
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
         """Return the rates, and that of the step that the paper timed of the row."""
         values = list(map(rate, runs))
