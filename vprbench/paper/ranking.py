@@ -56,12 +56,12 @@ def _row(series: Series) -> Ranked:
     low, high = (None, None) if interval is None else (interval.low, interval.high)
     timed = all(run.timing is not None for run in runs)
     fits = [run.training_seconds for run in runs if run.training_seconds is not None]
-    hz = mean(rate(run, None) for run in runs) if timed else None
+    hz = mean(rate(run) for run in runs) if timed else None
     return Ranked(series.name, runs, mean_recall(runs), low, high, hz, median(fits) if fits else None)
 
 
 def _told(rows: Sequence[Ranked], tuned: Sequence[str]) -> list[str]:
-    contest = [Contestant(row.name, row.runs, None, True) for row in rows]
+    contest = [Contestant(row.name, row.runs, True) for row in rows]
     timed = [one for one, row in zip(contest, rows, strict=True) if row.hz is not None]
     of_first = best_rate(timed[:2]) if timed[:2] == contest[:2] else None
     found = best_recall(contest), _difference(rows), of_first, best_rate(timed)

@@ -65,21 +65,21 @@ def table_text(
         table.add_column(Text(cells[0][at]), width=widths[at], no_wrap=True, overflow="ellipsis")
     for row in cells[1:]:
         table.add_row(*(Text(row[at]) for at in kept))
-    lines = _drawn(table, room, width())
+    lines = drawn(table, room, width() + _GAP)
     if len(kept) < len(columns):
         lines += f"\nleft out: {', '.join(name for at, name in enumerate(columns) if at not in kept)} (wide=true)"
     return lines
 
 
-def _drawn(table: Table, room: Console, width: int) -> str:
-    """Return a table drawn so wide, with colours if `room` has them, without blanks at the ends of lines."""
+def drawn(table: Table, room: Console, width: int | None = None) -> str:
+    """Return a table as lines, so wide or as `room` is, in its colours and without blanks at their ends."""
     page = Console(
         file=StringIO(),
-        width=width + _GAP,
+        width=width or room.width,
         force_terminal=room.is_terminal,
         no_color=room.no_color,
         force_jupyter=False,
     )
-    with page.capture() as drawn:
+    with page.capture() as lines:
         page.print(table)
-    return "\n".join(line.rstrip() for line in drawn.get().splitlines())
+    return "\n".join(line.rstrip() for line in lines.get().splitlines())

@@ -41,7 +41,7 @@ def against_rate(series: Sequence[Series]) -> Drawn:
     query has a right place.
     """
     series = [one for one in series if all(run.timing is not None for run in one.runs)]
-    points = _points(series, "accuracy against query rate", lambda run: contests.rate(run, None))
+    points = _points(series, "accuracy against query rate", contests.rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     return Drawn(figure, caption("against_rate", series, best=best))

@@ -54,7 +54,7 @@ def assemble(
         for row in ordered
     )
     machines = tuple(f"{machine}, {day}" for machine, day in sheet.machines.items())
-    sentences = tuple(caption(groups, columns, entries, made))
+    sentences = tuple(caption(groups, columns, entries, made, quantities))
     return Table(columns, made, sentences, tuple(sheet.notes.values()), machines, quantities, title)
 
 
@@ -90,7 +90,7 @@ class _Sheet:
         """
         there = {entry.row.name: (entry, runs) for entry in entries if (runs := entry.runs(quantity))}
         contest = [
-            Contestant(name, runs, entry.row.boundary, not entry.found[entry.device(quantity)].missing_seeds)
+            Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
             for name, (entry, runs) in there.items()
             if quantity.contends(entry.row) and not any(map(tuned_here, runs))
         ]
@@ -137,7 +137,7 @@ class _Sheet:
             empty,
             mark="unfinished" if found.missing_seeds else "measured",
             measured=self._measured(entry, quantity, runs, numbers),
-            difference=None if value is None or column.stand_in_for else numbers.value - value,
+            difference=None if value is None or column.stand_in_for else numbers.compared - value,
             notes=self._numbers(told),
         )
 
@@ -177,6 +177,7 @@ class _Sheet:
             spread=stdev(numbers.values) if len(numbers.values) > 1 else None,
             seeds=tuple(run.config["seed"] for run in runs),
             total=numbers.total,
+            at_boundary=numbers.at_boundary,
             best=self.best[entry.column.name, quantity.name] == entry.row.name,
             disturbed=quantity.disturbed(runs),
             machine=self._machine(runs),

@@ -42,7 +42,13 @@ class Numbers:
     values: Sequence[float]  # one a seed
     value: float  # of all seeds
     total: float | None = None  # with the steps that `value` leaves out
+    at_boundary: float | None = None  # of the step alone that the paper timed
     interval: WiderInterval | None = None  # 95 %, 0 to 1
+
+    @property
+    def compared(self) -> float:
+        """Return what stands beside a published number."""
+        return self.value if self.at_boundary is None else self.at_boundary
 
 
 @dataclass(frozen=True)
@@ -197,7 +203,7 @@ class Training(Quantity):
 
 @dataclass(frozen=True)
 class Rate(Quantity):
-    """Queries per second at the row's boundary, 1 / median of the streaming laps: the mean over the seeds."""
+    """Queries per second, encode and match together, 1 / median of the streaming laps: the mean over the seeds."""
 
     device: Device = "cpu"
     audited: ClassVar[bool] = True
@@ -207,10 +213,10 @@ class Rate(Quantity):
         return tuple(run for run in runs if run.timing is not None)
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
-        """Return the rates at the row's boundary; the total is that of both steps."""
-        values = [rate(run, row.boundary) for run in runs]
-        total = None if row.boundary is None else mean(rate(run, None) for run in runs)
-        return Numbers(values, mean(values), total)
+        """Return the rates, and that of the step that the paper timed of the row."""
+        values = list(map(rate, runs))
+        alone = None if row.boundary is None else mean(rate(run, row.boundary) for run in runs)
+        return Numbers(values, mean(values), at_boundary=alone)
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
         """Compare the laps of all pairs of seeds."""
@@ -221,15 +227,9 @@ class Rate(Quantity):
         return other_timing(runs)
 
     def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
-        """Yield why the times cannot be compared, and which step the rate covers."""
+        """Yield why the times cannot be compared, and what is known of how the paper timed the row."""
         yield from of_times(planned, real, run, self.device)
         yield from of_rates(row, planned)
-
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
-        """Yield that it covers both steps if the paper has no such row, and the notes."""
-        if row.boundary is None:
-            yield reason("both steps")
-        yield from super().remarks(row, runs)
 
 
 RECALL = Recall("recall_at_1", "R@1", "%")

@@ -131,9 +131,7 @@ def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: D
 
 
 def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
-    """Yield which step a rate covers, and what is known of how the paper timed the row."""
-    if planned.published in _PAPER and row.boundary is not None:
-        yield reason("boundary", row.boundary)
+    """Yield what is known of how the paper timed the row."""
     if planned.published in _PAPER and row.rate_remark is not None:
         yield short("paper's way", row.rate_remark)
 
