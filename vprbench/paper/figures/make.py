@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vprbench import progress
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather, made, stored, wanted
@@ -75,7 +76,9 @@ def draw_all(
 
     Without `growth` none is drawn. Names hold the paper's numbers of figures if the table is Table II.
     """
-    for numbered, draw in [*_speed(found, runs, growth), *_of_columns(found)]:
+    every = [*_speed(found, runs, growth), *_of_columns(found)]
+    for number, (numbered, draw) in enumerate(every):
+        progress.report("drawing figures", number / len(every))
         name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
         try:
             yield name, draw()

@@ -3,6 +3,7 @@
   const PAGE = 10;
   const PAUSE = 250; // milliseconds after a choice before the address tells it: browsers refuse many changes at once
   const { KINDS, VERDICTS, counted, make, row, unfold } = Queries;
+  const { bars, lane } = Strip;
   const HEIGHTS = { r: 45, w: 100, t: 75, u: 15 }; // of the bars, so that they differ in grey too
   const FILTERS = [
     { id: "all", name: "all queries", keeps: () => true },
@@ -23,7 +24,12 @@
   const choices = Object.fromEntries(
     ["method-a", "method-b", "kind", "order"].map((id) => [id, element(id)]),
   );
-  const tabs = [...document.querySelectorAll("#datasets [role=tab]")];
+  const tabs = Tabs(element("datasets"), element("dataset"), (number) => {
+    const wanted = told();
+    wanted.set("dataset", sections[number].title);
+    wanted.delete("query");
+    show(wanted);
+  });
   const list = element("queries");
   const along = element("along");
   const frames = sections.map(() => null); // parsed when a dataset is first looked at
@@ -110,12 +116,8 @@
   function show(wanted) {
     const number = Math.max(0, sections.findIndex(({ title }) => title === wanted.get("dataset")));
     section = sections[number];
-    tabs.forEach((tab, i) => {
-      tab.setAttribute("aria-selected", String(i === number));
-      tab.tabIndex = i === number ? 0 : -1;
-    });
+    tabs.mark(number);
     document.querySelectorAll("#findings .found").forEach((found, i) => (found.hidden = i !== number));
-    if (tabs.length) element("dataset").setAttribute("aria-labelledby", tabs[number].id);
     const remarks = { "frames-missing": section.framesMissing, "first-references": section.firstReferences };
     for (const [id, text] of Object.entries(remarks)) {
       element(id).hidden = !text;
@@ -208,49 +210,19 @@
 
   // The strip
 
-  function drawn(tag, attributes) {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    return made;
-  }
-
-  function bars(className, wanted, height) {
-    let path = "";
-    for (let query = 0; query < section.nQueries; query += 1) {
-      if (!wanted(query)) continue;
-      const first = query;
-      while (query + 1 < section.nQueries && wanted(query + 1)) query += 1;
-      path += `M${first} 100h${query - first + 1}v-${height}H${first}z`;
-    }
-    return drawn("path", { class: `bars ${className}`, d: path });
-  }
-
-  function lane(className, name, paths) {
-    const svg = drawn("svg", {
-      viewBox: `0 0 ${section.nQueries} 100`,
-      preserveAspectRatio: "none",
-      "aria-hidden": "true",
-    });
-    svg.append(...paths, drawn("path", { class: "here", d: "" }));
-    svg.addEventListener("click", (event) => {
-      const box = svg.getBoundingClientRect();
-      const wanted = Math.floor(((event.clientX - box.left) / box.width) * section.nQueries);
-      go(nearest(wanted));
-    });
-    return make("div", `lane ${className}`, make("div", "lane-name", name), svg);
-  }
+  const drawnLane = (...told) => lane(section.nQueries, ...told, (query) => go(nearest(query)));
 
   function drawLanes() {
     const lanes = [["A", a], ...(b ? [["B", b]] : [])].map(([letter, run]) => {
       const counts = Object.keys(KINDS).map((kind) => [run.verdicts.split(kind).length - 1, VERDICTS[kind]]);
       const told = counts.filter(([count]) => count).map(([count, verdict]) => `${counted(count)} ${verdict}`);
       const paths = Object.keys(KINDS).map((kind) =>
-        bars(KINDS[kind], (query) => run.verdicts[query] === kind, HEIGHTS[kind]),
+        bars(section.nQueries, KINDS[kind], (query) => run.verdicts[query] === kind, HEIGHTS[kind]),
       );
-      return lane("", `${letter}, ${run.name}: ${told.join(", ")}`, paths);
+      return drawnLane("", `${letter}, ${run.name}: ${told.join(", ")}`, paths);
     });
     const kept = new Set(shown);
-    lanes.push(lane("shown", "Shown below", [bars("shown", (query) => kept.has(query), 100)]));
+    lanes.push(drawnLane("shown", "Shown below", [bars(section.nQueries, "shown", (query) => kept.has(query), 100)]));
     element("lanes").replaceChildren(...lanes);
     along.max = section.nQueries - 1;
   }
@@ -302,33 +274,6 @@
   choices.order.addEventListener("change", () => refresh());
   window.addEventListener("hashchange", follow);
 
-  function turnTo(number) {
-    const wanted = told();
-    wanted.set("dataset", sections[number].title);
-    wanted.delete("query");
-    show(wanted);
-    tabs[number].focus();
-  }
-
-  const tabSteps = {
-    ArrowRight: (i) => (i + 1) % tabs.length,
-    ArrowLeft: (i) => (i + tabs.length - 1) % tabs.length,
-    Home: () => 0,
-    End: () => tabs.length - 1,
-  };
-  tabs.forEach((tab, i) => {
-    tab.addEventListener("click", () => turnTo(i));
-    tab.addEventListener("keydown", (event) => {
-      if (event.altKey || event.ctrlKey || event.metaKey || !(event.key in tabSteps)) return;
-      event.preventDefault();
-      turnTo(tabSteps[event.key](i));
-    });
-  });
-
-  if (tabs.length) {
-    element("datasets").hidden = false;
-    element("dataset").setAttribute("role", "tabpanel");
-  }
   element("browsing").hidden = false;
   show(new URLSearchParams());
   clearTimeout(telling);
