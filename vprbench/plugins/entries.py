@@ -107,7 +107,7 @@ class Entry:
         Raises BadInput that names a yaml that cannot be read.
         """
         try:
-            content = _read(self.path.read_text(encoding="utf-8"))
+            content = read(self.path.read_text(encoding="utf-8"))
         except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
             mark = getattr(error, "problem_mark", None)
             where = f", line {mark.line + 1}" if mark else ""
@@ -259,7 +259,8 @@ def _different(given: Mapping[str, Any], own: Mapping[Any, Any]) -> dict[str, An
 
 
 @cache
-def _read(text: str) -> Any:
+def read(text: str) -> Any:
+    """Return what a yaml holds, as Hydra would read it; the same object for the same text."""
     return yaml.load(text, _Loader)
 
 

@@ -102,6 +102,7 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 
 
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
+    runs = [run for run in runs if run.timing is not None]
     if not runs:
         return _Bar(word=word)
     rates = [best.rate(run, row.boundary) for run in runs]

@@ -150,8 +150,8 @@ def _timed_by(run: Run) -> tuple[object, ...]:
 
 
 def laps(run: Run, stage: Stage) -> Seconds:
-    """Return the seconds of the streaming laps of a stage."""
-    streaming = run.timing.streaming
+    """Return the seconds of the streaming laps of a stage; raises ValueError for a run that was not timed."""
+    streaming = run.insist_on_timing().streaming
     if stage is None:
         return streaming.total_seconds
     return streaming.encode_seconds if stage == "encode" else streaming.match_seconds

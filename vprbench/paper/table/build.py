@@ -12,7 +12,7 @@ from vprbench.paper.selection import DEVICES, Group, of_row, protocol_words, tit
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
-from vprbench.paper.table.quantities import QUANTITIES, Numbers, Quantity
+from vprbench.paper.table.quantities import QUANTITIES, RATES, Numbers, Quantity
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason, short
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here, tuned_note
@@ -157,6 +157,8 @@ class _Sheet:
     def _absence(self, entry: Entry, quantity: Quantity) -> Reason:
         device = entry.device(quantity)
         found = entry.found[device]
+        if found.runs and quantity in RATES:
+            return reason("untimed")
         if found.runs:  # and none of them trained
             return reason("loaded" if any(run.network is not None for run in found.runs) else "kept")
         if entry.group.number > 1:

@@ -202,6 +202,10 @@ class Rate(Quantity):
     device: Device = "cpu"
     audited: ClassVar[bool] = True
 
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs that were timed."""
+        return tuple(run for run in runs if run.timing is not None)
+
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
         """Return the rates at the row's boundary; the total is that of both steps."""
         values = [rate(run, row.boundary) for run in runs]

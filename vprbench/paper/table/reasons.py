@@ -22,11 +22,13 @@ Mark = Literal[
     "failed",
     "left out",  # too many places for this row within the time of the table
     "unfinished",  # some of the seeds are not stored yet, or none
+    "not timed",  # answers are stored, and no rates with them
     "not run",  # no run of this kind is stored, as on a machine without a GPU
 ]
 #: The word of a cell without a number, by the code of the reason.
 MARKS: Mapping[str, Mark] = {
-    **{"failed": "failed", "missing": "not there", "left out": "left out", "seeds": "unfinished"},
+    **{"failed": "failed", "missing": "not there", "left out": "left out"},
+    **{"seeds": "unfinished", "untimed": "not timed"},
     **dict.fromkeys(("device", "protocol without runs", "loaded", "kept"), "not run"),
 }
 
