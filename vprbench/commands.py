@@ -167,6 +167,14 @@ def check(options: list[str]) -> int:
     return 1 if broken else 0
 
 
+def new(options: list[str]) -> int:
+    """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
+    from vprbench.plugins.new import new as written
+
+    print(printable(written(options), but="\n"))
+    return 0
+
+
 def doctor(options: list[str]) -> int:
     """Examine a dataset and say what is wrong with it and what to do.
 
