@@ -41,7 +41,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (
             "method",
             TARGET,
-            METHOD + "    def __init__(self):\n        [][0]\n    encode = 1\n",
+            METHOD + "    encode = 1\n    def __init__(self): [][0]\n",
             "(broken_code.py, line 4)",
         ),
         ("dataset", TARGET, DATASET + "    return {}[places]\n", "(broken_code.py, line 3)"),

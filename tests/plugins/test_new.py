@@ -78,7 +78,6 @@ def test_a_new_dataset_reads_folders(here: Path) -> None:
     assert main(["method=sad", "dataset=./my_walk.py", "dataset.root=.", "timing=none", "threads=1"]) == 0
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     "words",
     ["", "method", "methods mine", "method a b", "method sad", "dataset 3d", "method class", "method mine folder"],

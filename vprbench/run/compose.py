@@ -96,7 +96,7 @@ def _swept(option: str) -> str:
 
 
 def check_names(arguments: Sequence[str]) -> None:
-    """Raise BadInput for a method or dataset that does not exist, with the near names."""
+    """Raise BadInput for a method or dataset that does not exist, with the near names, or has no readable yaml."""
     groups: tuple[registry.Group, ...] = ("method", "dataset")
     for group in groups:
         known = registry.entries(group)
@@ -106,6 +106,7 @@ def check_names(arguments: Sequence[str]) -> None:
                     registry.insist_on_one(group, name)
                     if name not in known:
                         raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
+                    known[name].values()
 
 
 def explained(error: Exception, arguments: Sequence[str]) -> str:
