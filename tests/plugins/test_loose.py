@@ -143,6 +143,22 @@ def test_a_file_may_have_the_name_of_a_library(here: Path) -> None:
 
 
 @pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("asked", "read"),
+    [
+        ("method=./means.py:Means", "method=Means"),
+        ("method=sad,./means.py:Means", "method=sad,Means"),
+        ("methods=[means.py,sad]", "methods=[Means,sad]"),
+        ("methods=sad,pca", "methods=sad,pca"),
+        ("dataset=./walk.py", "dataset=walk"),
+        ("method=", "method="),
+    ],
+)
+def test_a_path_among_names_is_read_as_a_name(asked: str, read: str) -> None:
+    assert readable([asked]) == [read]
+
+
+@pytest.mark.usefixtures("here")
 def test_another_process_gets_the_path() -> None:
     registry.named("method", "./means.py:Means")
     options = ["method=sad,Means", "dataset=Means", "seed=1"]

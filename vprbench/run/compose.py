@@ -39,8 +39,8 @@ def readable(arguments: Sequence[str]) -> list[str]:
     quoted = []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if key in ("method", "dataset"):
-            value = ",".join(registry.named("method" if key == "method" else "dataset", n) for n in value.split(","))
+        if key in ("method", "dataset", "methods"):
+            value = _named("dataset" if key == "dataset" else "method", value)
             argument = f"{key}{equals}{value}"
         if equals and not argument.startswith("-") and not _is_override(argument):
             parts = (
@@ -49,6 +49,12 @@ def readable(arguments: Sequence[str]) -> list[str]:
             argument = next(filter(_is_override, parts), f"{key}={_quoted(value)}")
         quoted.append(argument)
     return quoted
+
+
+def _named(group: registry.Group, names: str) -> str:
+    """Return the names in a text, between commas, those of loose files as they are registered by."""
+    bare = names.removeprefix("[").removesuffix("]")
+    return names.replace(bare, ",".join(registry.named(group, name) for name in bare.split(","))) if bare else names
 
 
 def _is_override(argument: str) -> bool:
