@@ -143,7 +143,10 @@ def _maker(seed: int) -> Callable[..., Method]:
 
 
 def check(options: list[str]) -> int:
-    """Test a method or dataset against the rules of the contract and count them; raises BadInput if none is named."""
+    """Test a method or dataset against the rules of the contract and count them.
+
+    Raises BadInput if none is named.
+    """
     from vprbench.plugins import conformance
     from vprbench.run import machine
 

@@ -159,6 +159,13 @@ def test_a_path_among_names_is_read_as_a_name(asked: str, read: str) -> None:
 
 
 @pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("asked", ["dataset=walk.py", "dataset=./walk.py:walk"])
+def test_a_loose_file_is_checked(asked: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", asked, "dataset.places=4"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "17 rules: 17 kept, 0 excepted, 0 broken"
+
+
+@pytest.mark.usefixtures("here")
 def test_another_process_gets_the_path() -> None:
     registry.named("method", "./means.py:Means")
     options = ["method=sad,Means", "dataset=Means", "seed=1"]

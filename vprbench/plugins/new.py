@@ -27,8 +27,8 @@ _TEMPLATES = Environment(
 class Settings:
     """Where the files of a new method or dataset go."""
 
-    folder: str = "."  # that they are written into
-    package: bool = False  # true: a package to install, with a yaml of its options
+    folder: str = "."  # where the files go
+    package: bool = False  # true: a package to install, with a yaml of its options; false: one loose file
 
 
 def new(words: Sequence[str]) -> str:

@@ -105,10 +105,11 @@ def check_names(arguments: Sequence[str]) -> None:
     """Raise BadInput for a method or dataset that does not exist, with the near names, or has no readable yaml."""
     groups: tuple[registry.Group, ...] = ("method", "dataset")
     for group in groups:
-        known = registry.entries(group)
         for argument in arguments:
             if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
-                for name in argument.split("=", 1)[1].split(","):
+                names = _named(group, argument.split("=", 1)[1]).split(",")
+                known = registry.entries(group)
+                for name in names:
                     registry.insist_on_one(group, name)
                     if name not in known:
                         raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
