@@ -102,19 +102,36 @@ def test_the_wheel_holds_no_top_level_package_but_ours(installed: Path) -> None:
 
 def test_an_installed_plug_in_is_listed_with_its_provider(installed: Path, tmp_path: Path) -> None:
     done = run(installed, "-m", "vprbench", "list", cwd=tmp_path)
-    assert "thumbnail Colours of a coarse grid of cells [example]" in " ".join(done.stdout.split())
+    printed = " ".join(done.stdout.split())
+    assert "thumbnail Colours of a coarse grid of cells [example]" in printed
+    assert "panorama Views all around a made-up panorama, by day and at dusk [example]" in printed
 
 
 def test_an_installed_plug_in_runs_by_its_name(installed: Path, tmp_path: Path) -> None:
-    done = run(installed, "-m", "vprbench", "method=thumbnail", "method.cells=6", *QUICK, "output=json", cwd=tmp_path)
+    options = (
+        "method=thumbnail",
+        "method.cells=6",
+        "dataset=panorama",
+        "dataset.places=12",
+        "timing=none",
+        "threads=1",
+    )
+    done = run(installed, "-m", "vprbench", *options, "output=json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["method"] == "thumbnail"
+    told = json.loads(done.stdout)
+    assert (told["method"], told["dataset"]) == ("thumbnail", "panorama")
 
 
-def test_an_installed_plug_in_can_be_checked_against_the_contract(installed: Path, tmp_path: Path) -> None:
-    done = run(installed, "-m", "vprbench", "check", "method=thumbnail", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("asked", "counted"),
+    [("method=thumbnail", "14 kept, 1 excepted, 0 broken"), ("dataset=panorama", "17 kept, 0 excepted, 0 broken")],
+)
+def test_an_installed_plug_in_can_be_checked_against_the_contract(
+    installed: Path, tmp_path: Path, asked: str, counted: str
+) -> None:
+    done = run(installed, "-m", "vprbench", "check", asked, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "14 kept, 1 excepted, 0 broken" in done.stdout
+    assert counted in done.stdout
 
 
 def test_a_bare_checkout_runs(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ COMMANDS: dict[str, Command] = {
         "vprbench.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
     ),
     "check": Command("vprbench.commands:check", groups=("method", "dataset"), run=("device", "threads", "seed")),
+    "new": Command("vprbench.commands:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command("vprbench.commands:doctor", groups=("dataset",), run=("output",)),
     "fetch": Command("vprbench.commands:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command("vprbench.commands:table", "vprbench.paper.gather:TableRequest", run=None),

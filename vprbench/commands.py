@@ -151,7 +151,10 @@ def _maker(seed: int) -> Callable[..., Method]:
 
 
 def check(options: list[str]) -> int:
-    """Test a method or dataset against the rules of the contract and count them; raises BadInput if none is named."""
+    """Test a method or dataset against the rules of the contract and count them.
+
+    Raises BadInput if none is named.
+    """
     from vprbench.plugins import conformance
     from vprbench.run import machine
 
@@ -173,6 +176,14 @@ def check(options: list[str]) -> int:
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
     print(f"{len(results)} rules: {kept} kept, {excepted} excepted, {broken} broken")
     return 1 if broken else 0
+
+
+def new(options: list[str]) -> int:
+    """Write the files of a new method or dataset, which keep the contract at once: new method NAME."""
+    from vprbench.plugins.new import new as written
+
+    print(printable(written(options), but="\n"))
+    return 0
 
 
 def doctor(options: list[str]) -> int:

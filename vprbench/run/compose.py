@@ -56,8 +56,8 @@ def readable(arguments: Sequence[str]) -> list[str]:
     quoted = []
     for argument in arguments:
         key, equals, value = argument.partition("=")
-        if key in ("method", "dataset"):
-            value = ",".join(registry.named("method" if key == "method" else "dataset", n) for n in value.split(","))
+        if key in ("method", "dataset", "methods"):
+            value = _named("dataset" if key == "dataset" else "method", value)
             argument = f"{key}{equals}{value}"
         if equals and not argument.startswith("-") and not _is_override(argument):
             parts = (
@@ -66,6 +66,12 @@ def readable(arguments: Sequence[str]) -> list[str]:
             argument = next(filter(_is_override, parts), f"{key}={_quoted(value)}")
         quoted.append(argument)
     return quoted
+
+
+def _named(group: registry.Group, names: str) -> str:
+    """Return the names in a text, between commas, those of loose files as they are registered by."""
+    bare = names.removeprefix("[").removesuffix("]")
+    return names.replace(bare, ",".join(registry.named(group, name) for name in bare.split(","))) if bare else names
 
 
 def _is_override(argument: str) -> bool:
@@ -113,16 +119,18 @@ def _swept(option: str) -> str:
 
 
 def check_names(arguments: Sequence[str]) -> None:
-    """Raise BadInput for a method or dataset that does not exist, with the near names."""
+    """Raise BadInput for a method or dataset that does not exist, with the near names, or has no readable yaml."""
     groups: tuple[registry.Group, ...] = ("method", "dataset")
     for group in groups:
-        known = registry.entries(group)
         for argument in arguments:
             if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
-                for name in argument.split("=", 1)[1].split(","):
+                names = _named(group, argument.split("=", 1)[1]).split(",")
+                known = registry.entries(group)
+                for name in names:
                     registry.insist_on_one(group, name)
                     if name not in known:
                         raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
+                    known[name].values()
 
 
 def explained(error: Exception, arguments: Sequence[str]) -> str:

@@ -1,1 +1,1 @@
-"""A method for vprbench in a package of its own."""
+"""A method and a dataset for vprbench in a package of their own."""

@@ -1,0 +1,205 @@
+"""Every dataset that needs no files keeps the rules, and each rule alone catches what breaks it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import sys
+import tempfile
+import types
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Pictures
+
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.images import Images
+from vprbench.errors import BadInput
+from vprbench.plugins.conformance import check_dataset
+from vprbench.plugins.dataset_rules import DATASET_RULES
+
+N = 6
+
+
+def picture(number: int, height: int = 12) -> Image:
+    return np.random.default_rng(number).integers(0, 256, (height, 16, 3), dtype=np.uint8)
+
+
+def frames(
+    read: Callable[[int], Any] = picture, word: str = "frame", kind: Callable[..., Images] = Images, n: int = N
+) -> Images:
+    return kind(read, [f"{word} {i}" for i in range(n)], stamp=lambda i: b"%d" % i, content=lambda i: b"%d" % i)
+
+
+def right(**changed: Any) -> Dataset:
+    """Keeps every rule; `changed` parts replace its own without the checks of the constructor."""
+    truth = tuple(np.array([place]) for place in range(N))
+    protocol = {"protocol": "little", "references": ["day"], "query": "night"}
+    dataset = Dataset("right", frames(), np.arange(N), frames(word="query"), truth, protocol)
+    for name, value in changed.items():
+        object.__setattr__(dataset, name, value)
+    return dataset
+
+
+COUNT = itertools.count()
+
+
+def another_each_time() -> Dataset:
+    return right(notes=(f"note {next(COUNT)}",))
+
+
+def other_frames_each_time() -> Dataset:
+    first = next(COUNT)
+    return right(references=Images(picture, [f"frame {first + i}" for i in range(N)]))
+
+
+class OtherInASlice(Images):
+    def __getitem__(self, index: Any) -> Any:
+        found = super().__getitem__(index)
+        return found if isinstance(index, int) else found.unnamed().__class__(lambda i: picture(i + 50), found.names)
+
+
+class ByName(Images):
+    def unnamed(self) -> Images:
+        return Images(lambda i: picture(i + 50), super().unnamed().names)
+
+
+def drifting(number: int) -> Image:
+    return picture(number) ^ np.uint8(next(COUNT) % 256)
+
+
+def seeding(number: int) -> Image:
+    random.seed(next(COUNT))
+    return picture(number)
+
+
+def numpy_seeding(number: int) -> Image:
+    np.random.seed(next(COUNT) % 99)  # noqa: NPY002
+    return picture(number)
+
+
+def moving(number: int) -> Image:
+    os.chdir(tempfile.mkdtemp(dir=Path.cwd()))
+    return picture(number)
+
+
+def held_out() -> Dataset:
+    dataset = right()
+    return replace(
+        dataset, held_out=HeldOut(dataset.references, dataset.places, dataset.queries, dataset.places, in_map=True)
+    )
+
+
+def black(number: int) -> Image:
+    return 0 * picture(number)
+
+
+def protocol(**values: Any) -> Callable[[], Dataset]:
+    return lambda: right(protocol=values)
+
+
+def truth(*places: list[Any]) -> Callable[[], Dataset]:
+    given = [*places, *([i] for i in range(len(places), N))]
+    return lambda: right(positives=tuple(np.array(right, dtype=None if right else np.int64) for right in given))
+
+
+WRONG: dict[str, list[Callable[..., Dataset]]] = {
+    "it is the same when it is made again": [another_each_time, other_frames_each_time],
+    "it has the name that was asked for": [lambda name="right": right(name="mine")],
+    "place ids are whole numbers": [
+        lambda: right(places=np.arange(N, dtype=np.float32)),
+        lambda: right(places=[*range(N)]),
+    ],
+    "right places are whole numbers, ascending, each once": [truth([0.0]), truth([0, 0]), truth([1, 0])],
+    "most queries have a right place": [truth([], [], [], [])],
+    "no query is right everywhere": [truth([*range(N)])],
+    "images are uint8 (height, width, 3)": [
+        lambda: right(queries=frames(lambda i: picture(i).astype(np.float32))),
+        lambda: right(queries=frames(lambda i: picture(i)[:, :, 0])),
+        lambda: right(queries=frames(lambda i: np.concatenate([picture(i)] * 2, axis=2))),
+    ],
+    "images show something": [lambda: right(queries=frames(black), references=frames(black))],
+    "images of a traverse have one size, or notes say so": [
+        lambda: right(queries=frames(lambda i: picture(i, 12 + i)))
+    ],
+    "an image is the same however it is read": [
+        lambda: right(queries=frames(drifting)),
+        lambda: right(queries=frames(kind=OtherInASlice)),
+        lambda: right(queries=frames(kind=ByName)),
+    ],
+    "every image of a traverse has a name of its own": [
+        lambda: right(queries=Images(picture, ["one"] * N, stamp=lambda i: b"")),
+        lambda: right(queries=Images(picture, ["", *"abcde"], stamp=lambda i: b"")),
+    ],
+    "the protocol holds plain values": [
+        protocol(references=("day",), query="night"),
+        protocol(references=Path("day"), query="night"),
+        protocol(references="day", query=float("nan")),
+    ],
+    "the protocol says what references and queries are": [protocol(), protocol(references="day")],
+    "place numbers ascend along the journey": [lambda: right(place_numbers=np.arange(N)[::-1])],
+    "held-out queries are none of the queries": [held_out],
+    "reading leaves the working folder and random numbers alone": [
+        *(lambda read=read: right(queries=frames(read)) for read in (seeding, numpy_seeding, moving))
+    ],
+    "notes are lines": [lambda: right(notes="one"), lambda: right(notes=("two\nlines",))],
+}
+
+
+def broken(make: Callable[..., Any], **arguments: Any) -> dict[str, str]:
+    module = types.ModuleType("made_datasets")
+    module.made = make  # type: ignore[attr-defined]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "made_datasets", module)
+        results = check_dataset({"_target_": "made_datasets.made", **arguments})
+        return {result.rule: result.reason for result in results if result.state == "broken"}
+
+
+def test_there_is_a_wrong_dataset_for_every_rule() -> None:
+    assert list(WRONG) == list(DATASET_RULES)
+
+
+@pytest.mark.parametrize(("rule", "make"), [(rule, make) for rule in WRONG for make in WRONG[rule]])
+def test_the_rule_alone_catches_what_breaks_it(
+    rule: str, make: Callable[..., Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = broken(make, **({"name": "right"} if "name that" in rule else {}))
+    assert [*found] == [rule]
+    assert found[rule]
+
+
+@pytest.mark.parametrize("make", [right, lambda: right(place_numbers=np.arange(N) * 2, notes=("a note",))])
+def test_a_right_dataset_keeps_every_rule(make: Callable[..., Dataset]) -> None:
+    assert broken(make) == {}
+
+
+@pytest.mark.parametrize("arguments", [{"places": 12}, {"places": 20, "protocol": "vprsnn", "first_query_place": 4}])
+@pytest.mark.parametrize("kind", ["synthetic.synthetic", "street.street"])
+def test_rendered_datasets_keep_every_rule(kind: str, arguments: dict[str, Any]) -> None:
+    results = [*check_dataset({"_target_": f"vprbench.datasets.{kind}", **arguments})]
+    assert {result.state for result in results} == {"kept"}
+
+
+@pytest.mark.parametrize("sizes", [(12, 12), (12, 14)])
+def test_written_folders_keep_every_rule(tmp_path: Path, sizes: tuple[int, int]) -> None:
+    for number, traverse in enumerate(("monday", "tuesday", "friday")):
+        (tmp_path / traverse).mkdir()
+        for place in range(4):
+            shown = Pictures.fromarray(picture(10 * number + place, sizes[place % 2]))
+            shown.save(tmp_path / traverse / f"{place}.png")
+    folders = {"references": [str(tmp_path / "monday"), str(tmp_path / "tuesday")], "queries": str(tmp_path / "friday")}
+    results = [*check_dataset({"_target_": "vprbench.datasets.folders.folders", **folders})]
+    assert [result.rule for result in results if result.state == "broken"] == []
+    assert sum(result.state == "excepted" for result in results) == 1 + (sizes[0] != sizes[1])  # two of a name; sizes
+
+
+def test_a_dataset_that_lacks_its_files_says_what_it_needs() -> None:
+    with pytest.raises(BadInput, match=r"dataset\.references and dataset\.queries are not set"):
+        list(check_dataset({"_target_": "vprbench.datasets.folders.folders"}))
