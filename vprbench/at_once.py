@@ -52,7 +52,7 @@ def answered(arguments: Sequence[str]) -> int | None:
     elif name == "help" or {"--help", "-h"} & {*arguments}:
         _help(options if name == "help" else [each for each in arguments if each not in ("--help", "-h")])
     elif name == "list":
-        show_list(options)
+        show_list(["wide=true" if option == "--wide" else option for option in options])
     elif name == "completion":
         show_completion(options)
     else:

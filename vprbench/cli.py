@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return int(getattr(commands, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
-        return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
+        asked = ["wide=true" if argument == "--wide" else argument for argument in arguments[arguments[0] == "run" :]]
+        return run_or_sweep(in_order(readable(asked)))
     except BadInput as error:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
