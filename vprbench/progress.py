@@ -18,7 +18,7 @@ from vprbench.text import printable
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
 
 MARKED = "VPRBENCH_MARKED"  # set for a process whose standard error another one reads: stages and warnings are marked
-_MARK, _WARNING = "\x1e", "!"
+_MARK, _WARNING = "\x01", "!"
 
 _listener: ContextVar[Listener | None] = ContextVar("progress_listener", default=None)
 _elsewhere: ContextVar[Listener | None] = ContextVar("progress_elsewhere", default=None)
@@ -76,10 +76,12 @@ def log_lines() -> None:
 
 def marked(line: str) -> tuple[str, float] | str | None:
     """Return what a process told by a marked line: a stage and its share, or a warning; None for another line."""
+    if line.startswith(_MARK + _WARNING):
+        return line.removeprefix(_MARK + _WARNING)
     if not line.startswith(_MARK):
         return None
-    stage, _, share = line[len(_MARK) :].rpartition("\t")
-    return stage.removeprefix(_WARNING) + share if line.startswith(_MARK + _WARNING) else (stage, float(share))
+    stage, _, share = line.removeprefix(_MARK).rpartition("\t")
+    return stage, float(share)
 
 
 @contextmanager
