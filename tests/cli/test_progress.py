@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 
 import pytest
 from stopped_clock import Clock
@@ -123,6 +124,42 @@ def test_names_in_progress_are_not_obeyed() -> None:
     with progress_shown("a\nvprbench: b", stream):
         progress.report("\x1b[2Jfit", 0)
     assert stream.getvalue() == "a\\nvprbench: b: \\x1b[2Jfit\n"
+
+
+# To a process that reads it
+
+
+def test_a_process_that_is_read_marks_its_stages_and_warnings(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(progress.MARKED, "1")
+    lines = lines_of(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)])
+    assert [progress.marked(line) for line in lines] == [("fit\\n", 0.0), ("fit\\n", 0.75)]
+    handler = progress._Lines()
+    handler.setFormatter(progress._OneLine())
+    for level in ("WARNING", "INFO"):
+        handler.handle(logging.makeLogRecord({"msg": "a\ttab", "levelno": getattr(logging, level)}))
+    assert [progress.marked(line) for line in capsys.readouterr().err.splitlines()] == ["a\ttab", None]
+
+
+def test_progress_that_is_shown_elsewhere_draws_nothing() -> None:
+    told: list[tuple[str, float]] = []
+    stream = Terminal()
+    with progress.shown_by(lambda *each: told.append(each)), progress_shown("sad on nordland", stream):
+        progress.report("fit", 0.5)
+    assert (told, stream.getvalue()) == ([("fit", 0.5)], "")
+
+
+def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Terminal()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    handler = progress._Lines()
+    handler.setFormatter(progress._OneLine())
+    with progress_shown("sad on nordland"):
+        progress.report("fit", 0.5)
+        handler.handle(logging.makeLogRecord({"msg": "a word", "levelno": logging.WARNING}))
+    assert "\r\x1b[33ma word\x1b[0m\n\r" in stream.getvalue()
 
 
 # Listening

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pty
 import shutil
+import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import termios
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +201,81 @@ sys.exit("torch" if "torch" in sys.modules else code)
 """
     done = subprocess.run([sys.executable, "-c", code, *RUN], cwd=made, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# On a terminal
+
+
+def on_a_terminal(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> str:
+    """Return what comes on a terminal of 100 columns and 30 rows while `act` runs."""
+    monkeypatch.setenv("TERM", "xterm-256color")
+    for name in ("COLUMNS", "LINES", "NO_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    pieces: list[bytes] = []
+
+    def read() -> None:
+        while piece := os.read(master, 65536):
+            pieces.append(piece)
+            if b"END" in piece:
+                return
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    with os.fdopen(slave, "w", encoding="utf-8") as terminal, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", terminal)
+        patch.setenv("COLUMNS", "100")
+        patch.setenv("LINES", "30")
+        act()
+        terminal.write("END")
+        terminal.flush()
+        reader.join(10)
+    os.close(master)
+    return b"".join(pieces).decode()
+
+
+def talking(lines: Sequence[str], then: Ending | KeyboardInterrupt) -> Callable[..., Ending]:
+    """Return what stands in for a process that says some lines and ends."""
+
+    def run(_: object, stdout: int | None = None, heard: Callable[[str], None] = print) -> Ending:
+        for line in lines:
+            heard(line)
+        if isinstance(then, KeyboardInterrupt):
+            raise then
+        return then
+
+    return run
+
+
+def test_on_a_terminal_a_table_fills_with_what_is_stored_and_lines_stand_above(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = ["\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"]
+    monkeypatch.setattr(missing_runs, "run_apart", talking(said, Ending(1, False, "it failed", recorded=True)))
+    other = a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)
+    endings: list[Ending] = []
+    shown = on_a_terminal(
+        monkeypatch,
+        lambda: endings.extend(missing_runs.fill([STORED, other], RUN, Store(made / "results"), compose)),
+    )
+    assert [ending.code for ending in endings] == [0, 1]
+    assert "\x1b[33mnote: a warning" in shown
+    assert "\x1b[31mvprbench: it failed" in shown
+    assert " %  " in shown  # recall
+    assert " Hz" in shown
+    assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is there again
+
+
+def test_an_interrupted_table_leaves_the_terminal_clean(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
+    monkeypatch.setattr(missing_runs, "run_apart", talking(["\x01query\t0.500"], KeyboardInterrupt(2)))
+
+    def interrupted() -> None:
+        with pytest.raises(KeyboardInterrupt):
+            missing_runs.fill([a_wish(), a_wish(seed=1)], [], store, compose)
+
+    shown = on_a_terminal(monkeypatch, interrupted)
+    assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")
 
 
 def test_an_absolute_folder_is_what_a_process_elsewhere_finds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
