@@ -4,8 +4,10 @@ PIP_ARGS ?=
 VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
+PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt $(PIP_ARGS)
+LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton check clean
+.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -53,11 +55,22 @@ check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
 
+docs: $(VENV)/.docs ## Build the documentation site in build/docs; a broken link is an error.
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet
+	@echo "build/docs/index.html"
+
 clean: ## Remove everything that can be made again; stored runs under results/ stay.
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): pyproject.toml constraints.txt
+	@echo "installing the pinned packages into $(VENV): some minutes, mostly downloads"
 	$(PYTHON) -m venv $(VENV)
-	$(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS) -e ".[dev]"
+	$(PIP) -e ".[dev]" | $(LARGE_DOWNLOADS)
+	@$(RUN) -m pip show --quiet vprbench
+	@touch $@
+
+$(VENV)/.docs: $(READY)
+	$(PIP) -e ".[docs]" | $(LARGE_DOWNLOADS)
+	@$(RUN) -m pip show --quiet mkdocs-material
 	@touch $@
