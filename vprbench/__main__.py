@@ -16,7 +16,7 @@ def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     if ending.waited_for():
         return _waited_for()
-    from vprbench.at_once import answered
+    from vprbench.commands.at_once import answered
     from vprbench.errors import BadInput
     from vprbench.text import printable
 

@@ -23,8 +23,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench import commands, ending
-from vprbench.at_once import COMMANDS, answered
+from vprbench import ending
+from vprbench.commands import working
+from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
@@ -52,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         if name != "run":
             try:
-                return int(getattr(commands, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
+                return int(getattr(working, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
         asked = ["wide=true" if argument == "--wide" else argument for argument in arguments[arguments[0] == "run" :]]

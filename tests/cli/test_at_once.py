@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from checkout import ROOT
 
-from vprbench import __version__, cli, commands
-from vprbench.at_once import COMMANDS, answered
+from vprbench import __version__, cli
+from vprbench.commands import working
+from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins import registry
 from vprbench.run.settings import Settings
@@ -73,9 +74,7 @@ def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_column
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     room, _, function = COMMANDS[name].does.partition(":")
-    assert callable(
-        getattr({"commands": commands, "cli": cli}.get(room.rpartition(".")[2], sys.modules[room]), function)
-    )
+    assert callable(getattr({"working": working, "cli": cli}.get(room.rpartition(".")[2], sys.modules[room]), function))
     assert COMMANDS[name].meaning
     table = printed(capsys, name, "--help").splitlines()[2:]
     assert max(map(len, table), default=0) <= 100

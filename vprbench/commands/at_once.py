@@ -23,23 +23,25 @@ RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"
 COMMANDS: dict[str, Command] = {
     "run": RUN,
     "compare": Command(
-        "vprbench.commands:compare", "vprbench.compare.request:Request", groups=("dataset", "timing"), run=None
+        "vprbench.commands.working:compare", "vprbench.compare.request:Request", groups=("dataset", "timing"), run=None
     ),
     "list": Command(
-        "vprbench.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
+        "vprbench.commands.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
     ),
-    "check": Command("vprbench.commands:check", groups=("method", "dataset"), run=("device", "threads", "seed")),
-    "new": Command("vprbench.commands:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
-    "doctor": Command("vprbench.commands:doctor", groups=("dataset",), run=("output",)),
-    "fetch": Command("vprbench.commands:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command("vprbench.commands:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
-    "figures": Command("vprbench.commands:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
-    "report": Command("vprbench.commands:report", "vprbench.paper.gather:TableRequest", ("timing",), None),
-    "search": Command("vprbench.commands:search_parameters", "vprbench.tuning.search:Settings"),
-    "bench": Command("vprbench.commands:measure_speed", f"{_SPEED}.settings:Settings"),
-    "bench-descriptors": Command("vprbench.commands:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
-    "gpu-check": Command("vprbench.commands:compare_gpu", f"{_SPEED}.gpu:Settings"),
-    "completion": Command("vprbench.at_once:show_completion", words="bash|zsh|fish"),
+    "check": Command(
+        "vprbench.commands.working:check", groups=("method", "dataset"), run=("device", "threads", "seed")
+    ),
+    "new": Command("vprbench.commands.working:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
+    "doctor": Command("vprbench.commands.working:doctor", groups=("dataset",), run=("output",)),
+    "fetch": Command("vprbench.commands.working:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
+    "table": Command("vprbench.commands.working:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
+    "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
+    "report": Command("vprbench.commands.working:report", "vprbench.paper.gather:TableRequest", ("timing",), None),
+    "search": Command("vprbench.commands.working:search_parameters", "vprbench.tuning.search:Settings"),
+    "bench": Command("vprbench.commands.working:measure_speed", f"{_SPEED}.settings:Settings"),
+    "bench-descriptors": Command("vprbench.commands.working:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
+    "gpu-check": Command("vprbench.commands.working:compare_gpu", f"{_SPEED}.gpu:Settings"),
+    "completion": Command("vprbench.commands.at_once:show_completion", words="bash|zsh|fish"),
 }
 _NOT_THE_TABLES = ("device", "output", "save", "load", "wide")  # options of a run; rows and devices say what it holds
 
