@@ -10,13 +10,13 @@ from pathlib import Path
 
 from vprbench import __version__
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, read
+from vprbench.plugins.entries import Group, broken_plugins, conf_folders, entries, read
 from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
 from vprbench.terminal.described import Option, of_class, of_yaml, together
 from vprbench.terminal.help import Command, show_commands, show_options
 from vprbench.text import near, printable
 
-_SPEED = "vprbench.speed"
+_SPEED, _TIMING = "vprbench.speed", "vprbench.run.timing_protocol.Protocol"
 RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"), run=None)
 
 #: What may stand in place of a run's options.
@@ -31,9 +31,9 @@ COMMANDS: dict[str, Command] = {
     "check": Command("vprbench.commands:check_method", groups=("method",), run=("device", "threads", "seed")),
     "doctor": Command("vprbench.commands:doctor", groups=("dataset",), run=("output",)),
     "fetch": Command("vprbench.commands:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
-    "table": Command("vprbench.commands:table", "vprbench.paper.gather:TableRequest", run=None),
-    "figures": Command("vprbench.commands:figures", "vprbench.paper.gather:TableRequest", run=None),
-    "report": Command("vprbench.commands:report", "vprbench.paper.gather:TableRequest", run=None),
+    "table": Command("vprbench.commands:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
+    "figures": Command("vprbench.commands:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
+    "report": Command("vprbench.commands:report", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "search": Command("vprbench.commands:search_parameters", "vprbench.tuning.search:Settings"),
     "bench": Command("vprbench.commands:measure_speed", f"{_SPEED}.settings:Settings"),
     "bench-descriptors": Command("vprbench.commands:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
@@ -55,7 +55,7 @@ def answered(arguments: Sequence[str]) -> int | None:
     elif name == "help" or {"--help", "-h"} & {*arguments}:
         _help(options if name == "help" else [each for each in arguments if each not in ("--help", "-h")])
     elif name == "list":
-        show_list(options)
+        show_list(["wide=true" if option == "--wide" else option for option in options])
     elif name == "completion":
         show_completion(options)
     else:
@@ -137,19 +137,16 @@ def _usual(conf: Path) -> dict[str, str]:
 
 
 def _of_entry(group: str, name: str, conf: Path) -> list[Option]:
-    """Return the options of a method, a dataset or a way to time; none if it is unknown."""
-    if group not in ("method", "dataset"):
-        path = conf / group / f"{name}.yaml"
-        return of_yaml(path) if path.is_file() else []
-    known: dict[str, Entry] = entries(group)  # type: ignore[arg-type]
-    if name not in known:
+    """Return the options of a method, a dataset or a timing, and of those that its yaml builds on; none if unknown."""
+    known = entries(group) if group in ("method", "dataset") else {}  # type: ignore[arg-type]
+    path = known[name].path if name in known else conf / group / f"{name}.yaml"
+    if not path.is_file():
         return []
-    values = known[name].values()
-    own = of_yaml(known[name].path)
+    values = known[name].values() if name in known else read(path.read_text(encoding="utf-8"))
     below = [_of_entry(group, base, conf) for base in values.get("defaults") or () if base not in ("_self_", name)]
     merged = {option.name: option for base in below for option in base}
-    merged |= {option.name: option for option in together(own, merged.values())}
-    return together(merged.values(), of_class(":".join(str(values.get("_target_", "")).rsplit(".", 1))))
+    merged |= {option.name: option for option in together(of_yaml(path), merged.values())}
+    return together(merged.values(), of_class(":".join(str(values.get("_target_", _TIMING)).rsplit(".", 1))))
 
 
 def _values(name: str) -> Iterator[str]:

@@ -30,7 +30,7 @@ from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
 from vprbench.run.compose import check_names, explained, in_order, readable
 from vprbench.run.processes import IN_SWEEP, as_json, record, run_apart, scratch
-from vprbench.run.settings import checked_settings, n_threads
+from vprbench.run.settings import KNOWN, checked_settings, n_threads
 from vprbench.text import near, printable
 
 
@@ -47,13 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         registry.register_search_path()
         name = arguments[0] if re.fullmatch(r"\w[\w-]*", arguments[0]) else "run"
         if name not in COMMANDS:
-            raise BadInput(f"{name} is no command: {near(name, COMMANDS)}")
+            raise BadInput(
+                f"{name} is no command: {near(name, COMMANDS)}" if name not in KNOWN else f"give {name}=value"
+            )
         if name != "run":
             try:
                 return int(getattr(commands, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
-        return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
+        asked = ["wide=true" if argument == "--wide" else argument for argument in arguments[arguments[0] == "run" :]]
+        return run_or_sweep(in_order(readable(asked)))
     except BadInput as error:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
@@ -94,8 +97,8 @@ def run_or_sweep(arguments: list[str]) -> int:
         sys.argv = [kept[0], *arguments, *([f"hydra.sweep.dir={folder}"] if sweep else [])]
         try:
             task()
-        except ValueError as error:  # of flags that do not go together
-            raise BadInput(" ".join(str(error).split())) from error
+        except ValueError as error:  # of flags that do not go together, and of what is no name
+            raise BadInput(explained(error, arguments)) from error
         finally:
             sys.argv = kept
     if errors:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from io import StringIO
 from typing import TextIO
@@ -13,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from vprbench.progress import answer_stream
 from vprbench.text import printable
 
 LEAST_WIDTH = 100  # columns, where no terminal says how wide it is
@@ -20,11 +20,11 @@ _GAP = 2  # columns between two of a table
 
 
 def console(stream: TextIO | None = None) -> Console:
-    """Return rich's console for `stream`, standard output if None: colours only on terminals, and none for NO_COLOR.
+    """Return rich's console for `stream`, that of answers if None: colours only on terminals, and none for NO_COLOR.
 
     It is as wide as the terminal; what is no terminal has 100 columns, or more if COLUMNS says so.
     """
-    stream = sys.stdout if stream is None else stream
+    stream = answer_stream() if stream is None else stream
     told = os.environ.get("COLUMNS", "")
     width = None if stream.isatty() else max(LEAST_WIDTH, int(told) if told.isdecimal() else 0)
     return Console(file=stream, width=width, markup=False, emoji=False, highlight=False, force_jupyter=False)
@@ -67,8 +67,19 @@ def table_text(
         table.add_row(*(Text(row[at]) for at in kept))
     lines = drawn(table, room, width() + _GAP)
     if len(kept) < len(columns):
-        lines += f"\nleft out: {', '.join(name for at, name in enumerate(columns) if at not in kept)} (wide=true)"
+        names = ", ".join(name for at, name in enumerate(columns) if at not in kept)
+        lines += "\n" + told(f"left out: {names} (wide=true shows them)", "dim")
     return lines
+
+
+def told(line: str, style: str = "") -> str:
+    """Return a sentence as a line, or broken between words and in colour for a terminal."""
+    room = console()
+    if not room.is_terminal:
+        return printable(line)
+    with room.capture() as lines:
+        room.print(Text(printable(line), style=style))
+    return lines.get().rstrip("\n")
 
 
 def drawn(table: Table, room: Console, width: int | None = None) -> str:
