@@ -24,7 +24,7 @@ from vprbench.progress import progress_shown
 from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
 from vprbench.run.settings import n_threads
-from vprbench.terminal.console import show_table
+from vprbench.terminal.console import show_table, told
 from vprbench.text import printable
 
 _NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
@@ -119,16 +119,15 @@ def show(found: Material, ranking: Ranking, wide: bool = False) -> None:
     """Print notes, the ranked table and what tests say of it."""
     table = found.table
     (column,) = table.columns
-    print(printable(f"{table.title}: {words.data(column)}"))
+    print(told(f"{table.title}: {words.data(column)}"))
     for row in table.rows:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:
-            print(printable(f"note: {row.name}: {table.notes[number - 1].text}"))
+            print(told(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
     heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
     print()
     show_table(heads, [[row.name, *_shown(found, row.name)] for row in table.rows], wide, _LEAST)
-    if ranking.sentences:
-        print(printable("\n" + "\n".join(ranking.sentences), but="\n"))
+    print(*["", *(told(sentence, "bold") for sentence in ranking.sentences)], sep="\n")
 
 
 def _shown(found: Material, name: str) -> Iterator[str]:
