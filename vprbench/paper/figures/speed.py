@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from vprbench.errors import BadInput
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled, wrapped
 from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
@@ -24,6 +24,7 @@ from vprbench.run.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
+_LETTERS = 22  # of a line of a row's name
 _STEPS = get_args(Boundary)
 
 
@@ -150,7 +151,7 @@ def _draw(
                 hatch = _QUOTED if row.name in quoted else _PUBLISHED
                 _draw_published(axes, i + _BAR / 2, panel.published[row.name], drawn[row.name], hatch)
         axes.set(xlabel=label, ylim=(len(rows) - 0.4, -0.6), yticks=range(len(rows)), title=panel.title)
-        axes.set_yticklabels([row.name for row in rows] if axes is all_axes[0] else [])
+        axes.set_yticklabels([wrapped(row.name, _LETTERS) for row in rows] if axes is all_axes[0] else [])
         axes.tick_params(axis="y", length=0)
     figure.legend(handles=keys, loc="outside lower left", ncols=-(-len(keys) // key_rows))
     return figure
