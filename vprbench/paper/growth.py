@@ -66,7 +66,7 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
         training=tuple(
             Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
         ),
-        query=tuple(map(_median, kept)),
+        query=tuple(_median(run) for run in kept if run.timing is not None),
         aside=tuple(_set_aside(row.name, members, newest[0], at_most) for members in others),
     )
 

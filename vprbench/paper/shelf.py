@@ -70,8 +70,9 @@ class Shelf:
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)
-        keys = {Identity(of_class, code, config, dataset, images, h, settings.timing, threads).key() for h in held_out}
+        keys = {Identity(of_class, code, config, dataset, images, h, threads).key() for h in held_out}
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
+        found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         if settings.frames and thumbnails.find(self._store.root, images) is None:
             return False
         return any(settings.cache or run.fit_seconds is not None for run in found)

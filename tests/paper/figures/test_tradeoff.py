@@ -153,3 +153,10 @@ def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them() -> None:
         assert not any(axes.texts for axes in figure.axes)
         (legend,) = figure.legends
         assert [text.get_text() for text in legend.get_texts()] == [one.name for one in many]
+
+
+def test_a_row_that_was_not_timed_is_left_out_by_name() -> None:
+    untimed = figure_runs.series("GCL", figure_runs.run("gcl", timing=None))
+    drawn = against_rate([figure_runs.series("SAD", figure_runs.run("sad")), untimed])
+    assert len(points(drawn.figure.axes[0])) == 1
+    assert "Left out, for it was not timed: GCL." in drawn.caption

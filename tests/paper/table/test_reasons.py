@@ -129,10 +129,12 @@ SHORT = timed(minimum_seconds=0.01, minimum_queries=1)
         ({"A": SHORT, "B": timed(), "C": timed()}, {"A": "B and C: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": SHORT}, {"B": "A: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": timed(), "C": timed(), "D": timed(sample=8)}, {"D": "most rows: sample 8"}),
+        ({"A": (timed(), SHORT), "B": timed()}, {"A": "B: at least 0.01 s and 1 query"}),
+        ({"A": (timed(), SHORT)}, {"A": "its other seeds: at least 0.01 s and 1 query"}),
     ],
 )
-def test_the_row_that_is_timed_otherwise_says_how(runs: dict[str, Run], told: dict[str, str]) -> None:
-    found = other_timing(runs)
+def test_the_row_that_is_timed_otherwise_says_how(runs: dict[str, Run | tuple[Run, ...]], told: dict[str, str]) -> None:
+    found = other_timing({name: given if isinstance(given, tuple) else (given,) for name, given in runs.items()})
     assert {reason.code for reason in found.values()} <= {"timing"}
     assert found.keys() == told.keys()
     assert all(found[name].text.endswith(f" {end}") for name, end in told.items())

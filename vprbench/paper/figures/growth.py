@@ -55,8 +55,9 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
         _draw_laws(right, samples.query, row.query, _MS, look, name)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
-    lines = _finish(left, [sample for row in rows for sample in row.training], 1)
-    lines = max(lines, _finish(right, [sample for row in rows for sample in row.query], _MS))
+    lines = _finish(left, [sample for row in rows for sample in row.training], 1, "nothing was trained")
+    queries = [sample for row in rows for sample in row.query]
+    lines = max(lines, _finish(right, queries, _MS, "nothing was timed"))
     figure.set_figheight((_HEIGHT_MM + lines * _LINE_MM) / 25.4)
     runs = [run for row in rows for run in row.runs]
     told = {
@@ -134,10 +135,10 @@ def _draw_laws(
             )
 
 
-def _finish(axes: Axes, samples: Sequence[Sample], unit: float) -> int:
+def _finish(axes: Axes, samples: Sequence[Sample], unit: float, nothing: str) -> int:
     """Scale the axes and write the legend below them; returns how many lines it has."""
     if not samples:
-        axes.text(0.5, 0.5, "nothing was trained", transform=axes.transAxes, ha="center", color=GREY, style="italic")
+        axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=GREY, style="italic")
         axes.set(xticks=[], yticks=[])
         return 0
     plain_log(axes, "x", [sample.n_places for sample in samples])

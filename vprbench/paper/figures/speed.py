@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.captions import caption
+from vprbench.paper.figures.captions import caption, timed
 from vprbench.paper.figures.log_axis import plain, plain_log
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled, wrapped
 from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
@@ -79,9 +79,11 @@ def query_rate(
 ) -> Drawn:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
-    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`.
+    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`; a run that
+    was not timed counts as none.
     """
     quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
+    (cpu, _), (gpu, _) = timed(cpu), timed(gpu)
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
     figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
     printed = {name for panel in panels for name in panel.published}
@@ -120,7 +122,7 @@ def _panels(
     measure: Callable[[Row, Sequence[Run], str], _Bar],
 ) -> list[_Panel]:
     if not cpu and not gpu:
-        raise BadInput(f"no run on {column.title} is stored: there is no speed to draw")
+        raise BadInput(f"no run on {column.title} is stored that has these times: there is no speed to draw")
     printed = published()
     panels = []
     for title, series, quantity in zip(("CPU", "GPU"), (cpu, gpu), quantities, strict=True):

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import Interval
-from vprbench.paper.figures.captions import caption, one_dataset
+from vprbench.paper.figures.captions import caption, one_dataset, timed
 from vprbench.paper.figures.label_places import Label, place_labels
 from vprbench.paper.figures.log_axis import plain_log
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, styled
@@ -38,13 +38,17 @@ class _Point:
 def against_rate(series: Sequence[Series]) -> Drawn:
     """Draw R@1 against queries per second, encode and match together: up and right is better.
 
-    Raises BadInput for no rows, for rows on different data and if no query has a right place.
+    Rows that were not timed are left out. Raises BadInput for no timed rows, for rows on different data and if no query
+    has a right place.
     """
-    points = _points(series, "accuracy against query rate", contests.rate)
+    kept, untimed = timed(series)
+    if not kept and untimed:
+        raise BadInput("the figure of accuracy against query rate has no timed runs to draw: run with timing=quick")
+    points = _points(kept, "accuracy against query rate", contests.rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     _legend_if_crowded(figure)
-    return Drawn(figure, caption("against_rate", series, best=best))
+    return Drawn(figure, caption("against_rate", kept, best=best, untimed=untimed))
 
 
 @styled

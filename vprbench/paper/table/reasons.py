@@ -22,11 +22,13 @@ Mark = Literal[
     "failed",
     "left out",  # too many places for this row within the time of the table
     "unfinished",  # some of the seeds are not stored yet, or none
+    "not timed",  # answers are stored, and no rates with them
     "not run",  # no run of this kind is stored, as on a machine without a GPU
 ]
 #: The word of a cell without a number, by the code of the reason.
 MARKS: Mapping[str, Mark] = {
-    **{"failed": "failed", "missing": "not there", "left out": "left out", "seeds": "unfinished"},
+    **{"failed": "failed", "missing": "not there", "left out": "left out"},
+    **{"seeds": "unfinished", "untimed": "not timed"},
     **dict.fromkeys(("device", "protocol without runs", "loaded", "kept"), "not run"),
 }
 
@@ -134,16 +136,23 @@ def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
         yield short("paper's way", row.rate_remark)
 
 
-def other_timing(runs: Mapping[str, Run]) -> dict[str, Reason]:
+def other_timing(runs: Mapping[str, Sequence[Run]]) -> dict[str, Reason]:
     """Return what to say of the rates of rows that were timed under another protocol than most rows of their column.
 
-    `runs` holds one run of each row, for all of a row share their protocol. Of equally many, the first row's counts.
+    A row of seeds that were timed in several ways is of the way that fewest rows have. Of equally many, the first row's
+    counts.
     """
-    ways: dict[str, list[str]] = {}
-    for name, run in runs.items():
-        ways.setdefault(as_text(run.config.get("timing")), []).append(name)
-    usual, *others = sorted(ways.values(), key=len, reverse=True) or [[]]
-    return {name: _timed(runs[name], runs[usual[0]], usual) for names in others for name in names}
+    ways: dict[str, dict[str, Run]] = {}  # by protocol, rows with a run
+    for name, run in ((name, run) for name, of_row in runs.items() for run in of_row):
+        ways.setdefault(as_text(run.config.get("timing")), {}).setdefault(name, run)
+    usual, *others = sorted(ways.values(), key=len, reverse=True) or [{}]
+    first = next(iter(usual.values()), None)
+    return {
+        name: _timed(run, first, [other for other in usual if other != name] or ["its other seeds"])
+        for names in others
+        for name, run in names.items()
+        if first is not None
+    }
 
 
 def _timed(run: Run, usual: Run, rows: Sequence[str]) -> Reason:
