@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from contextvars import ContextVar
 from typing import Any, TextIO
 
@@ -17,9 +17,15 @@ from vprbench.text import printable
 
 Listener = Callable[[str, float], None]  # stage, share done from 0 to 1
 
+MARKED = "VPRBENCH_MARKED"  # set for a process whose standard error another one reads: stages and warnings are marked
+_MARK, _WARNING = "\x1e", "!"
+
 _listener: ContextVar[Listener | None] = ContextVar("progress_listener", default=None)
+_elsewhere: ContextVar[Listener | None] = ContextVar("progress_elsewhere", default=None)
+_answers: ContextVar[TextIO | None] = ContextVar("answers", default=None)
 
 _LINE_EVERY = 10.0  # seconds between plain lines
+_MARK_EVERY = 0.5  # seconds between marked lines
 _STEPS = 1000  # resolution of the bar
 
 
@@ -42,16 +48,38 @@ def listening(listener: Listener) -> Iterator[None]:
 
 class _OneLine(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
-        return printable(super().formatMessage(record), but="\t")
+        text = printable(super().formatMessage(record), but="\t")
+        if record.levelno < logging.WARNING:
+            return text
+        if os.environ.get(MARKED):
+            return f"{_MARK}{_WARNING}{text}"
+        return f"\x1b[33m{text}\x1b[0m" if sys.stderr.isatty() and not os.environ.get("NO_COLOR") else text
+
+
+class _Lines(logging.StreamHandler[TextIO]):
+    """Writes on what is standard error now, above a bar that is shown there."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr
+        bars = sys.modules.get("tqdm.std")
+        with bars.tqdm.external_write_mode(file=sys.stderr) if bars else nullcontext():
+            super().emit(record)
 
 
 def log_lines() -> None:
     """Let each logged message be a line on standard error."""
-    logging.basicConfig(level=logging.INFO)
+    lines = _Lines()
+    lines.setFormatter(_OneLine("%(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[lines])
     logging.getLogger("hydra").setLevel(logging.WARNING)  # its words on a sweep are not ours
-    for handler in logging.getLogger().handlers:
-        if type(handler) is logging.StreamHandler:
-            handler.setFormatter(_OneLine("%(message)s"))
+
+
+def marked(line: str) -> tuple[str, float] | str | None:
+    """Return what a process told by a marked line: a stage and its share, or a warning; None for another line."""
+    if not line.startswith(_MARK):
+        return None
+    stage, _, share = line[len(_MARK) :].rpartition("\t")
+    return stage.removeprefix(_WARNING) + share if line.startswith(_MARK + _WARNING) else (stage, float(share))
 
 
 @contextmanager
@@ -70,8 +98,17 @@ def answers_alone() -> Iterator[Callable[[str], None]]:
         with suppress(OSError, ValueError):  # a reader that has gone, or a full disk, makes no stored run a failure
             print(line, file=stream, flush=True)
 
-    with redirect_stdout(sys.stderr):
-        yield say
+    token = _answers.set(stream)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield say
+    finally:
+        _answers.reset(token)
+
+
+def answer_stream() -> TextIO:
+    """Return where answers go: standard output, also inside `answers_alone`."""
+    return _answers.get() or sys.stdout
 
 
 @contextmanager
@@ -79,8 +116,33 @@ def progress_shown(title: str, stream: TextIO | None = None) -> Iterator[None]:
     """Show what is reported inside the block, with the stage and the time left, on standard error or `stream`."""
     shown = _Forgiving(sys.stderr if stream is None else stream)
     title = printable(title)
-    with _bar(title, shown) if shown.isatty() else nullcontext(_lines(title, shown)) as show, listening(show):
+    show: AbstractContextManager[Listener]
+    if (elsewhere := _elsewhere.get()) is not None:
+        show = nullcontext(elsewhere)
+    elif os.environ.get(MARKED):
+        show = nullcontext(_marks(shown))
+    elif shown.isatty() or _in_notebook():
+        show = _bar(title, shown)
+    else:
+        show = nullcontext(_lines(title, shown))
+    with show as listener, listening(listener):
         yield
+
+
+@contextmanager
+def shown_by(listener: Listener) -> Iterator[None]:
+    """Let `listener` show all progress inside the block, in place of bars and lines."""
+    token = _elsewhere.set(listener)
+    try:
+        yield
+    finally:
+        _elsewhere.reset(token)
+
+
+def _in_notebook() -> bool:
+    """Tell whether a notebook runs this, which shows bars though its streams are no terminals."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return getattr(shell, "kernel", None) is not None
 
 
 class _Forgiving:
@@ -91,6 +153,11 @@ class _Forgiving:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
+
+    def __eq__(self, other: object) -> bool:  # a bar asks whether it is drawn on the stream of a message
+        return self._stream is getattr(other, "_stream", other)
+
+    __hash__ = None  # type: ignore[assignment]
 
     def write(self, text: str) -> int:
         with suppress(OSError, ValueError):  # ValueError: it was closed
@@ -105,9 +172,9 @@ class _Forgiving:
 @contextmanager
 def _bar(title: str, stream: _Forgiving) -> Iterator[Listener]:
     """Yield what moves a bar, and draws it anew for a new stage."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
-    columns, rows = shutil.get_terminal_size()  # 80 and 24 if a terminal does not tell
+    columns, rows = (None, None) if _in_notebook() else shutil.get_terminal_size()  # 80 and 24 if none tells
     layout = "{desc} {percentage:3.0f} % |{bar}| {elapsed}, {remaining} left"
     current = ""
     with tqdm(total=_STEPS, desc=title, file=stream, bar_format=layout, leave=False, ncols=columns, nrows=rows) as bar:
@@ -121,6 +188,20 @@ def _bar(title: str, stream: _Forgiving) -> Iterator[Listener]:
             bar.update(int(done * _STEPS) - bar.n)
 
         yield show
+
+
+def _marks(stream: _Forgiving) -> Listener:
+    """Return what prints a marked line for a new stage, and some more a second."""
+    current, last = "", 0.0
+
+    def show(stage: str, done: float) -> None:
+        nonlocal current, last
+        now = time.perf_counter()
+        if stage != current or now - last > _MARK_EVERY:
+            current, last = stage, now
+            print(f"{_MARK}{printable(stage)}\t{done:.3f}", file=stream, flush=True)
+
+    return show
 
 
 def _lines(title: str, stream: _Forgiving) -> Listener:

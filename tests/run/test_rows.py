@@ -164,7 +164,6 @@ def test_a_label_holds_the_arguments_of_the_method_that_were_asked_for(overrides
 
 
 def test_rows_become_text() -> None:
-    assert rows.plain_row({"a": "long", "head": "b"}) == "a     head\nlong  b   "
     written = rows.markdown([{"x": "1.50", "error": "int | None"}, {"x": "10,000"}]).splitlines()
     assert [line.replace(" ", "") for line in written[2:]] == [r"|1.50|int\|None|", "|10,000|-|"]
 

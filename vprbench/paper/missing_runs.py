@@ -5,18 +5,24 @@ from __future__ import annotations
 import json
 import logging
 import subprocess
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
+from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
 from vprbench.paper.shelf import Compose, Shelf
 from vprbench.plugins import registry
+from vprbench.progress import marked, shown_by
 from vprbench.run import machine
 from vprbench.run.processes import Ending, run_apart
-from vprbench.run.record import Failure
+from vprbench.run.rates import StageRates, best_batch
+from vprbench.run.record import Failure, Run
 from vprbench.run.store import Store
+from vprbench.terminal.live import LiveTable
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +44,7 @@ class MissingRun:
         return [
             *self.dataset_options,
             f"method={self.row.method}",
-            *(f"method.{name}={json.dumps(value)}" for name, value in self.arguments.items()),
+            *(f"method.{name}={json.dumps(value)}" for name, value in _flat(self.arguments)),
             f"seed={self.seed}",
             f"device={self.device}",
         ]
@@ -63,42 +69,127 @@ class MissingRun:
         )
 
 
+def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield arguments, those of mappings by dotted names."""
+    for name, value in arguments.items():
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{name}.{inner}", given) for inner, given in _flat(value))
+        else:
+            yield name, value
+
+
 def fill(wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose) -> list[Ending]:
     """Make the runs that are not stored yet, one after the other; returns how each ended.
 
     `options` of the command line are those of all runs. For a run that is stored no process is started. What is missing
     for the first seed of a row is missing for the others, which are not tried. A failure is stored, never raised.
     """
-    endings: list[Ending] = []
+    shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
+    if shown is None:
+        return list(_endings(wanted, options, store, Shelf(store, options, compose), None))
+    with shown.table, shown_by(shown.progress):
+        return list(_endings(wanted, options, store, Shelf(store, options, compose), shown))
+
+
+def _endings(
+    wanted: Sequence[MissingRun], options: Sequence[str], store: Store, shelf: Shelf, shown: _Shown | None
+) -> Iterator[Ending]:
     missing: dict[tuple[str, str, str], Ending] = {}
-    shelf = Shelf(store, options, compose)
     for number, run in enumerate(wanted, 1):
         known = (run.row.name, run.title, run.device)
-        if known in missing:
-            endings.append(missing[known])
-            continue
-        if shelf.holds(run):
-            endings.append(Ending(0))
-            continue
-        logger.info("[%d/%d] %s on %s, seed %d, %s", number, len(wanted), run.row.name, run.title, run.seed, run.device)
-        ending = _made(run, options, store)
+        if shown is not None:
+            shown.begin(run)
+        ending, found = missing.get(known), None
+        if ending is None:
+            found = shelf.held(run)
+            ending = Ending(0) if found else None
+        if ending is None:
+            if shown is None:
+                on = f"{run.row.name} on {run.title}, seed {run.seed}, {run.device}"
+                logger.info("[%d/%d] %s", number, len(wanted), on)
+            ending = _made(run, options, store, shown)
+            found = store.find(str(run.dataset["name"]), run.row.method, ending.key) if shown and ending.key else None
         if ending.missing:
             missing[known] = ending
-        endings.append(ending)
-    return endings
+        if shown is not None:
+            shown.end(run, ending, found)
+        yield ending
 
 
-def _made(run: MissingRun, options: Sequence[str], store: Store) -> Ending:
+def _made(run: MissingRun, options: Sequence[str], store: Store, shown: _Shown | None) -> Ending:
     """Make one run in a process of its own."""
     known = registry.entries("method")
     if run.row.method not in known:
         return _stored(run, f"there is no method {run.row.method} here yet", True, store)
     if run.device != "cpu" and "device" not in known[run.row.method].options:
         return Ending(0)
-    ending = run_apart([*run.options(), *options, f"results={store.root}"], stdout=subprocess.DEVNULL)
+    asked = [*run.options(), *options, f"results={store.root}"]
+    if shown is None:
+        ending = run_apart(asked, stdout=subprocess.DEVNULL)
+    else:
+        shown.start(run)
+        ending = run_apart(asked, stdout=subprocess.DEVNULL, heard=shown.heard)
     if ending.code and not ending.recorded:
         return _stored(run, ending.error, ending.missing, store, ending.code)
     return ending
+
+
+class _Shown:
+    """The live table of what is filled: recall and query rate of each row and dataset, as they are stored."""
+
+    def __init__(self, wanted: Sequence[MissingRun]) -> None:
+        """Show a row and a column for each that is wanted."""
+        rows, columns = (dict.fromkeys(run.row.name for run in wanted), dict.fromkeys(map(_column, wanted)))
+        self.table = LiveTable([*rows], [*columns], len(wanted))
+        self._at = wanted[0]
+        self._numbers: dict[tuple[str, str], list[tuple[float | None, float | None]]] = {}
+
+    def begin(self, run: MissingRun) -> None:
+        """Go on with a run."""
+        self._at = run
+
+    def start(self, run: MissingRun) -> None:
+        """Begin to make a run."""
+        self.table.show(run.row.name, _column(run), "starts", "cyan")
+        self.table.begin()
+
+    def progress(self, stage: str, done: float) -> None:
+        """Show how far the run is."""
+        self.table.share(done if stage.startswith("timing") else 0.0)
+        self.table.show(self._at.row.name, _column(self._at), f"{stage.split(',')[0]} {100 * done:.0f} %", "cyan")
+
+    def heard(self, line: str) -> None:
+        """Show what a process says: its progress in its cell, all else above the table."""
+        told = marked(line)
+        if isinstance(told, tuple):
+            self.progress(*told)
+        elif told is not None:
+            self.table.line(told, "yellow")
+        elif line:
+            self.table.line(line, "red" if line.startswith("vprbench: ") else "")
+
+    def end(self, run: MissingRun, ending: Ending, found: Run | None) -> None:
+        """Show what a run has come to."""
+        cell = (run.row.name, _column(run))
+        if ending.code:
+            self.table.show(*cell, *(("not there", "dim") if ending.missing else ("failed", "red")))
+        elif found is not None:
+            numbers = self._numbers.setdefault(cell, [])
+            first = recall_at(found.outcome, 1)
+            batch = best_batch(found.timing.offline) if found.timing else None
+            rate = StageRates.offline(batch).total if batch else None
+            numbers.append((first.expected if first else None, rate))
+            recalls, rates = ([each for each in column if each is not None] for column in zip(*numbers, strict=True))
+            words = [f"{100 * mean(recalls):.1f} %" if recalls else "undefined"]
+            words.append(f"{mean(rates):,.0f} Hz" if rates else "not timed")
+            self.table.show(*cell, "  ".join(words))
+        else:
+            self.table.show(*cell, "-", "dim")
+        self.table.step()
+
+
+def _column(run: MissingRun) -> str:
+    return run.title if run.device == "cpu" else f"{run.title}, {run.device}"
 
 
 def _stored(run: MissingRun, error: str, missing: bool, store: Store, code: int = 2) -> Ending:

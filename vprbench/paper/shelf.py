@@ -14,6 +14,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.run import thumbnails
+from vprbench.run.adaptation import adapted_as
 from vprbench.run.identity import Identity, code_hash_of, fingerprint
 from vprbench.run.record import Run, content_key
 from vprbench.run.settings import checked_settings, n_threads
@@ -38,44 +39,53 @@ class Shelf:
         self._compose = compose
         self._datasets: dict[str, tuple[Dataset, str]] = {}
 
-    def holds(self, wanted: MissingRun) -> bool:
-        """Tell whether a process would find the run in the store and have nothing to add to it.
+    def held(self, wanted: MissingRun) -> Run | None:
+        """Return the stored run that a process would find and have nothing to add to; None if there is none.
 
         It has the key of a stored run; the frames behind the key are looked at only if the arguments are those of one.
-        False for whatever raises an error here, so that a process tells it.
+        None for whatever raises an error here, so that a process tells it.
         """
         if not self._runs:
-            return False
+            return None
         try:
             with contextlib.redirect_stdout(io.StringIO()), chdir("."):
                 return self._found(wanted)
         except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
             logger.debug("whether %s is stored is left to a process: %s", wanted.row.name, error)
-            return False
+            return None
 
     @cached_property
     def _runs(self) -> list[Run]:
         return list(self._store.runs())
 
-    def _found(self, wanted: MissingRun) -> bool:
+    def _found(self, wanted: MissingRun) -> Run | None:
         config = dict(self._compose([*wanted.options(), *self._options]))
         settings = checked_settings(config)
         config["method"], tuned_on = registry.declared(wanted.row.method, config["method"])
-        alike = [run for run in self._runs if run.method == wanted.row.method and _told(run.config) == _told(config)]
+        config["overrides"] = [*wanted.options(), *self._options]
+        alike = [
+            run
+            for run in self._runs
+            if run.method == wanted.row.method and _told(run.config) == _told(adapted_as(run.config, config))
+        ]
         code = code_hash_of(config["method"]["_target_"])
         if settings.force or not alike or code is None:
-            return False
+            return None
         config["files"] = _files(config["method"], alike)
         dataset, images = self._dataset(config["dataset"])
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)
-        keys = {Identity(of_class, code, config, dataset, images, h, threads).key() for h in held_out}
+        keys = {
+            Identity(of_class, code, asked, dataset, images, h, threads).key()
+            for asked in (adapted_as(run.config, config) for run in alike)
+            for h in held_out
+        }
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
         found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         if settings.frames and thumbnails.find(self._store.root, images) is None:
-            return False
-        return any(settings.cache or run.fit_seconds is not None for run in found)
+            return None
+        return next((run for run in found if settings.cache or run.fit_seconds is not None), None)
 
     def _dataset(self, config: Mapping[str, Any]) -> tuple[Dataset, str]:
         """Return a dataset and the fingerprint of its frames, which may have to be hashed."""

@@ -16,6 +16,7 @@ from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.run.settings import KNOWN, timings
 from vprbench.run.timing_protocol import Protocol
+from vprbench.text import near
 
 
 def composed(options: Sequence[str]) -> dict[str, Any]:
@@ -26,6 +27,7 @@ def composed(options: Sequence[str]) -> dict[str, Any]:
     for option in options:
         if option.startswith("-"):
             raise BadInput(f"{option} is no option here: see python -m vprbench --help")
+    _insist_on_options(options)
     with hydra.initialize_config_module("vprbench.conf", version_base="1.3"):
         return cast(dict[str, Any], OmegaConf.to_container(hydra.compose("run", overrides=list(options)), resolve=True))
 
@@ -55,6 +57,15 @@ def _is_override(argument: str) -> bool:
     return True
 
 
+def _insist_on_options(arguments: Sequence[str]) -> None:
+    """Raise BadInput for the first that is no option=value, with the near names."""
+    for argument in arguments:
+        name = argument.partition("=")[0]
+        if not name or not _is_override(argument):
+            wanted = f"give {name}=value" if name in KNOWN or "." in name else near(name, KNOWN)
+            raise BadInput(f"{argument or 'an empty argument'} is no option=value: {wanted}")
+
+
 def _quoted(value: str) -> str:
     return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
@@ -68,10 +79,12 @@ def in_order(arguments: Sequence[str]) -> list[str]:
     parser = get_args_parser()
     parser.error = _refuse  # type: ignore[method-assign]
     parsed = parser.parse_intermixed_args(list(arguments))
-    if parsed.resolve and not parsed.cfg:
-        raise BadInput("--resolve: give --cfg job too")
+    for flag in ("resolve", "package"):
+        if getattr(parsed, flag) and not parsed.cfg:
+            raise BadInput(f"--{flag}: give --cfg job too")
     if parsed.multirun and not parsed.overrides:
         raise BadInput("-m: say what to run, as in method=sad,pca seed=0,1,2")
+    _insist_on_options(parsed.overrides)
     flags = list(arguments)
     for option in parsed.overrides:
         flags.remove(option)
@@ -102,11 +115,13 @@ def check_names(arguments: Sequence[str]) -> None:
     for group in groups:
         known = registry.entries(group)
         for argument in arguments:
+            if argument.startswith(f"{group}=["):
+                raise BadInput(f"{argument}: give one name, or with -m several between commas")
             if argument.startswith(f"{group}=") and re.fullmatch(r"[\w,.-]*", argument.split("=", 1)[1]):
                 for name in argument.split("=", 1)[1].split(","):
                     registry.insist_on_one(group, name)
                     if name not in known:
-                        raise BadInput(f"{group}={name} is unknown: {registry.near(name, known)}")
+                        raise BadInput(f"{group}={name} is unknown: {near(name, known)}")
 
 
 def explained(error: Exception, arguments: Sequence[str]) -> str:
@@ -119,16 +134,21 @@ def explained(error: Exception, arguments: Sequence[str]) -> str:
         return _no_such(sought[1], sought[2])
     if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
         return f"{unresolved[2]}: {unresolved[1]}"
-    option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
+    if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):
+        name = group[1] or group[2]
+        return f"option {name} takes one name, as in {name}={_names(name)[0]}, or with -m several between commas"
+    told = (r"Could not override '([^']+)'", r"Key '([^']+)' is not in struct", r"Could not delete .*?'([^']+)' does")
+    option = next(filter(None, (re.match(pattern, text) for pattern in told)), None)
     if option is None:
-        return text
+        found = re.search(r"Could not find '([^']+)'", text)
+        return f"{found[1]} is unknown" if found else text.split(" See https://hydra.cc")[0]
     path = option.group(1)
     above, _, name = path.partition(".")
     if above in ("method", "dataset") and name:
         return _unfit("method" if above == "method" else "dataset", name, arguments)
     if above == "timing" and name:
-        return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
-    return f"option {path} is unknown: {registry.near(path, KNOWN)}"
+        return f"option {path} is unknown: {near(name, Protocol.__dataclass_fields__)}"
+    return f"option {path} is unknown: {near(path, KNOWN)}"
 
 
 def _names(group: str) -> list[str]:
@@ -138,7 +158,7 @@ def _names(group: str) -> list[str]:
 
 
 def _no_such(group: str, name: str) -> str:
-    return f"{group}={name} is unknown: {registry.near(name, _names(group))}"
+    return f"{group}={name} is unknown: {near(name, _names(group))}"
 
 
 def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
@@ -148,5 +168,5 @@ def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:
     for chosen in given.strip("'\"").split(",") if given else [{"method": "sad", "dataset": "synthetic"}[group]]:
         known = entries[chosen].options if chosen in entries else []
         if option.split(".")[0] not in known:
-            return f"option {group}.{option} is unknown to {chosen}: {registry.near(option, known)}"
+            return f"option {group}.{option} is unknown to {chosen}: {near(option, known)}"
     return f"option {group}.{option} is unknown"

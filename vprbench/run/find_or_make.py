@@ -21,13 +21,14 @@ from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
+from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
 from vprbench.storage.hashes import content_hash
-from vprbench.text import printable
+from vprbench.terminal.console import table_text, told
 
 
 class UnstoredRunError(BadInput):
@@ -103,7 +104,7 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
             folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
         except BadInput as error:
             raise UnstoredRunError(error, run) from error
-    ending.tell(code=0)
+    ending.tell(code=0, key=key)
     if settings.frames:
         _keep_frames(store, run, dataset)
     return Made(run, folder, found is not None)
@@ -122,6 +123,9 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
         dataset = registry.make_dataset(asked["dataset"])
         # what the cheap checks warn of is among the dataset's notes
         dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+        if needed := adaptation(method, dataset.n_places, asked):
+            asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
+            method = registry.make_method(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
@@ -193,11 +197,13 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
             },
             allow_nan=False,
         )
-    lines = [rows.protocol_line(run), *rows.plain_row(rows.readable_row(run, settings.metrics)).splitlines()]
-    lines += filter(None, [rows.interval_line(run), rows.tolerance_line(run)])
-    lines += [f"note: {note.text}" for note in all_notes(run)]
+    row = rows.readable_row(run, settings.metrics)
+    notes = [(f"note: {note.text}", "yellow") for note in all_notes(run)]
+    said = [*notes, (rows.protocol_line(run), "")]
+    below = [*filter(None, [rows.interval_line(run), rows.tolerance_line(run)])]
     if from_store:
-        lines.append(f"from the store: {folder} (force=true runs again)")
+        below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
-        lines.append(f"stored in {folder}")
-    return "\n".join(map(printable, lines))
+        below.append(f"stored in {folder}")
+    table = table_text([*row], [[*row.values()]], settings.wide, rows.LEAST)
+    return "\n".join([*(told(*each) for each in said), table, *map(told, below)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import os
@@ -11,14 +12,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Thread
+from typing import IO, TYPE_CHECKING, Any, cast
 
 from vprbench import ending
 from vprbench.errors import BadInput
+from vprbench.progress import MARKED
 from vprbench.storage.atomic import PARTIAL, remove_leftovers
 from vprbench.storage.folders import checkout_folder
 from vprbench.text import printable
@@ -39,11 +42,18 @@ class Ending:
     missing: bool = False  # method, weights or frames are not there
     error: str = ""
     recorded: bool = False  # whether the store knows of the error
+    key: str = ""  # of the run that is stored
 
 
-def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: bool = True) -> Ending:
+def run_apart(
+    arguments: Sequence[str],
+    stdout: int | None = None,
+    in_sweep: bool = True,
+    heard: Callable[[str], None] | None = None,
+) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
+    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own.
     A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
     Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
     """
@@ -51,8 +61,14 @@ def run_apart(arguments: Sequence[str], stdout: int | None = None, in_sweep: boo
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     with _slip() as left, _signals_passed_on() as (children, signals):
         given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
+        given |= {MARKED: "1"} if heard else {}
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
-        with subprocess.Popen(command, env=given, stdout=stdout) as child, _limited(child, left):
+        stderr = subprocess.PIPE if heard else None
+        with (
+            subprocess.Popen(command, env=given, stdout=stdout, stderr=stderr) as child,
+            _limited(child, left),
+            _lines_passed_on(child.stderr, heard),
+        ):
             children.append(child)
             for number in signals:
                 child.send_signal(number)
@@ -133,6 +149,23 @@ def _slip() -> Iterator[Path]:
             return
     with scratch() as folder:
         yield folder / "ending"
+
+
+@contextlib.contextmanager
+def _lines_passed_on(stream: IO[bytes] | None, heard: Callable[[str], None] | None) -> Iterator[None]:
+    """Tell each line of a child's standard error, where it is read, to `heard`."""
+
+    def read() -> None:
+        with contextlib.suppress(ValueError, OSError):  # it is closed while it is read
+            for line in io.TextIOWrapper(cast(IO[bytes], stream), encoding="utf-8", errors="replace"):
+                cast(Callable[[str], None], heard)(line.rstrip("\n"))
+
+    reader = Thread(target=read, daemon=True)
+    if stream is not None and heard is not None:
+        reader.start()
+    yield
+    if reader.ident is not None:
+        reader.join(_PATIENCE)  # a process that the child has left behind may hold its standard error
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from vprbench.run.stopwatch import Timing
 from vprbench.run.tuned import tuned_note
 
 NOTHING, UNTIMED = "-", "not timed"
+LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
 
 
@@ -59,13 +60,6 @@ def markdown(rows: Sequence[dict[str, str]]) -> str:
     """Return rows of text as a Markdown table; what a row lacks is a dash."""
     rows = [{name: text.replace("|", r"\|") for name, text in row.items()} for row in rows]
     return str(pd.DataFrame(rows).fillna(NOTHING).to_markdown(index=False, disable_numparse=True))
-
-
-def plain_row(row: dict[str, str]) -> str:
-    """Return one row of text with its head, aligned for a terminal."""
-    widths = {name: max(len(name), len(value)) for name, value in row.items()}
-    head = "  ".join(name.ljust(widths[name]) for name in row)
-    return f"{head}\n" + "  ".join(value.ljust(widths[name]) for name, value in row.items())
 
 
 def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | str | None]:

@@ -13,6 +13,7 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.run import machine, spikes
+from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import Learnt, learn
@@ -57,8 +58,9 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     with stopwatch.lap() as auditing:
         measured["search"] = scoring.audited.search()
         measured["spikes"], spike_notes = spikes.counted(method, queries)
-    told = (*learnt.notes, *noted("method", method.notes()), *_cache_notes(dataset, learnt.from_cache, from_cache))
-    told = (*noted("dataset", dataset.notes), *told)
+    adapted = noted("adapted", adaptation_words(request.config, dataset.n_places))
+    told = (*adapted, *learnt.notes, *noted("method", method.notes()))
+    told = (*noted("dataset", dataset.notes), *told, *_cache_notes(dataset, learnt.from_cache, from_cache))
     scored = replace(
         _scored(request, key, learnt, answers, measured),
         harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],

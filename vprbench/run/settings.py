@@ -27,6 +27,7 @@ class Settings:
     force: bool = False
     cache: bool = True  # keep descriptors of networks, and take those of an earlier run
     output: Literal["row", "json"] = "row"
+    wide: bool = False  # show all columns of the row
     metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS
     depth: int = 100
     frames: bool = True  # keep small pictures of the dataset, for figures and report

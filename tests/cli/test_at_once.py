@@ -1,0 +1,173 @@
+"""Help, version, lists and completion: answered without Hydra, PyTorch or a plug-in, in the first process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from checkout import ROOT
+
+from vprbench import __version__, cli, commands
+from vprbench.at_once import COMMANDS, answered
+from vprbench.paper.gather import TableRequest
+from vprbench.plugins import registry
+from vprbench.run.settings import Settings
+
+HEAVY = ("hydra", "omegaconf", "torch", "numpy", "vprbench.methods", "vprbench.datasets")
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert answered(arguments) == 0
+    return capsys.readouterr().out
+
+
+def completed(capsys: pytest.CaptureFixture[str], line: str) -> list[str]:
+    return printed(capsys, "__complete", line).split()
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["--version"], ["list", "spiking"], ["table", "--help"], ["__complete", "vprbench method=sad,h"]]
+)
+def test_it_is_answered_by_the_first_process_and_nothing_heavy_is_imported(arguments: list[str]) -> None:
+    code = f"""
+import subprocess, sys
+subprocess.Popen = None
+from vprbench.__main__ import main
+sys.argv[1:] = {arguments}
+assert main() == 0
+sys.exit([name for name in {HEAVY} if name in sys.modules] or 0)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["help"], ["-h"]])
+def test_without_a_command_the_commands_are_named_and_nothing_runs(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments) == 0
+    text = capsys.readouterr().out
+    assert [name for name in COMMANDS if f"\nvprbench {name} " not in text] == []
+    assert max(map(len, text.splitlines())) <= 120
+    assert [*Path().iterdir()] == []
+
+
+def test_the_version_is_this_projects_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(capsys, "--version") == f"vprbench {__version__}\n"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_columns(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, _, function = COMMANDS[name].does.partition(":")
+    assert callable(
+        getattr({"commands": commands, "cli": cli}.get(room.rpartition(".")[2], sys.modules[room]), function)
+    )
+    assert COMMANDS[name].meaning
+    table = printed(capsys, name, "--help").splitlines()[2:]
+    assert max(map(len, table), default=0) <= 100
+
+
+def test_the_help_of_a_command_has_each_field_of_its_settings_with_type_default_and_meaning(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = {
+        line.split()[0]: line.split(maxsplit=3) for line in printed(capsys, "table", "--help").splitlines() if line
+    }
+    assert {field.name for field in fields(TableRequest)} <= lines.keys()
+    assert lines["rows"] == ["rows", "list[str]", "null", "of conf/table.yaml; null: those of the paper"]
+    assert lines["results"][1:] == ["str", "results", "folder of the stored runs"]  # as a run has it
+
+
+def test_the_help_of_a_run_has_its_options_and_those_of_the_chosen_method_and_dataset(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = printed(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick", "--help")
+    lines = {line.split()[0]: line.split(maxsplit=3) for line in text.splitlines() if line.strip()}
+    assert {field.name for field in fields(Settings)} <= lines.keys()
+    assert lines["method.max_module"] == ["method.max_module", "int", "1000", "places a module"]  # of what it builds on
+    assert lines["timing.sample"][2] == "64"
+    assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "float", "25.0", "for utm"]
+    entries = {
+        "method": registry.entries("method")["vprtempo_tuned"],
+        "dataset": registry.entries("dataset")["folders"],
+    }
+    wanted = {f"{group}.{name}" for group, entry in entries.items() for name in entry.options}
+    assert wanted - {"method.seed", "method.device"} <= lines.keys()
+
+
+# Lists
+
+
+@pytest.mark.parametrize(
+    ("words", "there", "not_there"),
+    [
+        (["spiking"], {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
+        (["weights=none"], {"sad", "vprtempo"}, {"cosplace", "synthetic"}),
+        (["weights=needed"], {"cosplace"}, {"sad"}),
+        (["datasets"], {"synthetic", "folders"}, {"sad"}),
+        (["methods", "gradients"], {"hog", "cohog"}, {"sad", "street"}),
+    ],
+)
+def test_a_list_is_filtered_by_words_tags_and_weights(
+    words: list[str], there: set[str], not_there: set[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {each["name"] for each in json.loads(printed(capsys, "list", *words, "output=json"))}
+    assert there <= names
+    assert not names & not_there
+    assert {line.split()[0] for line in printed(capsys, "list", *words).splitlines()} >= there
+
+
+# Completion
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("vprbench tab", ["table"]),
+        ("vprbench method=sa", ["method=sad", "method=salad", "method=salad_indoor"]),
+        ("vprbench -m method=sad,ho", ["method=sad,hog"]),
+        ("vprbench table methods=[sad,ho", ["methods=[sad,hog"]),
+        ("vprbench method=vprtempo method.max_", ["method.max_module="]),
+        ("vprbench method=vprtempo method.query_rule=", ["method.query_rule=spiking", "method.query_rule=linear"]),
+        ("vprbench dataset=folders dataset.ref", ["dataset.references="]),
+        ("vprbench timing=qu", ["timing=quick"]),
+        ("vprbench doctor dataset=sfu", ["dataset=sfu_mountain"]),
+        ("vprbench fetch nordland_6", ["nordland_64x32"]),
+        ("vprbench table stored=", ["stored=true", "stored=false"]),
+        ("vprbench search tri", ["trials="]),
+        ("vprbench list sp", ["spiking"]),
+        ("vprbench completion z", ["zsh"]),
+    ],
+)
+def test_the_last_word_is_completed(line: str, wanted: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert completed(capsys, line) == wanted
+
+
+def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path: Path) -> None:
+    program = tmp_path / "vprbench"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vprbench "$@"\n')
+    program.chmod(0o755)
+    line = "vprbench check method=vprtempo_tuned_"
+    script = f"""
+source <(vprbench completion bash)
+COMP_LINE='{line}' COMP_POINT={len(line)} COMP_WORDS=(vprbench check method = vprtempo_tuned_) COMP_CWORD=4
+_vprbench vprbench vprtempo_tuned_ =
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    told = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", script], env=told, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("vprtempo_tuned_ensemble\n", "")
