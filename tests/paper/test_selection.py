@@ -128,7 +128,6 @@ def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say
 
 OTHERS: dict[str, dict[str, Any]] = {
     "code": {"config": {"code": "beef"}},
-    "timing": {"config": {"timing": {"minimum_seconds": 10.0}}},
     "weights": {"config": {"files": [["net.pth", "a1"]]}},
     "arguments of the method": {
         "config": {"method": {"rules": "paper", "max_module": 1100, "epochs": 3, "_target_": "made.vprtempo"}}
@@ -143,6 +142,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 OLD = [tempo(seed, day="2025-03-03") for seed in (0, 1, 2)]
 
 
+TIMED_OTHERWISE = tempo(2, config={"timing": {"minimum_seconds": 10.0}})
 NEWER = tempo(0, day="2025-03-04", config={"code": "beef"})
 TRAINED = run(day="2025-01-01")
 LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
@@ -152,6 +152,7 @@ LOADED = run(day="2025-03-01", network="5a" * 32, fit_seconds=None)
     ("row", "stored", "runs", "missing", "aside"),
     [
         (VPRTEMPO, [OLD[2], OLD[0]], [OLD[0], OLD[2]], (1,), ()),
+        (VPRTEMPO, [*OLD[:2], TIMED_OTHERWISE], [*OLD[:2], TIMED_OTHERWISE], (), ()),
         (SAD, [TRAINED, run(seed=7)], [TRAINED], (), (Aside(1, "of seeds that were not asked for"),)),
         (SAD, [TRAINED, run(device="cuda:1")], [TRAINED], (), ()),
         *(

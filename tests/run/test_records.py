@@ -109,6 +109,7 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         a_run(timing=replace(TIMING, offline=(TIMING.offline[0], replace(TIMING.offline[1], valid=False)))),
         a_run(scores=np.where(NOISE > 2, -np.inf, NOISE)),
         a_run(place_numbers=np.arange(10) * 3),
+        a_run(timing=None, config={**a_run().config, "timing": None}),
         *(
             a_run(positives=tuple(np.array(row, np.int64) for row in right))
             for right in ([[], [1], [], [9, 3]], [[]] * 4)

@@ -66,6 +66,13 @@ def run_of(hits: list[int]) -> Run:
             },
         ),
         (TIED, {"recall_at_1": 0.375, "recall_at_1_pessimistic": 0.25, "recall_at_1_optimistic": 0.5}),
+        (
+            a_run(timing=None),
+            {
+                **{"recall_at_1": 0.5, "training_seconds": 12.34, "first_query_seconds": None},
+                **{"streaming_total_hz": None, "streaming_p90_seconds": None, "offline_batch": None},
+            },
+        ),
         (LOADED, {"fit_seconds": None, "fit_compute_seconds": None, "load_seconds": 0.25}),
         (streamed([0.001 * (i + 1) for i in range(64)], [0.5] * 64), {"streaming_p90_seconds": 0.563}),
         (
@@ -114,6 +121,10 @@ def test_the_interval_says_what_it_is_of() -> None:
                 "offline Hz enc/match/total": "200 / 800 / 160 (batch 8)",
                 "peak MB": "512",
             },
+        ),
+        (
+            a_run(timing=None),
+            dict.fromkeys(("streaming Hz enc/match/total", "offline Hz enc/match/total"), "not timed"),
         ),
         (LOADED, {"fit s": "loaded"}),
         (replace(LOADED, network=None), {"fit s": "kept"}),

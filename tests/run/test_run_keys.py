@@ -44,8 +44,6 @@ def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int
         {"seed": 1},
         {"depth": 4},
         {"threads": 2},
-        {"protocol": replace(QUICK, minimum_queries=6)},
-        {"protocol": replace(QUICK, batch_sizes=[1, 8])},
         {"dataset": replace(journey(6, 4), name="voyage")},
         {"dataset": replace(journey(6, 4), protocol={"queries": "dawn", "tolerance_places": 0})},
         {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
@@ -81,6 +79,7 @@ def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_tra
     "changes",
     [
         {"overrides": ["results=elsewhere"]},
+        {"protocol": replace(QUICK, minimum_queries=6, rates=False)},
         {"method": {"device": "cpu", "window": 5, "_target_": "little.Lookup"}},
         {"method": {"window": 5, "_target_": "little.Lookup"}},
         {"method": {"window": 5, "_target_": "moved.elsewhere.Lookup"}},
@@ -104,6 +103,8 @@ def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
         "sample": 16,
         "warmup_queries": 2,
         "batch_sizes": [1, 4],
+        "total_seconds": None,
+        "rates": True,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import chain, repeat
 from types import SimpleNamespace
 
 import numpy as np
@@ -143,7 +144,7 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     after: float,
     noisy: bool,
 ) -> None:
-    canaries = iter([1.0, after])
+    canaries = chain([1.0], repeat(after))
     monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy

@@ -351,3 +351,33 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(
 def test_a_protocol_that_measures_nothing_is_refused_by_name(option: str, value: Any) -> None:
     with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
         Protocol(**({"minimum_seconds": 0.0} if value == 0.0 else {}) | {option: value})
+
+
+# A limit of all rates together
+
+LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)
+
+
+@pytest.mark.parametrize("image_ms", [1, 7, 30, 110, 400, 1300, 4900])
+@pytest.mark.parametrize("call_ms", [0, 90])
+def test_all_rates_together_take_no_longer_than_their_limit(image_ms: int, call_ms: int) -> None:
+    clock = Clock()
+    method = Timed(
+        lambda ms: clock.spend(ms / 1e3), lambda numbers: call_ms + image_ms * len(numbers), lambda numbers: 0
+    )
+    timing = Stopwatch(LIMITED, clock).measure(method, pictures(range(64)), first_query_seconds=1e-3 * image_ms)
+    assert 0.1 < clock.seconds() <= 5
+    assert streaming_rate(timing.streaming.total_seconds) == pytest.approx(1e3 / (image_ms + call_ms))
+    assert timing.offline[0].images_per_call == 1
+    assert all(np.median(laps.total_seconds) > 0 for laps in timing.offline)
+
+
+def test_a_batch_whose_call_would_take_longer_than_is_left_is_left_out_and_a_faster_one_is_not() -> None:
+    def sizes(call: Callable[[list[int]], int], protocol: Protocol = LIMITED) -> list[int]:
+        timing, _ = measured(protocol, call, lambda _: MS, images=64)
+        return [laps.images_per_call for laps in timing.offline]
+
+    assert sizes(lambda numbers: 30 * MS) == [1, 8, 32]  # all at once
+    assert sizes(lambda numbers: 30 * MS * len(numbers)) == [1, 8]  # one after the other
+    assert sizes(lambda numbers: 900 * MS * len(numbers)) == [1]
+    assert sizes(lambda numbers: 900 * MS * len(numbers), short(batch_sizes=[1, 32])) == [1, 32]

@@ -59,7 +59,6 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
     for run in newest:
         chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
     kept = tuple(run for _, run in sorted(chosen.items(), key=lambda item: item[0]))
-    timed = [run for run in kept if run.timing is not None]
     trained = [(run, run.training_compute_seconds) for run in kept if run.training_compute_seconds is not None]
     return GrowthSamples(
         name=row.name,
@@ -67,7 +66,7 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
         training=tuple(
             Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
         ),
-        query=tuple(map(_median, timed)),
+        query=tuple(_median(run) for run in kept if run.timing is not None),
         aside=tuple(_set_aside(row.name, members, newest[0], at_most) for members in others),
     )
 

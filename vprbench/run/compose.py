@@ -132,7 +132,12 @@ def _swept(option: str) -> str:
 
 
 def check_names(arguments: Sequence[str]) -> None:
-    """Raise BadInput for a method or dataset that does not exist, with the near names, or has no readable yaml."""
+    """Raise BadInput for a method, dataset or timing that does not exist, with the near names, or has no readable yaml."""
+    for argument in arguments:
+        if re.fullmatch(r"timing=[\w,.-]*", argument):
+            for name in argument.removeprefix("timing=").split(","):
+                if name not in timings():
+                    raise BadInput(_no_such("timing", name))
     groups: tuple[registry.Group, ...] = ("method", "dataset")
     for group in groups:
         for argument in arguments:
@@ -156,9 +161,6 @@ def explained(error: Exception, arguments: Sequence[str]) -> str:
         return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
     if sought := re.search(r"Could not find '(method|dataset|timing)/(.*?)'\s+Available", str(error), re.DOTALL):
         return _no_such(sought[1], sought[2])
-    if "Config group override must be" in text:
-        wrong = [option.split("=", 1) for option in arguments if re.match("(method|dataset|timing)=", option)]
-        return next((_no_such(*pair) for pair in wrong if pair[1] not in _names(pair[0])), text)
     if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
         return f"{unresolved[2]}: {unresolved[1]}"
     if group := re.match(r"Multiple values for (\w+)\.|Could not override '(method|dataset|timing)'", text):

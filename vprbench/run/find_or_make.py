@@ -79,7 +79,7 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))
     stored = store.find(dataset.name, request.name, key)
-    found = None if settings.force else _usable(stored, settings, request.files)
+    found = None if settings.force else _usable(stored, settings, request)
     if found is None and refused is not None:
         raise refused
 
@@ -162,14 +162,14 @@ def _refused(store: Store) -> BadInput | None:
     return None
 
 
-def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
+def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None:
     """Return a stored run; None if it lacks a network to save, times, or what was asked for without a cache."""
     if run is None:
         return None
-    if files.save is not None and not files.replace:
-        logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
+    if request.files.save is not None and not request.files.replace:
+        logging.info("%s is stored without its network: running again for save=%s", run.method, request.files.save)
         return None
-    if less := run.timed_by.shortfalls(settings.timing):
+    if less := run.timed_by.shortfalls(request.protocol):
         timed = f"timed by less than asked for ({', '.join(less)})" if run.timed_by.rates else "not timed"
         logging.info("%s on %s is stored, %s: running again", run.method, run.dataset, timed)
         return None

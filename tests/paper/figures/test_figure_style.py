@@ -55,9 +55,11 @@ def test_a_row_of_the_paper_looks_the_same_whatever_else_is_drawn() -> None:
     assert looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == looks(["cosplace", "mixvpr"])["mixvpr"]
 
 
-def test_a_hundred_and_twenty_other_methods_all_look_different() -> None:
-    many = looks([f"method {i}" for i in range(120)]).values()
-    assert len({(look.colour, look.marker, look.dash) for look in many}) == 120
+def test_360_other_methods_all_look_different_and_eight_of_them_in_every_part() -> None:
+    many = [*looks([f"method {i}" for i in range(360)]).values()]
+    assert len({(look.colour, look.marker, look.dash) for look in many}) == 360
+    for part in ("colour", "marker", "dash", "hatch"):
+        assert len({getattr(look, part) for look in many[:8]}) == 8
 
 
 def test_a_figure_has_the_asked_width_in_both_formats_whatever_it_holds(tmp_path: Path) -> None:
@@ -66,7 +68,7 @@ def test_a_figure_has_the_asked_width_in_both_formats_whatever_it_holds(tmp_path
     assert b"Date" not in paths[0].read_bytes()
     assert b"tIME" not in paths[1].read_bytes()
     with Image.open(paths[1]) as picture:
-        assert picture.width == pytest.approx(88 / 25.4 * 200, abs=1)
+        assert picture.width == pytest.approx(88 / 25.4 * 300, abs=1)
         assert picture.info["Description"] == drawing().caption
     box = paths[0].read_bytes().split(b"/MediaBox [")[1].split(b"]")[0].split()
     assert float(box[2]) == pytest.approx(88 / 25.4 * 72, abs=1)

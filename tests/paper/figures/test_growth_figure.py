@@ -75,10 +75,15 @@ def test_a_method_that_trains_nothing_has_query_times_alone() -> None:
     assert len(right.containers) == 1
 
 
+def test_runs_that_were_not_timed_have_training_times_alone() -> None:
+    runs = [replace(figure_runs.sized(n, 0.01 * n, 0.001), timing=None) for n in SIZES]
+    left, right = growth([grown(TEMPO, runs)]).figure.axes
+    assert (len(left.containers), [text.get_text() for text in right.texts]) == (1, ["nothing was timed"])
+
+
 def test_several_rows_show_their_best_laws_alone_under_their_names() -> None:
     left, _ = growth([grown(TEMPO), grown(Row("other", "other"))]).figure.axes
-    named = [label.split(",")[0] for label in labels(left)]
-    assert named == ["VPRTempo: training", "other: training", "VPRTempo: linear", "other: linear"]
+    assert [label.split(",")[0] for label in labels(left)] == ["VPRTempo: linear", "other: linear"]
 
 
 def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median() -> None:

@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
 from vprbench.paper.figures.growth import growth
 from vprbench.paper.figures.pictures import frames, similarity
-from vprbench.paper.figures.speed import training_time
+from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.spikes import spike_statistics
 from vprbench.paper.figures.style import Drawn
 from vprbench.paper.figures.tradeoff import against_memory, against_rate
@@ -24,6 +24,7 @@ from vprbench.run.thumbnails import Thumbnails
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ACCURACY = (precision_recall, recall_at_n, recall_at_tolerance, against_rate, against_memory)
 SPIKING = {"spikes": {"queries": 4, "layers": [little.a_layer("output", 100, [1, 2, 3, 4], 0.5, None)]}}
+UNTIMED = [series("SAD", little.a_run(timing=None))]
 FIRST = series("VPRTempo", little.a_run(**SPIKING))
 
 
@@ -42,6 +43,8 @@ def test_runs_on_other_images_or_of_another_protocol_are_never_one_figure(draw: 
         (spike_statistics, [series("SAD", little.a_run(spikes=None))], "holds spikes"),
         (growth, [], "no growth"),
         (lambda rows: training_time(rows, (), [*PLAN.rows.values()], PLAN.columns["nordland"], {}), (), "Nordland"),
+        (against_rate, UNTIMED, "no timed runs .*timing=quick"),
+        (lambda rows: query_rate(rows, (), [*PLAN.rows.values()], PLAN.columns["nordland"], {}), UNTIMED, "Nordland"),
         (lambda kept: frames(kept, "Railway"), Thumbnails((), (), (), (), ()), "Railway"),
         (similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
     ],

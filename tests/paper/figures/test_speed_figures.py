@@ -108,9 +108,11 @@ def test_a_row_without_a_bar_has_the_word_of_the_table_for_its_device() -> None:
         ("GCL", "query_gpu"): "unfinished",
         ("VPRTempo", "query_cpu"): "measured",
     }
-    drawn = query_rate([tempo(1.0)], [tempo(1.0, device="cuda")], ROWS, SMALLER, marks)
+    untimed = figure_runs.series("VPRSNN", figure_runs.run("vprsnn", timing=None))
+    marks["VPRSNN", "query_cpu"] = "not timed"
+    drawn = query_rate([untimed, tempo(1.0)], [tempo(1.0, device="cuda")], ROWS, SMALLER, marks)
     cpu, gpu = drawn.figure.axes
-    assert words(cpu)[:4] == ["failed", "not there", "left out", "not run"]
+    assert words(cpu)[:4] == ["failed", "not there", "left out", "not timed"]
     assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
 
 

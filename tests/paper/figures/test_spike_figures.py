@@ -89,7 +89,7 @@ def test_rows_stand_side_by_side_in_their_order_and_differ_in_hatch() -> None:
 def test_a_layer_that_only_one_network_has_is_drawn_for_that_one_alone() -> None:
     other = Series("VPRSNN", True, (spiking(layer("inhibitory", [5, 6, 7], 0.5)),))
     _, _, inhibitory, active = panels(TEMPO, other)
-    assert inhibitory.get_title(loc="left") == "inhibitory, 100 neurons"
+    assert inhibitory.get_title(loc="left") == "inhibitory,\n100 neurons"
     assert medians(inhibitory) == [6]
     assert sorted(bars(active)) == [25, 50, 100]
 
@@ -99,7 +99,7 @@ def test_the_number_of_neurons_is_the_title_where_all_rows_have_as_many() -> Non
         "VPRSNN", True, (spiking(layer("input", [5, 6], neurons=784), layer("output", [5, 6], neurons=400)),)
     )
     first, output, _ = panels(TEMPO, other)
-    assert first.get_title(loc="left") == "input, 784 neurons"
+    assert first.get_title(loc="left") == "input,\n784 neurons"
     assert output.get_title(loc="left") == "output"
 
 

@@ -145,3 +145,18 @@ def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_insi
         assert not any(one.overlaps(other) for i, one in enumerate(names) for other in names[:i])
         assert not any(name.overlaps(marker) for name in names for marker in markers)
         assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in names)
+
+
+def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them() -> None:
+    many = [method(f"a method of a long name, {i}", 0.5, 100, 500) for i in range(16)]
+    for figure in (against_rate(many).figure, against_memory(many).figure):
+        assert not any(axes.texts for axes in figure.axes)
+        (legend,) = figure.legends
+        assert [text.get_text() for text in legend.get_texts()] == [one.name for one in many]
+
+
+def test_a_row_that_was_not_timed_is_left_out_by_name() -> None:
+    untimed = figure_runs.series("GCL", figure_runs.run("gcl", timing=None))
+    drawn = against_rate([figure_runs.series("SAD", figure_runs.run("sad")), untimed])
+    assert len(points(drawn.figure.axes[0])) == 1
+    assert "Left out, for it was not timed: GCL." in drawn.caption

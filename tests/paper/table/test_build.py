@@ -167,6 +167,21 @@ def test_what_was_loaded_or_kept_is_no_training(changes: dict[str, Any], code: s
     assert codes(made, "VPRSNN", "train_cpu") == [code]
 
 
+def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no_bold_time() -> None:
+    mute = {"timing": None, "hits": [1] * 60, "fit_compute_seconds": 60}
+    slow = run("vprsnn", hits=[0] * 60, fit_compute_seconds=600)
+    made = table([*(tempo(seed, **mute) for seed in (0, 1, 2)), slow], rows=[VPRSNN, VPRTEMPO])
+    assert absences(made, "VPRTempo")[:3] == ["measured", "measured", "not timed"]
+    assert codes(made, "VPRTempo", "query_cpu") == ["untimed"]
+    assert measured(made, "VPRTempo", "recall_at_1").best
+    assert measured(made, "VPRTempo", "train_cpu").value == approx(1)
+    assert not any(measured(made, name, "train_cpu").best for name in ("VPRTempo", "VPRSNN"))
+    assert "VPRTempo: seeds 0, 1 and 2; of R@1 and rates the mean, of minutes the median." in made.caption
+    one = table([tempo(0), tempo(1, timing=None), tempo(2, timing=None)], rows=[VPRTEMPO])
+    assert measured(one, "VPRTempo", "query_cpu").seeds == (0,)
+    assert ("fewer", "of 1 of 3 seeds: the others were not timed here") in reasons(one, "VPRTempo", "query_cpu")
+
+
 def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined() -> None:
     # the right place shares the highest score with a wrong one for two of four queries
     outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)

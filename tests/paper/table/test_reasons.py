@@ -10,7 +10,7 @@ from stored_runs import ABACUS, CITY, LOOM, NORDLAND, PLANNED, SAD, VPRTEMPO, an
 
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.table.quantities import QUANTITIES, RATES, RECALL, TRAINING, Quantity
-from vprbench.paper.table.reasons import LONGEST, Reason, other_timing
+from vprbench.paper.table.reasons import LONGEST, Reason, one_sentence, other_timing
 from vprbench.run.record import Run
 
 PAPERS_MACHINE = {**ABACUS, "processor": "Intel(R) Core(TM) i7-9700K CPU @ 3.60GHz"}
@@ -129,10 +129,35 @@ SHORT = timed(minimum_seconds=0.01, minimum_queries=1)
         ({"A": SHORT, "B": timed(), "C": timed()}, {"A": "B and C: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": SHORT}, {"B": "A: at least 0.01 s and 1 query"}),
         ({"A": timed(), "B": timed(), "C": timed(), "D": timed(sample=8)}, {"D": "most rows: sample 8"}),
+        ({"A": (timed(), SHORT), "B": timed()}, {"A": "B: at least 0.01 s and 1 query"}),
+        ({"A": (timed(), SHORT)}, {"A": "its other seeds: at least 0.01 s and 1 query"}),
     ],
 )
-def test_the_row_that_is_timed_otherwise_says_how(runs: dict[str, Run], told: dict[str, str]) -> None:
-    found = other_timing(runs)
+def test_the_row_that_is_timed_otherwise_says_how(runs: dict[str, Run | tuple[Run, ...]], told: dict[str, str]) -> None:
+    found = other_timing({name: given if isinstance(given, tuple) else (given,) for name, given in runs.items()})
     assert {reason.code for reason in found.values()} <= {"timing"}
     assert found.keys() == told.keys()
     assert all(found[name].text.endswith(f" {end}") for name, end in told.items())
+
+
+FETCH = "python -m vprbench fetch nordland parts=[summer,winter]"
+GDOWN = f"`python -m gdown --folder https://drive.google.com/{'x' * 90}`"
+BEGIN = "GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in ~/.cache/vprbench/weights"
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("lost: find it; then go on", "lost: find it"),
+        (f"{'no frames ' * 12}are there: run {FETCH}, or get them", f"{'no frames ' * 5}no… run {FETCH}"),
+        (f"no frames. They can be had: {FETCH}", f"no frames… {FETCH}"),
+        (
+            f"{BEGIN}: {GDOWN} fetches it; put it there",
+            f"GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in… {GDOWN}",
+        ),
+        (f"{BEGIN}: put weights.pth at /a/b.c, or give another", f"{BEGIN}: put weights.pth at /a/b.c"),
+        ("it broke " * 30, f"{'it broke ' * 12}it broke…"),
+    ],
+)
+def test_what_a_message_says_to_do_is_never_cut(message: str, told: str) -> None:
+    assert one_sentence(message) == told

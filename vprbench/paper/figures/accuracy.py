@@ -17,7 +17,7 @@ from vprbench.metrics.intervals import share_interval
 from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.tolerance import hits_within
 from vprbench.paper.figures.captions import caption, one_dataset
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
+from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.run.recall_intervals import along_the_journey
 from vprbench.run.record import Run
@@ -26,8 +26,6 @@ LARGEST_N = 25
 LARGEST_TOLERANCE = 10  # places to either side
 
 _HEIGHT_MM = 64.0  # without the legend
-_LEGEND_ROW_MM = 3.9
-_SHORT = 22  # characters of a label, two of which fit side by side
 _RESAMPLES = 500
 _GRID_POINTS = 200  # recalls at which resampled curves are compared
 _ENDED = 0.05  # of the resampled curves; beyond, only the better ones would be left
@@ -116,10 +114,7 @@ def _answerable(series: Sequence[Series], figure: str) -> Run:
 def _finish(figure: Figure, axes: Axes) -> None:
     """Add the grid, and above the panel a legend, which never hides a curve."""
     axes.grid(True)
-    labels = axes.get_legend_handles_labels()[1]
-    columns = 2 if max(map(len, labels)) <= _SHORT else 1
-    figure.set_figheight(figure.get_figheight() + -(-len(labels) // columns) * _LEGEND_ROW_MM / 25.4)
-    figure.legend(loc="outside upper left", ncols=columns)
+    legend_above(figure, axes.get_legend_handles_labels()[0])
 
 
 def _mean_curve(curves: Sequence[PRCurve]) -> tuple[Values, Values]:

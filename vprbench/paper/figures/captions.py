@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,12 @@ def caption(figure: str, series: Sequence[Series | GrowthSamples], **values: Any
         "tuned": list(dict.fromkeys(tuned)),
     }
     return " ".join(sentences("figures/captions.j2", figure, told, **values))
+
+
+def timed(series: Sequence[Series]) -> tuple[list[Series], list[str]]:
+    """Return the rows that were timed, without runs that were not, and the names of those that were not."""
+    runs = [(one, tuple(run for run in one.runs if run.timing is not None)) for one in series]
+    return [replace(one, runs=kept) for one, kept in runs if kept], [one.name for one, kept in runs if not kept]
 
 
 def one_dataset(series: Sequence[Series], figure: str) -> Run:

@@ -13,13 +13,16 @@ from vprbench.errors import BadInput
 from vprbench.metrics.growth import LAWS, Comparison, Law, compare
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, looks, new, styled, wrapped
 from vprbench.paper.growth import GrowthSamples, Sample
 
 _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
 _ORDER: dict[Law, str] = {"constant": "O(1)", "logarithmic": "O(log n)", "linear": "O(n)"}
 _MS = 1e3  # milliseconds of a second
+_HEIGHT_MM = 74.0  # without the legend
+_LINE_MM = 4.2  # of the legend
+_LETTERS = 52  # of a line of it
 
 
 @dataclass(frozen=True)
@@ -40,20 +43,22 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     """
     if not rows:
         raise BadInput("no run with different numbers of places is stored: there is no growth to draw")
-    figure, (left, right) = new(DOUBLE_MM, 92, 1, 2)
+    figure, (left, right) = new(DOUBLE_MM, _HEIGHT_MM, 1, 2)
     looked = looks([row.name for row in rows])
     fitted = list(map(_fitted, rows))
     for row in fitted:
         samples, look = row.samples, looked[row.samples.name]
-        name = "" if len(rows) == 1 else f"{samples.name}: "
-        _draw_points(left, samples.training, 1, look, f"{name}training{_power(row.training)}")
+        name = "" if len(rows) == 1 else samples.name
+        _draw_points(left, samples.training, 1, look, _label(name, "training", row.training))
         _draw_laws(left, samples.training, row.training, 1, look, name)
-        _draw_points(right, samples.query, _MS, look, f"{name}encode and match{_power(row.query)}")
+        _draw_points(right, samples.query, _MS, look, _label(name, "encode and match", row.query))
         _draw_laws(right, samples.query, row.query, _MS, look, name)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
-    _finish(left, [sample for row in rows for sample in row.training], 1)
-    _finish(right, [sample for row in rows for sample in row.query], _MS)
+    lines = _finish(left, [sample for row in rows for sample in row.training], 1, "nothing was trained")
+    queries = [sample for row in rows for sample in row.query]
+    lines = max(lines, _finish(right, queries, _MS, "nothing was timed"))
+    figure.set_figheight((_HEIGHT_MM + lines * _LINE_MM) / 25.4)
     runs = [run for row in rows for run in row.runs]
     told = {
         "datasets": [run.dataset for run in runs],
@@ -77,11 +82,13 @@ def _compared(samples: Sequence[Sample]) -> Comparison | None:
         return None
 
 
-def _power(comparison: Comparison | None) -> str:
+def _label(name: str, step: str, comparison: Comparison | None) -> str:
+    """Return what stands in the legend beside points: of a row among others its name and best law."""
     if comparison is None:
-        return ""
+        return name or step
     exponent = comparison.exponent
-    return f", exponent {exponent.value:.2f} [{exponent.low:.2f}, {exponent.high:.2f}]"
+    told = f"exponent {exponent.value:.2f} [{exponent.low:.2f}, {exponent.high:.2f}]"
+    return f"{name}: {comparison.best}, {told}" if name else f"{step}, {told}"
 
 
 def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str) -> None:
@@ -108,7 +115,7 @@ def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look,
 def _draw_laws(
     axes: Axes, samples: Sequence[Sample], comparison: Comparison | None, unit: float, look: Look, name: str
 ) -> None:
-    """Draw the best law, and thinly the others where the row is alone and so has no name in front of its labels."""
+    """Draw the best law, and thinly the others with a key for each where the row is alone and so has no name."""
     if comparison is None:
         return
     fewest, *_, most = sorted(sample.n_places for sample in samples)
@@ -123,28 +130,31 @@ def _draw_laws(
                 color=look.colour if best else GREY,
                 linestyle=_DASHES[law],
                 linewidth=1.8 if best else 0.9,
-                label=f"{name}{law}, {verdict}",
+                label="" if name else f"{law}, {verdict}",
                 zorder=2 if best else 1,
             )
 
 
-def _finish(axes: Axes, samples: Sequence[Sample], unit: float) -> None:
+def _finish(axes: Axes, samples: Sequence[Sample], unit: float, nothing: str) -> int:
+    """Scale the axes and write the legend below them; returns how many lines it has."""
     if not samples:
-        axes.text(0.5, 0.5, "nothing was trained", transform=axes.transAxes, ha="center", color=GREY, style="italic")
+        axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=GREY, style="italic")
         axes.set(xticks=[], yticks=[])
-        return
+        return 0
     plain_log(axes, "x", [sample.n_places for sample in samples])
     plain_log(axes, "y", [unit * sample.seconds for sample in samples])
     axes.grid(True)
     handles, labels = axes.get_legend_handles_labels()
     points_first = sorted(range(len(handles)), key=lambda i: isinstance(handles[i], Line2D))
+    texts = [wrapped(labels[i], _LETTERS) for i in points_first]
     axes.legend(
         [handles[i] for i in points_first],
-        [labels[i] for i in points_first],
+        texts,
         loc="upper left",
         bbox_to_anchor=(-0.02, -0.2),
         borderaxespad=0,
     )
+    return sum(1 + text.count("\n") for text in texts)
 
 
 def _disturbed(row: GrowthSamples) -> list[str]:

@@ -18,6 +18,7 @@ _MARKER = 3.0  # half of a marker's width, in points
 _DIRECTIONS = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))  # right first
 _DISTANCES = (5.0, 10.0, 18.0, 28.0, 40.0, 55.0)  # from the point, in points
 _BESIDE = 10.0  # up to here no line leads to the point
+_NOTHING = 1e-6  # square pixels
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,11 @@ class Label:
     bar: Interval
 
 
-def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[float, float]] = ()) -> None:
+def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[float, float]] = ()) -> bool:
     """Write each label at the nearest free place around its point; a thin line leads to one that stands far off.
 
     `steps` are the corners of a line that labels keep off, whose parts run along the axes. Call it when all else is
-    drawn and the limits of the axes are set. A label for which no place is free covers as little as possible.
+    drawn and the limits of the axes are set. Returns False, with nothing written, if no place is free for a label.
     """
     figure = axes.get_figure(root=True)
     assert figure is not None  # axes are made by style.new, on a figure
@@ -42,27 +43,31 @@ def place_labels(axes: Axes, labels: Sequence[Label], steps: Sequence[tuple[floa
     pixels = figure.dpi / 72  # of a point
     taken = [box for label in labels for box in _drawn(axes, label, pixels)]
     taken += _parts(axes, steps, pixels)
-    inside = axes.bbox
+    places: list[tuple[Label, float, tuple[float, float]]] = []
     for label in labels:
         written = axes.annotate(label.text, (label.x, label.y), fontsize=_SIZE)
         size = written.get_window_extent()
         written.remove()
         x, y = axes.transData.transform((label.x, label.y))
-        best = min(
-            _candidates(x, y, size.width, size.height, pixels),
-            key=lambda found: (_covered(found[2], taken) + _outside(found[2], inside), found[0]),
-        )
-        distance, corner, box = best
+        candidates = _candidates(x, y, size.width, size.height, pixels)
+        free = (each for each in candidates if _covered(each[2], taken) + _outside(each[2], axes.bbox) < _NOTHING)
+        found = next(free, None)
+        if found is None:
+            return False
+        distance, corner, box = found
         taken.append(box)
+        places.append((label, distance, ((corner[0] - x) / pixels, (corner[1] - y) / pixels)))
+    for label, distance, offset in places:
         axes.annotate(
             label.text,
             (label.x, label.y),
-            ((corner[0] - x) / pixels, (corner[1] - y) / pixels),
+            offset,
             textcoords="offset points",
             fontsize=_SIZE,
             in_layout=False,
             arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5} if distance > _BESIDE else None,
         )
+    return True
 
 
 def _drawn(axes: Axes, label: Label, pixels: float) -> Iterator[Bbox]:

@@ -8,8 +8,10 @@ from statistics import mean
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import Metric
 from vprbench.paper.figures.captions import caption
-from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled
+from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, styled, wrapped
 from vprbench.paper.selection import Series
+
+_LETTERS = 26  # of a line of a row's name
 
 
 @styled
@@ -26,6 +28,6 @@ def of_rows(series: Sequence[Series], metric: Metric) -> Drawn:
         look = styles[one.name]
         axes.plot([min(values), max(values)], [place, place], color=look.colour)
         axes.plot([mean(values)], [place], color=look.colour, marker=look.marker)
-    axes.set(yticks=range(len(known)), yticklabels=[one.name for one in kept], xlabel=metric.head)
+    axes.set(yticks=range(len(known)), yticklabels=[wrapped(one.name, _LETTERS) for one in kept], xlabel=metric.head)
     axes.invert_yaxis()
     return Drawn(figure, caption("of_rows", kept, metric=metric))

@@ -22,6 +22,7 @@ from vprbench.run.thumbnails import Thumbnails
 _SIDE = 28  # pixels of a patch-normalised frame
 _PATCH = 7
 _FRAME_MM = 28.0  # highest row of frames
+_NARROWEST = 0.7  # of a frame's height, for the title of its column
 _MOST_CELLS = 450  # along a side of a drawn matrix: each is still visible in print
 _PANEL_MM = 72.0  # longest side of a drawn matrix
 _FLATTEST = 0.4  # shorter over longer side of one
@@ -46,7 +47,7 @@ def frames(thumbnails: Thumbnails, title: str) -> Drawn:
         "Reference,\nnormalised": _normalised(references),
         "Query,\nnormalised": _normalised(queries),
     }
-    widths = [max(image.shape[1] / image.shape[0] for image in images) for images in columns.values()]
+    widths = [max(_NARROWEST, *(image.shape[1] / image.shape[0] for image in images)) for images in columns.values()]
     height = min(_FRAME_MM, (DOUBLE_MM - _MARGIN_MM) / sum(widths))
     width = min(DOUBLE_MM, height * sum(widths) + 2 * _MARGIN_MM)
     figure, axes = new(width, height * len(examples) + _MARGIN_MM, len(examples), len(columns))

@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from vprbench.errors import BadInput
-from vprbench.paper.figures.captions import caption
+from vprbench.paper.figures.captions import caption, timed
 from vprbench.paper.figures.log_axis import plain, plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled, wrapped
 from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
@@ -24,6 +24,7 @@ from vprbench.run.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
+_LETTERS = 22  # of a line of a row's name
 _STEPS = get_args(Boundary)
 
 
@@ -78,9 +79,11 @@ def query_rate(
 ) -> Drawn:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
-    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`.
+    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`; a run that
+    was not timed counts as none.
     """
     quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
+    (cpu, _), (gpu, _) = timed(cpu), timed(gpu)
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
     figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
     printed = {name for panel in panels for name in panel.published}
@@ -100,7 +103,6 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 
 
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
-    runs = [run for run in runs if run.timing is not None]
     if not runs:
         return _Bar(word=word)
     rates = list(map(best.rate, runs))
@@ -120,7 +122,7 @@ def _panels(
     measure: Callable[[Row, Sequence[Run], str], _Bar],
 ) -> list[_Panel]:
     if not cpu and not gpu:
-        raise BadInput(f"no run on {column.title} is stored: there is no speed to draw")
+        raise BadInput(f"no run on {column.title} is stored that has these times: there is no speed to draw")
     printed = published()
     panels = []
     for title, series, quantity in zip(("CPU", "GPU"), (cpu, gpu), quantities, strict=True):
@@ -151,7 +153,7 @@ def _draw(
                 hatch = _QUOTED if row.name in quoted else _PUBLISHED
                 _draw_published(axes, i + _BAR / 2, panel.published[row.name], drawn[row.name], hatch)
         axes.set(xlabel=label, ylim=(len(rows) - 0.4, -0.6), yticks=range(len(rows)), title=panel.title)
-        axes.set_yticklabels([row.name for row in rows] if axes is all_axes[0] else [])
+        axes.set_yticklabels([wrapped(row.name, _LETTERS) for row in rows] if axes is all_axes[0] else [])
         axes.tick_params(axis="y", length=0)
     figure.legend(handles=keys, loc="outside lower left", ncols=-(-len(keys) // key_rows))
     return figure

@@ -13,12 +13,14 @@ from matplotlib.ticker import FuncFormatter
 
 from vprbench.errors import BadInput
 from vprbench.paper.figures.captions import caption, one_dataset
-from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, Drawn, Look, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 from vprbench.text import plural
 
-_HEIGHT_MM = 62.0
+_HEIGHT_MM = 56.0  # of a row of panels, without the legend
+_COLUMNS = 4  # of panels, at most
+_UPRIGHT = 3  # from more layers on, their names stand upright
 _GROUP = 0.8  # of the distance of two layers, filled by the rows
 _FILLED = 0.85  # of the room of a row
 _WHISKERS = (5, 95)  # percentiles
@@ -40,7 +42,12 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
         raise BadInput("no stored run holds spikes: run a spiking method such as method=vprtempo, with force=true")
     one_dataset(rows, "spikes")
     names = list(dict.fromkeys(layer["name"] for row in rows for each in row.runs for layer in _layers(each)))
-    figure, axes = new(DOUBLE_MM, _HEIGHT_MM, columns=len(names) + 1)
+    lines = -(-(len(names) + 1) // _COLUMNS)
+    columns = -(-(len(names) + 1) // lines)
+    figure, cells = new(DOUBLE_MM, _HEIGHT_MM * lines, lines, columns)
+    axes = cells[: len(names) + 1]
+    for empty in cells[len(axes) :]:
+        empty.remove()
     room = _GROUP / len(rows)
     for number, row in enumerate(rows):
         for position, name in enumerate(names):
@@ -52,9 +59,10 @@ def spike_statistics(series: Sequence[Series]) -> Drawn:
     for panel, name in zip(axes, names, strict=False):
         panel.set(title=_title(name, rows), xticks=[], xlim=(-0.5, len(rows) - 0.5))
         _scale(panel, [layer for row in rows for each in row.runs for layer in _layers(each) if layer["name"] == name])
-    axes[0].set_ylabel("Spikes of a query")
-    axes[-1].set(title="Neurons that spike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
-    axes[-1].set_xticks(range(len(names)), names)
+    for first in axes[:-1:columns]:
+        first.set_ylabel("Spikes of a query")
+    axes[-1].set(title="Neurons that\nspike (%)", ylim=(0, 103), xlim=(-0.5, len(names) - 0.5))
+    axes[-1].set_xticks(range(len(names)), names, rotation=90 if len(names) > _UPRIGHT else 0)
     for panel in axes:
         panel.grid(True, axis="y")
     _legend(figure, rows, styles)
@@ -97,14 +105,14 @@ def _scale(axes: Axes, layers: Sequence[Layer]) -> None:
     counts = np.concatenate([layer["spikes_per_query"] for layer in layers])
     if counts.max() >= _WIDE * max(counts.min(), 1):
         axes.set_yscale("symlog", linthresh=1)
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 2 * counts.max())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda spikes, _: f"{spikes:,g}"))
 
 
 def _title(name: str, rows: Sequence[Series]) -> str:
     """Return a layer's name, with its number of neurons if all rows have as many."""
     neurons = {layer["neurons"] for row in rows for run in row.runs for layer in _layers(run) if layer["name"] == name}
-    return f"{name}, {plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
+    return f"{name},\n{plural(neurons.pop(), 'neuron')}" if len(neurons) == 1 else name
 
 
 def _sample(row: Series) -> tuple[str, list[str], list[str]]:
@@ -118,4 +126,4 @@ def _legend(figure: Figure, rows: Sequence[Series], styles: Mapping[str, Look]) 
         Patch(facecolor="white", edgecolor=styles[row.name].colour, hatch=styles[row.name].hatch, label=row.name)
         for row in rows
     ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 4))
+    legend_above(figure, handles)

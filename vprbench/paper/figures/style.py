@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
+from textwrap import fill
 from typing import Any, ParamSpec
 
 import matplotlib.style
@@ -55,7 +56,7 @@ _SETTINGS: dict[str, Any] = {
     "hatch.linewidth": 0.6,
     "image.cmap": "gray",
     "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
-    "savefig.dpi": 200,
+    "savefig.dpi": 300,
 }
 
 
@@ -84,7 +85,8 @@ class Look:
     hatch: str
 
 
-# Colours of Okabe and Ito (2008), without their yellow, which is too light for a line on white paper.
+# Colours of Okabe and Ito (2008), without their yellow, which is too light for a line on white paper; the last five of
+# the further ones are of Paul Tol's muted scheme, made for colour-blind readers too.
 _PAPER = {
     "SAD": Look("#56B4E9", "o", (0, (1.5, 1.2)), "...."),
     "NetVLAD": Look("#0072B2", "s", (0, (5, 1.5)), "\\\\\\\\"),
@@ -92,10 +94,17 @@ _PAPER = {
     "VPRSNN": Look("#000000", "v", (0, (9, 2)), "----"),
     "VPRTempo": Look("#D55E00", "D", (0, ()), "////"),
 }
-_COLOURS = ("#009E73", "#CC79A7", "#999999")
-_MARKERS = ("P", "X", "<", ">", "h", "p", "d", "*")
-_DASHES: tuple[Dash, ...] = ((0, (3, 1, 1, 1, 1, 1)), (0, (7, 2, 2, 2)), (0, (1, 2.5)), (0, (3, 3)), (0, ()))
-_HATCHES = ("++++", "oo", "||||", "**")
+_COLOURS = ("#009E73", "#CC79A7", "#332288", "#999999", "#882255", "#999933", "#117733", "#AA4499")
+_MARKERS = ("P", "X", "<", ">", "h", "p", "d", "*", "8")
+_DASHES: tuple[Dash, ...] = (
+    *((0, (3, 1, 1, 1, 1, 1)), (0, (7, 2, 2, 2)), (0, (1, 2.5)), (0, (3, 3)), (0, ())),
+    *((0, (12, 2, 1, 2)), (0, (2, 1)), (0, (6, 1, 1, 1, 1, 1, 1, 1)), (0, (10, 4)), (0, (4, 1, 4, 1, 1, 1))),
+)
+_HATCHES = ("++++", "oo", "||||", "**", "OO", "|-|-", "/.", "\\+")
+
+_LETTER_MM = 1.3  # of a legend's type
+_KEY_MM = 13.0  # before a label, and after it
+_LEGEND_ROW_MM = 3.9
 
 
 def look(name: str) -> Look:
@@ -106,7 +115,8 @@ def look(name: str) -> Look:
 def looks(names: Sequence[str]) -> dict[str, Look]:
     """Return a look for each name: fixed ones for the paper's rows, further ones for others in their order.
 
-    Up to 120 others look different. Give the same names to figures that stand side by side.
+    Up to 360 others look different, the first eight of them in every part. Give the same names to figures that stand
+    side by side.
     """
     others = [name for name in dict.fromkeys(names) if name not in _PAPER]
     further = {
@@ -140,8 +150,24 @@ def new(width_mm: float, height_mm: float, rows: int = 1, columns: int = 1) -> t
         return figure, tuple(figure.subplots(rows, columns, squeeze=False).flat)
 
 
+def legend_above(figure: Figure, handles: Sequence[Any]) -> None:
+    """Add a legend above the panels and the height that it takes, in as many columns as its labels leave room for."""
+    width = figure.get_figwidth() * 25.4
+    labels = [wrapped(str(handle.get_label()), int((width - _KEY_MM) / _LETTER_MM)) for handle in handles]
+    longest = max(len(line) for label in labels for line in label.split("\n"))
+    columns = max(1, min(len(labels), int(width / (_KEY_MM + _LETTER_MM * longest))))
+    n_rows = -(-len(labels) // columns) * max(1 + label.count("\n") for label in labels)
+    figure.set_figheight(figure.get_figheight() + n_rows * _LEGEND_ROW_MM / 25.4)
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns)
+
+
+def wrapped(text: str, letters: int) -> str:
+    """Return text in lines of at most so many letters."""
+    return fill(text, max(letters, 1))
+
+
 def png(drawn: Drawn) -> bytes:
-    """Return a figure as PNG, 200 dots per inch, its caption as the description; the same bytes for the same data."""
+    """Return a figure as PNG, 300 dots per inch, its caption as the description; the same bytes for the same data."""
     return _saved(drawn.figure, "png", {"Software": None, "Description": drawn.caption})
 
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from statistics import mean
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from vprbench.errors import BadInput
 from vprbench.metrics.intervals import Interval
-from vprbench.paper.figures.captions import caption, one_dataset
+from vprbench.paper.figures.captions import caption, one_dataset, timed
 from vprbench.paper.figures.label_places import Label, place_labels
 from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, looks, new, styled
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, legend_above, looks, new, styled
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best as contests
 from vprbench.run.recall_intervals import recall_interval
@@ -37,14 +38,17 @@ class _Point:
 def against_rate(series: Sequence[Series]) -> Drawn:
     """Draw R@1 against queries per second, encode and match together: up and right is better.
 
-    Rows with runs that were not timed are left out. Raises BadInput for no rows, for rows on different data and if no
-    query has a right place.
+    Rows that were not timed are left out. Raises BadInput for no timed rows, for rows on different data and if no query
+    has a right place.
     """
-    series = [one for one in series if all(run.timing is not None for run in one.runs)]
-    points = _points(series, "accuracy against query rate", contests.rate)
+    kept, untimed = timed(series)
+    if not kept and untimed:
+        raise BadInput("the figure of accuracy against query rate has no timed runs to draw: run with timing=quick")
+    points = _points(kept, "accuracy against query rate", contests.rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
-    return Drawn(figure, caption("against_rate", series, best=best))
+    _legend_if_crowded(figure)
+    return Drawn(figure, caption("against_rate", kept, best=best, untimed=untimed))
 
 
 @styled
@@ -60,6 +64,7 @@ def against_memory(series: Sequence[Series]) -> Drawn:
     best = _draw(all_axes[0], peak, "Peak memory (MB)", lower_is_better=True)
     if maps:
         _draw(all_axes[1], maps, "Map (bytes per place)", lower_is_better=True)
+    _legend_if_crowded(figure)
     on_gpu = [one.name for one in series if any(run.config["device"] != "cpu" for run in one.runs)]
     of_maps = [point.name for point in maps]
     return Drawn(figure, caption("against_memory", series, best=best, on_gpu=on_gpu, maps=of_maps))
@@ -115,7 +120,18 @@ def _draw(axes: Axes, points: Sequence[_Point], label: str, lower_is_better: boo
             color=look.colour,
             marker=look.marker,
             elinewidth=0.9,
+            linestyle="none",
+            label=name,
         )
     axes.grid(True)
     place_labels(axes, [Label(each.name, each.cost, each.recall, each.interval) for each in points], steps)
     return [points[i].name for i in best]
+
+
+def _legend_if_crowded(figure: Figure) -> None:
+    """Name the points in a legend, and nowhere else, if a panel has no room for all names."""
+    if all(axes.texts for axes in figure.axes):
+        return
+    for text in [text for axes in figure.axes for text in axes.texts]:
+        text.remove()
+    legend_above(figure, figure.axes[0].get_legend_handles_labels()[0])

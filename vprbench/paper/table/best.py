@@ -132,9 +132,12 @@ def _faster(one: Contestant, other: Contestant) -> bool:
 
 
 def _comparable(rows: Sequence[Contestant]) -> bool:
-    """Tell whether all times were taken in one way on one machine that did nothing else."""
+    """Tell whether all times were taken in one way on one machine that did nothing else.
+
+    A run that was not timed may have left work of its training to a first query, which nobody saw.
+    """
     runs = [run for row in rows for run in row.runs]
-    alike = all(_timed_by(run) == _timed_by(runs[0]) for run in runs)
+    alike = all(run.timing is not None and _timed_by(run) == _timed_by(runs[0]) for run in runs)
     return alike and len(set(map(machine, runs))) == 1 and not any(map(disturbed, runs))
 
 

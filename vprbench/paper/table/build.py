@@ -13,7 +13,7 @@ from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
-from vprbench.paper.table.quantities import QUANTITIES, RATES, Numbers, Quantity
+from vprbench.paper.table.quantities import QUANTITIES, Numbers, Quantity
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason, short
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here, tuned_note
@@ -97,7 +97,7 @@ class _Sheet:
         for entry in entries[:1]:
             place = entry.column.name, quantity.name
             self.best[place] = quantity.best(contest)
-            self.apart[place] = quantity.apart({name: runs[0] for name, (_, runs) in there.items()})
+            self.apart[place] = quantity.apart({name: runs for name, (_, runs) in there.items()})
 
     def cell(self, entry: Entry, quantity: Quantity) -> Cell:
         """Return one cell."""
@@ -128,6 +128,7 @@ class _Sheet:
             return replace(empty, notes=self._numbers([quantity.undefined]))
         found = entry.found[entry.device(quantity)]
         told = [reason("seeds", row, found)] if found.missing_seeds else []
+        told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []
         told += [short("tuned", note) for note in map(tuned_note, runs) if note]
         told += quantity.remarks(row, runs)
         told += filter(None, [self.apart[column.name, quantity.name].get(row.name)])
@@ -158,10 +159,8 @@ class _Sheet:
     def _absence(self, entry: Entry, quantity: Quantity) -> Reason:
         device = entry.device(quantity)
         found = entry.found[device]
-        if found.runs and quantity in RATES:
-            return reason("untimed")
-        if found.runs:  # and none of them trained
-            return reason("loaded" if any(run.network is not None for run in found.runs) else "kept")
+        if found.runs:
+            return quantity.lacking(found.runs)
         if entry.group.number > 1:
             return reason("protocol without runs")
         elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)

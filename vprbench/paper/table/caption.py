@@ -53,6 +53,9 @@ def _seeds(row: TableRow, columns: Sequence[Column]) -> dict[tuple[int, ...], li
     for column in columns:
         cells = {rate.device: cell.measured for rate in RATES if (cell := row.cells.get((column.name, rate.name)))}
         shown = {device: measured.seeds for device, measured in cells.items() if measured is not None}
+        recall = row.cells[column.name, RECALL.name].measured
+        if recall is not None and not shown:  # nothing was timed
+            shown = {"cpu": recall.seeds}
         for device, seeds in shown.items():
             where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device]}"
             places[seeds] = [*dict.fromkeys([*places.get(seeds, []), where])]

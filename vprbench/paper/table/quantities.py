@@ -86,8 +86,12 @@ class Quantity(ABC):
         """Tell whether a busy machine or too few laps make it doubtful."""
         return any(map(disturbed, runs))
 
-    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:
-        """Return by row what sets it apart from the others of a column; `runs` holds one run of each."""
+    def lacking(self, runs: Sequence[Run]) -> Reason:
+        """Return why runs of a row, of which there are some, say nothing of it."""
+        return self.undefined
+
+    def apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
+        """Return by row what sets it apart from the others of a column."""
         return {}
 
     def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
@@ -176,6 +180,10 @@ class Training(Quantity):
         """Return the runs that trained."""
         return tuple(run for run in runs if run.fit_compute_seconds is not None)
 
+    def lacking(self, runs: Sequence[Run]) -> Reason:
+        """Return what was used in the place of a training."""
+        return reason("loaded" if any(run.network is not None for run in runs) else "kept")
+
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
         """Return the minutes without waiting for images, and the wall time as the total."""
         values = [run.training_compute_seconds / 60 for run in runs if run.training_compute_seconds is not None]
@@ -222,7 +230,11 @@ class Rate(Quantity):
         """Compare the laps of all pairs of seeds."""
         return best_rate(rows)
 
-    def apart(self, runs: Mapping[str, Run]) -> Mapping[str, Reason]:
+    def lacking(self, runs: Sequence[Run]) -> Reason:
+        """Return that the runs were not timed."""
+        return reason("untimed")
+
+    def apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
         """Return the rows that were timed otherwise than most."""
         return other_timing(runs)
 

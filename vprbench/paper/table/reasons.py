@@ -12,7 +12,12 @@ from vprbench.paper.selection import Device, RowRuns, as_text
 from vprbench.paper.templates import sentences
 from vprbench.run.record import Run
 
-LONGEST = 120  # letters of a reason
+LONGEST = 120  # letters of a reason, beside a command that it gives
+_WORDS = r"(?:\[[^\]]*\]|[^][,;()])"
+_ADVICE = (  # commands first
+    re.compile(rf"`[^`]+`|(?:run )?python -m {_WORDS}+"),
+    re.compile(rf"(?<=[:;] )(?:run|set|put|give|get|install|wait|try) {_WORDS}{{1,{LONGEST}}}(?=[,;()]|$)"),
+)
 
 Mark = Literal[
     "measured",  # by this harness, on the machine that the cell names
@@ -67,15 +72,25 @@ def short(code: str, text: str) -> Reason:
 
 
 def one_sentence(text: str, first: bool = True) -> str:
-    """Return a message, or its first sentence, cut between words where it is long, without its full stop."""
-    line = " ".join(text.split())
-    if first:
-        line = re.split(r"(?<=[.!?;]) ", line, maxsplit=1)[0]
-    line = line.rstrip(" .;")
-    if len(line) <= LONGEST:
+    """Return a message, or its first sentence, cut between words where it is long, without its full stop.
+
+    What it says to do, such as a command, is kept whole: what stands before is cut in its place.
+    """
+    whole = " ".join(text.split()).rstrip(" .;")
+    line = re.split(r"(?<=[.!?;]) ", whole, maxsplit=1)[0].rstrip(" .;") if first else whole
+    advice = next(filter(None, (pattern.search(whole) for pattern in _ADVICE)), None)
+    if advice is None or (advice.end() <= len(line) <= LONGEST):
+        return _cut(line, LONGEST)
+    told = advice[0].rstrip(" .")
+    head = _cut(line[: advice.start()].rstrip(), max(LONGEST - len(told) - 1, LONGEST // 2))
+    return f"{head}{'…' if advice.start() > len(line) and head[-1:] not in '…' else ''} {told}".lstrip()
+
+
+def _cut(line: str, longest: int) -> str:
+    if len(line) <= longest:
         return line
-    cut = line[: LONGEST - 1]
-    return (cut[: cut.rfind(" ")] if cut.rfind(" ") > LONGEST // 2 else cut).rstrip(" ,;:") + "…"
+    cut = line[: longest - 1]
+    return (cut[: cut.rfind(" ")] if cut.rfind(" ") > longest // 2 else cut).rstrip(" ,;:") + "…"
 
 
 # No number
@@ -136,16 +151,23 @@ def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
         yield short("paper's way", row.rate_remark)
 
 
-def other_timing(runs: Mapping[str, Run]) -> dict[str, Reason]:
+def other_timing(runs: Mapping[str, Sequence[Run]]) -> dict[str, Reason]:
     """Return what to say of the rates of rows that were timed under another protocol than most rows of their column.
 
-    `runs` holds one run of each row, for all of a row share their protocol. Of equally many, the first row's counts.
+    A row of seeds that were timed in several ways is of the way that fewest rows have. Of equally many, the first row's
+    counts.
     """
-    ways: dict[str, list[str]] = {}
-    for name, run in runs.items():
-        ways.setdefault(as_text(run.config.get("timing")), []).append(name)
-    usual, *others = sorted(ways.values(), key=len, reverse=True) or [[]]
-    return {name: _timed(runs[name], runs[usual[0]], usual) for names in others for name in names}
+    ways: dict[str, dict[str, Run]] = {}  # by protocol, rows with a run
+    for name, run in ((name, run) for name, of_row in runs.items() for run in of_row):
+        ways.setdefault(as_text(run.config.get("timing")), {}).setdefault(name, run)
+    usual, *others = sorted(ways.values(), key=len, reverse=True) or [{}]
+    first = next(iter(usual.values()), None)
+    return {
+        name: _timed(run, first, [other for other in usual if other != name] or ["its other seeds"])
+        for names in others
+        for name, run in names.items()
+        if first is not None
+    }
 
 
 def _timed(run: Run, usual: Run, rows: Sequence[str]) -> Reason:
