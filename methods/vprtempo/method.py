@@ -91,7 +91,6 @@ class VPRTempo(Method):
     device: str = "cpu"
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
-
     stored_as: ClassVar[str] = "vprtempo"
     _linear_query: ClassVar[Any] = LinearQuery
     _spiking_query: ClassVar[Any] = SpikingQuery

@@ -32,9 +32,8 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     """Fit a method or load its network, score every query and measure its rates; `key` identifies the run.
 
     `keep` is given the run without its rates before these are measured, unless none are asked for. Raises whatever the
-    method raises. A network is stored before the first query; whether it can be is seen before it is trained.
-    Descriptors worth keeping are kept in the request's cache and taken from there; the sample that is timed is encoded
-    in any case.
+    method raises. A network is stored before the first query; whether it can be is seen before it is trained. What is
+    timed is encoded, and never taken from the request's cache of descriptors.
     """
     method, dataset, device = request.method, request.dataset, request.config["device"]
     queries = dataset.queries.unnamed()

@@ -90,14 +90,7 @@ def page(
             {"name": one.name, "caption": one.caption, "png": _base64(small_png(one.png))} for one in pictures
         ],
         "absent": absent,
-        "sections": [
-            {
-                "title": one.title,
-                "findings": words.findings(one.series, judged_runs.values()),
-                "protocol": words.protocol([run for _, run in _named(one)]),
-            }
-            for one, judged_runs in zip(sections, answers, strict=True)
-        ],
+        "sections": [_facts(one, judged_runs) for one, judged_runs in zip(sections, answers, strict=True)],
         "interval_method": METHOD,
         "training_time": TRAINING_TIME,
         "machines": words.machines(series for _, series in measured),
@@ -117,6 +110,15 @@ def page(
             nothing,
         )
     return _rendered(facts, told, fitted)
+
+
+def _facts(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
+    """Return what stands of a section in the page's text."""
+    return {
+        "title": section.title,
+        "findings": words.findings(section.series, answers.values()),
+        "protocol": words.protocol([run for _, run in _named(section)]),
+    }
 
 
 def _named(section: Section) -> list[tuple[str, Run]]:
