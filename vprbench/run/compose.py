@@ -132,7 +132,7 @@ def _swept(option: str) -> str:
 
 
 def check_names(arguments: Sequence[str]) -> None:
-    """Raise BadInput, with the near names, for a method, dataset or timing that is not there or has no readable yaml."""
+    """Raise BadInput, with near names, for a method, dataset or timing that is not there or has no readable yaml."""
     for argument in arguments:
         if re.fullmatch(r"timing=[\w,.-]*", argument):
             for name in argument.removeprefix("timing=").split(","):
