@@ -18,28 +18,37 @@ from .arrays import SIDE, STRETCH, TILE
 
 
 @compiled()
+def _arrive(steps, sources, delays, first, until, row, change, weights, most):  # type: ignore[no-untyped-def]
+    """Sum in `row` what arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
+    begin, length = np.uint64(first), np.uint64(until - first)
+    for spike in range(len(steps)):
+        source = np.uint64(sources[spike])
+        arrives = np.uint64(steps[spike]) + np.uint64(delays[source])
+        if arrives - begin < length:  # unsigned: neither earlier nor later
+            weight = weights[source]
+            row[arrives] += weight
+            weight += change[arrives]
+            weight = weight if weight > 0.0 else 0.0
+            weights[source] = weight if weight < most else most
+
+
+@compiled()
 def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
     """Let arrive at neuron `j` what arrives from step `first` to `until` - 1: sum it, change the weights.
 
     An arrival adds the trace `post` of the neuron's last spike, `since_spike` steps before the presentation, to the
     weight by which it has just acted.
     """
-    row, change, weights, most = scratch.row, scratch.change, scratch.running[j], physics.weight_max
-    for step in range(first, until):
-        row[step] = 0.0
-        change[step] = post[since_spike + step] if since_spike + step < len(post) else 0.0
-    delays = synapses.delays[j // SIDE, :, j % SIDE]
+    row, change = scratch.row, scratch.change
+    row[first:until] = 0.0
+    over = min(max(len(post) - since_spike, first), until)
+    change[first:over] = post[since_spike + first : since_spike + over]
+    change[over:until] = 0.0
     longest = len(row) - physics.shown
     begin, end = np.searchsorted(train.step, first - longest), np.searchsorted(train.step, until)
-    for spike in range(begin, end):
-        source = np.uint64(train.source[spike])
-        arrives = np.uint64(train.step[spike] + delays[source])
-        if first <= arrives < until:
-            weight = weights[source]
-            row[arrives] += weight
-            weight += change[arrives]
-            weight = weight if weight > 0.0 else 0.0
-            weights[source] = weight if weight < most else most
+    delays = synapses.delays[j // SIDE, :, j % SIDE].copy()
+    steps, sources = train.step[begin:end], train.source[begin:end]
+    _arrive(steps, sources, delays, first, until, row, change, scratch.running[j], physics.weight_max)
 
 
 @compiled()
