@@ -14,6 +14,7 @@ from typing import Any
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
+from vprbench.api.frame_cache import frames_kept
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
 from vprbench.plugins import networks, registry
@@ -76,7 +77,7 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
     threads = n_threads(settings)
     machine.pin_threads(threads)
     files = networks.chosen_files(settings.save, settings.load, settings.force)
-    with chdir("."):
+    with chdir("."), frames_kept(settings.cache):
         method = registry.make_method(asked["method"])
         dataset = registry.make_dataset(asked["dataset"])
         # what the cheap checks warn of is among the dataset's notes
