@@ -16,9 +16,22 @@ def main() -> int:
     """Run the command line; returns the exit code, 0 only if every run or command that was asked for is done."""
     if ending.waited_for():
         return _waited_for()
-    from vprbench.run.processes import run_apart
+    from vprbench.at_once import answered
+    from vprbench.errors import BadInput
+    from vprbench.text import printable
 
     _open_streams()
+    try:
+        if (code := answered(sys.argv[1:])) is not None:
+            sys.stdout.flush()
+            return code
+    except BadInput as error:
+        return _complain(printable(str(error)), 2)
+    except OSError:
+        sys.stdout = io.StringIO()  # the interpreter flushes it in the end
+        return _complain("standard output was closed before all was printed", 1)
+    from vprbench.run.processes import run_apart
+
     try:
         return run_apart(sys.argv[1:], in_sweep=False).code
     except KeyboardInterrupt as interruption:

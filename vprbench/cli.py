@@ -23,40 +23,15 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vprbench import ending
-from vprbench.commands import COMMANDS
+from vprbench import commands, ending
+from vprbench.at_once import COMMANDS, answered
 from vprbench.errors import BadInput, NotThere, TrainingDivergedError
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
 from vprbench.run.compose import check_names, explained, in_order, readable
 from vprbench.run.processes import IN_SWEEP, as_json, record, run_apart, scratch
 from vprbench.run.settings import checked_settings, n_threads
-from vprbench.text import printable
-
-_USAGE = """\
-vprbench - which method of Visual Place Recognition is better, how fast it is, and how sure that is
-
-python -m vprbench method=NAME dataset=NAME [option=value ...]   run one method on one dataset
-python -m vprbench -m method=NAME,NAME dataset=NAME,NAME ...     run all combinations, each in its own process
-python -m vprbench table [option=value ...]                      Table II: make what it lacks, write table.md, csv, tex
-python -m vprbench figures [option=value ...]                    the paper's figures, as PDF and PNG in results/figures
-python -m vprbench report [option=value ...]                     one page with table, figures and a browser of failures
-python -m vprbench search [option=value ...]                     search VPRTempo's parameters on places of no result
-python -m vprbench list                                          show the methods and datasets
-python -m vprbench check method=NAME [method.option=value ...]   test a method against the contract
-python -m vprbench fetch [NAME] [parts=[...]] [root=FOLDER]      download a dataset, or say how to get it
-python -m vprbench doctor dataset=NAME [dataset.option=value]    look at every frame, say what is wrong and what to do
-python -m vprbench bench [option=value ...]                      measure the speed here, write bench.md and .json
-python -m vprbench bench-descriptors [option=value ...]          measure how fast descriptors are, write descriptors.md
-python -m vprbench gpu-check [option=value ...]                  compare a GPU with the CPU, write gpu.md
-
-Options of a run: seed, device, threads, results, force, output=json, depth, timing.minimum_seconds, save, load, ...
-and those of the chosen method and dataset: method.OPTION, dataset.OPTION. Show all: python -m vprbench --cfg job
-Options of table, figures and report: rows, methods, columns, seeds, devices, full, stored, stores, nordland, robotcar,
-name, results, and those of a run that are not the table's to choose: threads, timing.minimum_seconds, force, ...
-Options of search: places, trials, jobs, seed, dataset, root, results
-Options of fetch: parts, root, keep_archives; of doctor: those of the dataset, output=json
-"""
+from vprbench.text import near, printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,18 +42,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if arguments[:1] == ["help"] or {"--help", "-h"} & {*arguments}:
-            print(_USAGE, end="")
-            return 0
+        if (code := answered(arguments)) is not None:
+            return code
         registry.register_search_path()
-        if arguments and arguments[0] in COMMANDS:
+        name = arguments[0] if re.fullmatch(r"\w[\w-]*", arguments[0]) else "run"
+        if name not in COMMANDS:
+            raise BadInput(f"{name} is no command: {near(name, COMMANDS)}")
+        if name != "run":
             try:
-                return COMMANDS[arguments[0]](arguments[1:])
+                return int(getattr(commands, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
-        if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]):
-            raise BadInput(f"{arguments[0]} is no command: {registry.near(arguments[0], COMMANDS)}")
-        return _run_or_sweep(in_order(readable(arguments)))
+        return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
     except BadInput as error:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
@@ -94,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain("interrupted; what was finished before is kept: give the same command again", code)
 
 
-def _run_or_sweep(arguments: list[str]) -> int:
-    """Let Hydra compose the configuration, then run it, or each of its combinations in a process of its own."""
+def run_or_sweep(arguments: list[str]) -> int:
+    """Run one method on one dataset, or with -m all combinations, each in a process of its own."""
     check_names(arguments)
     codes: list[int] = []
     errors: list[Exception] = []

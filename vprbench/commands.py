@@ -61,7 +61,7 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
 
 
 def search_parameters(options: list[str]) -> int:
-    """Search the best hyperparameters of conf/search.yaml's method on places that no result uses, and write them."""
+    """Search the best settings of the method in conf/search.yaml, on places that no result uses."""
     from vprbench.run.store import Store
     from vprbench.tuning import search, space, text
 
@@ -142,30 +142,11 @@ def _maker(seed: int) -> Callable[..., Method]:
     return make
 
 
-def list_plugins(options: list[str]) -> int:
-    """Show the methods and datasets with a line each, broken ones with their reason; raises BadInput for options."""
-    if options:
-        raise BadInput(f"list takes no options, but {' '.join(options)} came")
-    groups: tuple[registry.Group, ...] = ("method", "dataset")
-    for group in groups:
-        print(f"{group}s")
-        known = registry.entries(group)
-        width = max(map(len, known))
-        for name, entry in known.items():
-            try:
-                entry.target()
-                line = entry.description
-            except BadInput as error:
-                line = f"BROKEN: {error}"
-            origin = "" if entry.provider == "vprbench" else f"  [{entry.provider}]"
-            print(printable(f"  {name:<{width}}  {line}{origin}"))
-    for provider, reason in registry.broken_plugins():
-        print(printable(f"plug-in {provider} BROKEN: {reason}"))
-    return 0
-
-
 def check_method(options: list[str]) -> int:
-    """Test a method against the rules of the contract and count them; raises BadInput if no method is named."""
+    """Test a method against the rules of the contract and count them.
+
+    Raises BadInput if no method is named.
+    """
     from vprbench.plugins import conformance
     from vprbench.run import machine
 
@@ -229,19 +210,3 @@ def fetch(options: list[str]) -> int:
 
     wrong: list[Finding] = []
     return fetch_command(options, check) or int(bool(wrong))
-
-
-#: What may stand in place of a run's options.
-COMMANDS: dict[str, Callable[[list[str]], int]] = {
-    "list": list_plugins,
-    "check": check_method,
-    "doctor": doctor,
-    "fetch": fetch,
-    "table": table,
-    "figures": figures,
-    "report": report,
-    "search": search_parameters,
-    "bench": measure_speed,
-    "bench-descriptors": measure_descriptors,
-    "gpu-check": compare_gpu,
-}

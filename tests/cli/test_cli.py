@@ -196,7 +196,7 @@ def test_list_shows_a_broken_method_with_its_reason(
     (tmp_path / "method").mkdir()
     (tmp_path / "method" / "needy.yaml").write_text("# Needs something\n_target_: not_installed_library.Method\n")
     known = registry.conf_folders()
-    monkeypatch.setattr(registry, "conf_folders", lambda: {**known, "needy": tmp_path})
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**known, "needy": tmp_path})
     assert main(["list"]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"needy +BROKEN: .*not_installed_library", printed)

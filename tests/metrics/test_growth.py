@@ -142,7 +142,7 @@ def test_samples_stand_in_the_order_of_places_and_seeds() -> None:
         (300, 1),
     ]
     assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
-    assert found.query[-1].seconds == pytest.approx(0.3)
+    assert found.query[-1].seconds == pytest.approx(0.301)  # 1 ms to encode
     with pytest.raises(BadInput, match="no run of VPRTempo"):
         samples(TEMPO, [], ())
 
@@ -151,17 +151,13 @@ def test_disturbed_times_are_marked() -> None:
     carts = (Note("noisy", "noisy: a cart"),)
     runs = [figure_runs.sized(n, 1.0, 0.001, notes=notes) for n, notes in ((100, carts), (300, ()))]
     found = samples(TEMPO, runs, ())
-    for times in (found.training, found.query, found.total):
+    for times in (found.training, found.query):
         assert [sample.disturbed for sample in times] == [True, False]
 
 
-def test_the_query_time_is_that_of_the_row_s_boundary_beside_the_total() -> None:
+def test_the_query_time_is_that_of_encode_and_match_together() -> None:
     run = figure_runs.sized(100, 1.0, match_seconds=0.003, encode_seconds=0.010)
-    assert samples(TEMPO, [run], ()).query[0].seconds == pytest.approx(0.003)
-    assert samples(Row("GCL", "gcl", boundary="encode"), [run], ()).query[0].seconds == pytest.approx(0.010)
-    assert samples(TEMPO, [run], ()).total[0].seconds == pytest.approx(0.013)
-    whole = samples(Row("CosPlace", "cosplace"), [run], ())
-    assert ([sample.seconds for sample in whole.query], whole.total) == ([pytest.approx(0.013)], ())
+    assert samples(TEMPO, [run], ()).query[0].seconds == pytest.approx(0.013)
 
 
 def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> None:

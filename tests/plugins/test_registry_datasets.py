@@ -58,7 +58,7 @@ WHOLE = journey(4, 3)
 def test_what_is_no_dataset_is_refused(made: SimpleNamespace, given: Any, said: str) -> None:
     made.dataset = given
     assert refusal({"_target_": "mine.noise"}).startswith(said)
-    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise has no _target_")
+    assert refusal({"name": "noise"}).startswith("the yaml of dataset noise is no dataset (it has no _target_)")
 
 
 def test_a_path_that_no_disk_takes_is_refused_by_name(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from vprbench.run.store import Store
 def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Return what registers a yaml under a name and gives its entry."""
     (tmp_path / "method").mkdir()
-    monkeypatch.setattr(registry, "conf_folders", lambda: {"little": tmp_path})
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {"little": tmp_path})
 
     def written(name: str, text: str) -> Entry:
         (tmp_path / "method" / f"{name}.yaml").write_text(text)
@@ -54,7 +54,7 @@ def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(me
 
 @pytest.mark.parametrize("text", ["a: [", "- a list\n", "width: 1\n", "word\n"])
 def test_a_yaml_that_names_no_class_is_named(method, text: str) -> None:
-    with pytest.raises(BadInput, match=r"broken\.yaml is no method"):
+    with pytest.raises(BadInput, match=r"broken\.yaml(, line 2)? is no method"):
         method("broken", text).target()
 
 

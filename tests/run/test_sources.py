@@ -71,7 +71,7 @@ def from_store(
     yaml = (ROOT / "conf/method/sad.yaml").read_text()
     (package / "method/grass.yaml").write_text(yaml.replace("vprbench.methods.sad", "meadow.sad"))
     ours = registry.conf_folders()
-    monkeypatch.setattr(registry, "conf_folders", lambda: {**ours, "meadow": package})
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "meadow": package})
     monkeypatch.chdir(package.parent)
 
     def found(file: str = "sad.py", old: str = "", new: str = "") -> bool:

@@ -31,7 +31,7 @@ def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, s
     folder = tmp_path / "conf"
     (folder / "method").mkdir(parents=True)
     ours = registry.conf_folders()
-    monkeypatch.setattr(registry, "conf_folders", lambda: {**ours, "other": folder})
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "other": folder})
     install(monkeypatch, tmp_path)
 
     def registered(name: str, text: str) -> None:

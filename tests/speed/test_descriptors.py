@@ -16,7 +16,6 @@ from vprbench.api.neural import NeuralDescriptor
 from vprbench.api.weights import Weights
 from vprbench.cli import main
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
 from vprbench.speed.descriptors import Case, DescriptorCell, Settings, cases, measure, randomised, text_of
 from vprbench.speed.report import Failed
 
@@ -176,7 +175,7 @@ def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, mo
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     folders = {"vprbench": tmp_path / "own", "other": tmp_path / "other"}
-    monkeypatch.setattr(registry, "conf_folders", lambda: folders)
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: folders)
     assert Settings().methods == ["new"]
 
 

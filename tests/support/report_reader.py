@@ -35,7 +35,9 @@ class Reader:
         return tab
 
 
-def choose(tab: Page, **labels: str) -> None:
+def choose(tab: Page, *, dataset: str = "", **labels: str) -> None:
+    if dataset:
+        tab.get_by_role("tab", name=dataset, exact=True).click()
     for name, label in labels.items():
         options = tab.locator(f"#{name.replace('_', '-')} option").all_text_contents()
         (chosen,) = [option for option in options if option == label or option.startswith(f"{label} (")]

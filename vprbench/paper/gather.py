@@ -18,7 +18,7 @@ from vprbench.paper.selection import Group, ResolvedColumn, groups
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
-from vprbench.paper.table.quantities import quantities
+from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
 from vprbench.plugins import registry
 from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
@@ -73,8 +73,13 @@ class Chosen:
     columns: tuple[ResolvedColumn, ...]
     smaller: Mapping[str, ResolvedColumn]  # by column, where its slow rows run
     devices: tuple[str, ...]
-    full: bool
+    full: bool = True
     metrics: tuple[str, ...] = ()
+    results: str = "results"
+    stores: tuple[str, ...] = ()  # results folders of other machines
+    stored: bool = False  # nothing is run
+    title: str | None = None  # of a table that is not the paper's
+    quantities: tuple[Quantity, ...] = QUANTITIES
 
     def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -116,38 +121,35 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
         tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
         asked.full,
         tuple(asked.metrics),
+        asked.results,
+        tuple(asked.stores),
+        asked.stored,
+        quantities=quantities(asked.metrics),
     )
 
 
-def gather(asked: TableRequest, options: Sequence[str], compose: Compose) -> Material:
+def gather(chosen: Chosen, options: Sequence[str], compose: Compose) -> Material:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    chosen = choose(asked, compose)
-    store = Store(results_folder(asked.results), read_only=asked.stored)
-    endings: list[Ending] = []
-    if not asked.stored:
-        endings += fill(_first(chosen), options, store, compose)
-    runs, failures = stored(asked)
-    if not asked.stored:
-        more = list(_in_smaller_columns(chosen, runs))
-        if more:
-            endings += fill(more, options, store, compose)
-            runs, failures = stored(asked)
-    found = material(chosen, runs, failures, tuple(endings))
-    if not any(group.runs for group in found.groups):
-        raise BadInput(
-            f"results={asked.results} holds no run of these rows and columns: "
-            + ("leave stored=true out, so that some are made" if asked.stored else "see above why none could be made")
-        )
-    return found
+    endings = made(chosen, _first(chosen), options, compose)
+    runs, failures = stored(chosen)
+    if more := list(_in_smaller_columns(chosen, runs)):
+        endings += made(chosen, more, options, compose)
+        runs, failures = stored(chosen)
+    return material(chosen, runs, failures, tuple(endings))
+
+
+def made(chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose) -> list[Ending]:
+    """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
+    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose)
 
 
 def material(
     chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[Ending, ...] = ()
 ) -> Material:
-    """Put stored runs and failures into the rows and columns that were chosen."""
+    """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
     columns = [*chosen.columns, *_shown_smaller(chosen, runs)]
     shown = {column.planned.name for column in columns}
     failures = [*failures, *_of_slow_rows(chosen, failures)]
@@ -157,11 +159,16 @@ def material(
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }
-    table = assemble(found, chosen.rows, chosen.plan, left_out, quantities(chosen.metrics))
+    if not any(group.runs for group in found):
+        raise BadInput(
+            f"results={chosen.results} holds no run of these rows and columns: "
+            + ("leave stored=true out, so that some are made" if chosen.stored else "see above why none could be made")
+        )
+    table = assemble(found, chosen.rows, chosen.plan, left_out, chosen.quantities, chosen.title)
     return Material(chosen, tuple(found), table, tuple(runs), endings)
 
 
-def stored(asked: TableRequest) -> tuple[list[Run], list[Failure]]:
+def stored(asked: TableRequest | Chosen) -> tuple[list[Run], list[Failure]]:
     """Return what the store holds, and those of other machines; what is in several is there once."""
     stores = [Store(results_folder(folder), read_only=True) for folder in (asked.results, *asked.stores)]
     runs = {(run.dataset, run.method, run.key): run for store in reversed(stores) for run in store.runs()}

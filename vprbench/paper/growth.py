@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.errors import BadInput
-from vprbench.paper.plan import Boundary, Row
+from vprbench.paper.plan import Row
 from vprbench.paper.selection import age, as_text, conditions
 from vprbench.paper.table import best
 from vprbench.run.record import Run
@@ -36,11 +36,9 @@ class GrowthSamples:
     """Times of one row by number of places, ascending, all measured under the same conditions."""
 
     name: str  # the row's
-    boundary: Boundary | None  # what `query` covers; None: encode and match
     runs: tuple[Run, ...]  # those behind the samples: one a size and seed
     training: tuple[Sample, ...]  # one a run that trained, without the time that it waited for images
-    query: tuple[Sample, ...]  # one image at a time, at the row's boundary: median
-    total: tuple[Sample, ...]  # encode and match, where `query` covers less
+    query: tuple[Sample, ...]  # one image at a time, encode and match together: median
     aside: tuple[str, ...]  # sentences: which runs are not among them, and why
 
 
@@ -61,16 +59,15 @@ def samples(row: Row, runs: Sequence[Run], at_most: Collection[str]) -> GrowthSa
     for run in newest:
         chosen.setdefault((run.outcome.n_places, run.config["seed"]), run)
     kept = tuple(run for _, run in sorted(chosen.items(), key=lambda item: item[0]))
+    timed = [run for run in kept if run.timing is not None]
     trained = [(run, run.training_compute_seconds) for run in kept if run.training_compute_seconds is not None]
     return GrowthSamples(
         name=row.name,
-        boundary=row.boundary,
         runs=kept,
         training=tuple(
             Sample(run.outcome.n_places, seconds, disturbed=best.disturbed(run)) for run, seconds in trained
         ),
-        query=tuple(_median(run, row.boundary) for run in kept),
-        total=tuple(_median(run, None) for run in kept if row.boundary is not None),
+        query=tuple(map(_median, timed)),
         aside=tuple(_set_aside(row.name, members, newest[0], at_most) for members in others),
     )
 
@@ -88,8 +85,8 @@ def interval_of_median(values: npt.NDArray[np.float64]) -> tuple[float, float] |
     return (float(ordered[k - 1]), float(ordered[-k])) if k else None
 
 
-def _median(run: Run, boundary: Boundary | None) -> Sample:
-    seconds = best.laps(run, boundary)
+def _median(run: Run) -> Sample:
+    seconds = best.laps(run)
     low, high = interval_of_median(seconds) or (None, None)
     return Sample(run.outcome.n_places, float(np.median(seconds)), low, high, best.disturbed(run))
 

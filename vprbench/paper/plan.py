@@ -27,7 +27,7 @@ class Row:
 
     name: str
     method: str
-    boundary: Boundary | None = None  # None: not one of the paper's rows, its rate is that of both together
+    boundary: Boundary | None = None  # None: not one of the paper's rows
     training: Training = "own"
     spiking: bool = False  # stands below the rule that ends the conventional methods
     arguments: Mapping[str, Any] = field(default_factory=dict)

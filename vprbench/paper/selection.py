@@ -96,7 +96,7 @@ def groups(
 def of_row(group: Group, row: Row, device: Device) -> RowRuns:
     """Return one run per seed, all made by the same code, settings and machine.
 
-    Runs that differ in code, defaults, weights, timing protocol, libraries, threads or machine are never put together.
+    Runs that differ in code, defaults, weights, libraries, threads or machine are never put together.
     Of such sets the complete ones come first, then those that trained instead of loading, then the one with the newest
     run; the others are counted in `aside`, and so are seeds that the row does not ask for. If the row
     has runs, failures from other machines are ignored, and "missing" failures of seeds that have a run.
@@ -239,7 +239,7 @@ def age(run: Run) -> tuple[str, str]:
 
 
 def conditions(run: Run, apart: Collection[str] = ()) -> dict[str, Any]:
-    """Return the conditions that must be equal for runs to be put together, keyed by the word for a difference.
+    """Return the conditions that must be equal for times to be put together, keyed by the word for a difference.
 
     `apart` names further arguments of the method in which the runs may differ.
     """
@@ -256,7 +256,8 @@ def conditions(run: Run, apart: Collection[str] = ()) -> dict[str, Any]:
 
 
 def _setup(run: Run) -> dict[str, Any]:
-    return {**conditions(run), "network": "trained" if run.network is None else "loaded"}
+    network = "trained" if run.network is None else "loaded"
+    return {**{name: value for name, value in conditions(run).items() if name != "timing"}, "network": network}
 
 
 def _rank(members: Sequence[Run], row: Row) -> tuple[bool, bool, tuple[str, str]]:

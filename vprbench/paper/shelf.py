@@ -14,6 +14,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.run import thumbnails
+from vprbench.run.adaptation import adapted_as
 from vprbench.run.identity import Identity, code_hash_of, fingerprint
 from vprbench.run.record import Run, content_key
 from vprbench.run.settings import checked_settings, n_threads
@@ -61,7 +62,12 @@ class Shelf:
         config = dict(self._compose([*wanted.options(), *self._options]))
         settings = checked_settings(config)
         config["method"], tuned_on = registry.declared(wanted.row.method, config["method"])
-        alike = [run for run in self._runs if run.method == wanted.row.method and _told(run.config) == _told(config)]
+        config["overrides"] = [*wanted.options(), *self._options]
+        alike = [
+            run
+            for run in self._runs
+            if run.method == wanted.row.method and _told(run.config) == _told(adapted_as(run.config, config))
+        ]
         code = code_hash_of(config["method"]["_target_"])
         if settings.force or not alike or code is None:
             return False
@@ -70,8 +76,13 @@ class Shelf:
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)
-        keys = {Identity(of_class, code, config, dataset, images, h, settings.timing, threads).key() for h in held_out}
+        keys = {
+            Identity(of_class, code, asked, dataset, images, h, threads).key()
+            for asked in (adapted_as(run.config, config) for run in alike)
+            for h in held_out
+        }
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
+        found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         if settings.frames and thumbnails.find(self._store.root, images) is None:
             return False
         return any(settings.cache or run.fit_seconds is not None for run in found)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.plugins import registry
 from vprbench.storage.folders import insist_on_homes
+from vprbench.text import near
 
 Given = TypeVar("Given")
 
@@ -22,20 +21,26 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
     hints = get_type_hints(kind)
     given = {}
     for option in options:
+        from vprbench.plugins.checked import checked  # takes long, and there may be no option
+
         name, equals, text = option.partition("=")
         if name not in hints:
-            raise BadInput(f"option {name} is unknown: {registry.near(name, hints)}")
+            raise BadInput(f"option {name} is unknown: {near(name, hints)}")
         if not equals:
             raise BadInput(f"option {name} has no value: give {name}=value")
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = _listed(text) if re.fullmatch(r"\[.+\]", text) else text
-        given[name] = registry.checked(name, value, hints[name])
+        given[name] = checked(name, _value(text, hints[name]), hints[name])
     insist_on_homes(given)
     return kind(**{**(quick if given.get("quick") else {}), **given})
 
 
-def _listed(text: str) -> list[str]:
-    """Return the texts of a list without quotes, as in [hog,pca] or [/data/one,/data/two]."""
-    return [part.strip() for part in text[1:-1].split(",")]
+def _value(text: str, hint: Any) -> Any:
+    """Return what a text stands for; for a list its parts between commas, with or without brackets and quotes."""
+    kinds = [kind for kind in (hint, *get_args(hint)) if get_origin(kind) is list]
+    try:
+        value = json.loads(text)
+    except ValueError:
+        if not kinds:
+            return text
+        parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
+        return parts if get_args(kinds[0]) == (str,) else [_value(part, None) for part in parts]
+    return [value] if kinds and not isinstance(value, list | None) else value

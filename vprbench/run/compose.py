@@ -14,8 +14,8 @@ from omegaconf import OmegaConf
 
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.run.settings import KNOWN
-from vprbench.run.stopwatch import Protocol
+from vprbench.run.settings import KNOWN, timings
+from vprbench.run.timing_protocol import Protocol
 
 
 def composed(options: Sequence[str]) -> dict[str, Any]:
@@ -110,9 +110,11 @@ def explained(error: Exception, arguments: Sequence[str]) -> str:
     if several := re.match(r"Ambiguous value for argument '(.+?)' 1\.", text):
         name, _, values = several[1].partition("=")
         return f"{several[1]}: give -m too, to run with each, or {name}=[{values}], for a list"
-    if sought := re.search(r"Could not find '(method|dataset)/(.*?)'\s+Available", str(error), re.DOTALL):
-        group: registry.Group = "method" if sought[1] == "method" else "dataset"
-        return f"{group}={sought[2]} is unknown: {registry.near(sought[2], registry.entries(group))}"
+    if sought := re.search(r"Could not find '(method|dataset|timing)/(.*?)'\s+Available", str(error), re.DOTALL):
+        return _no_such(sought[1], sought[2])
+    if "Config group override must be" in text:
+        wrong = [option.split("=", 1) for option in arguments if re.match("(method|dataset|timing)=", option)]
+        return next((_no_such(*pair) for pair in wrong if pair[1] not in _names(pair[0])), text)
     if (unresolved := re.match(r"(.+) full_key: (\S+) object_type=", text)) and not text.startswith("Key '"):
         return f"{unresolved[2]}: {unresolved[1]}"
     option = re.match(r"Could not override '([^']+)'", text) or re.match(r"Key '([^']+)' is not in struct", text)
@@ -125,6 +127,16 @@ def explained(error: Exception, arguments: Sequence[str]) -> str:
     if above == "timing" and name:
         return f"option {path} is unknown: {registry.near(name, Protocol.__dataclass_fields__)}"
     return f"option {path} is unknown: {registry.near(path, KNOWN)}"
+
+
+def _names(group: str) -> list[str]:
+    if group == "timing":
+        return timings()
+    return list(registry.entries("method" if group == "method" else "dataset"))
+
+
+def _no_such(group: str, name: str) -> str:
+    return f"{group}={name} is unknown: {registry.near(name, _names(group))}"
 
 
 def _unfit(group: registry.Group, option: str, arguments: Sequence[str]) -> str:

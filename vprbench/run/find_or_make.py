@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable
-from contextlib import chdir
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from contextlib import chdir, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,12 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.frame_cache import frames_kept
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
+from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
@@ -29,44 +32,83 @@ from vprbench.storage.hashes import content_hash
 from vprbench.text import printable
 
 
-def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
-    """Find the run in the store or make it, and say it; `asked` is its configuration.
+class UnstoredRunError(BadInput):
+    """A run was made and the store refused it; what was measured is not lost."""
 
-    Raises BadInput for data that the cheap checks find wrong and if the run cannot be stored, and what a run raises.
+    def __init__(self, why: BadInput, run: Run) -> None:
+        """Say `why`, and hold the run."""
+        super().__init__(str(why))
+        self.run = run
+
+
+@dataclass(frozen=True)
+class Made:
+    """A run that was asked for, the folder that holds it, and whether it lay there already."""
+
+    run: Run
+    folder: Path
+    from_store: bool
+
+
+def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, say: Callable[[str], None]) -> int:
+    """Find the run in the store or make it, and say it; raises what `find_or_make` raises."""
+    try:
+        made = find_or_make(name, asked, settings, store)
+    except UnstoredRunError as error:
+        say(_text(error.run, None, False, settings))
+        raise
+    say(_text(made.run, made.folder, made.from_store, settings))
+    return 0
+
+
+def find_or_make(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Made:
+    """Return the run of method `name` from the store, or make and store it; `asked` is its configuration.
+
+    `asked` is told what method and dataset turned out to be. Raises BadInput for data that the cheap checks find wrong
+    and if the run cannot be stored (UnstoredRunError if it was made by then), and what a run raises.
     """
     asked["method"], tuned_on = registry.declared(name, asked["method"])
+    return made(_request(name, asked, settings, store), settings, store, tuned_on)
+
+
+def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[str, Any]) -> Made:
+    """Return the run of a request from the store, or make and store it; raises what `find_or_make` raises."""
     process, refused = os.getpid(), _refused(store)
-    request = _request(name, asked, settings, store)
-    key = request.key()
+    key, dataset = request.key(), request.dataset
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))
-    dataset = request.dataset
-    found = None if settings.force else _usable(store.find(dataset.name, name, key), settings, request.files)
+    stored = store.find(dataset.name, request.name, key)
+    found = None if settings.force else _usable(stored, settings, request.files)
     if found is None and refused is not None:
         raise refused
+
+    def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
+        ending.leave_if_forked(process)
+        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
+        if stored is None:
+            with suppress(BadInput):  # which is raised when it is stored with its times
+                store.save(replace(scored, tuned_on=tuned_on))
+
     with ledger():  # what was trained is kept until the run is stored
         if found is not None:  # whoever stored it may have asked in other words
-            run = replace(found, config={**found.config, "overrides": asked["overrides"]})
+            run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
         else:
-            for place in (store.root / dataset.name, store.folder(dataset.name, name, key)):
+            for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
                 insist_on_writing(place)
-            with progress_shown(f"{name} on {dataset.name}"), chdir("."):
-                run = runner.run(request, key)
+            with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
+                run = runner.run(request, key, keep)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = replace(run, tuned_on=tuned_on)
         try:
-            folder = store.folder(dataset.name, name, key) if known else store.save(run)
-        except BadInput:
-            # what was measured is shown even if it cannot be kept
-            say(_text(run, None, found is not None, settings))
-            raise
+            folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
+        except BadInput as error:
+            raise UnstoredRunError(error, run) from error
     ending.tell(code=0)
-    say(_text(run, folder, found is not None, settings))
     if settings.frames:
         _keep_frames(store, run, dataset)
-    return 0
+    return Made(run, folder, found is not None)
 
 
 def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Request:
@@ -82,6 +124,9 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
         dataset = registry.make_dataset(asked["dataset"])
         # what the cheap checks warn of is among the dataset's notes
         dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+        if needed := adaptation(method, dataset.n_places, asked):
+            asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
+            method = registry.make_method(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
         images = fingerprint(dataset)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
@@ -102,16 +147,25 @@ def _refused(store: Store) -> BadInput | None:
 
 
 def _usable(run: Run | None, settings: Settings, files: networks.Files) -> Run | None:
-    """Return a stored run; None if it lacks a network that is to be saved, or what was asked for without a cache."""
+    """Return a stored run; None if it lacks a network to save, times, or what was asked for without a cache."""
     if run is None:
         return None
     if files.save is not None and not files.replace:
         logging.info("%s is stored without its network: running again for save=%s", run.method, files.save)
         return None
+    if less := run.timed_by.shortfalls(settings.timing):
+        timed = f"timed by less than asked for ({', '.join(less)})" if run.timed_by.rates else "not timed"
+        logging.info("%s on %s is stored, %s: running again", run.method, run.dataset, timed)
+        return None
     if not settings.cache and run.fit_seconds is None and run.network is None:
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
     return run
+
+
+def _recall(run: Run) -> str:
+    first = recall_at(run.outcome, 1)
+    return "R@1 is undefined" if first is None else f"R@1 {METRICS['recall_at_1'].text(first.expected)} %"
 
 
 def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -13,14 +13,14 @@ from vprbench.api.method import Method, calibration
 from vprbench.plugins import networks
 from vprbench.run import harness, machine, sources
 from vprbench.run.record import content_key
-from vprbench.run.stopwatch import Protocol
+from vprbench.run.timing_protocol import Protocol
 
 _NO_FILES = networks.Files()
 
 
 @dataclass(frozen=True)
 class Identity:
-    """All that can change the outcome of a run or the times it measures."""
+    """All that can change the outcome of a run, or the times it measures by one timing protocol."""
 
     method_class: str  # its name alone: where its file lies does not count
     code: str  # its hash
@@ -28,7 +28,6 @@ class Identity:
     dataset: Dataset
     images: str  # their fingerprint
     held_out: str | None  # fingerprint of the places that the method chooses its settings by
-    timing: Protocol
     threads: int
     network: str | None = None  # hash of the file that the run loads; a run that trains has another key
 
@@ -48,7 +47,6 @@ class Identity:
                 "device": machine.device_class(self.config["device"]),
                 "threads": self.threads,
                 "depth": self.config["depth"],
-                "timing": asdict(self.timing),
                 "libraries": machine.library_versions(),
                 "network": self.network,
             }
@@ -70,7 +68,7 @@ class Request:
     cache: Path | None = None  # a folder for descriptors worth keeping
 
     def key(self) -> str:
-        """Return the hash of all that can change the outcome of the run or the times it measures."""
+        """Return the hash of its identity."""
         held_out = calibration(self.method, self.dataset)
         return Identity(
             method_class=type(self.method).__qualname__,
@@ -79,7 +77,6 @@ class Request:
             dataset=self.dataset,
             images=self.fingerprint,
             held_out=None if held_out is None else held_out.fingerprint(),
-            timing=self.protocol,
             threads=self.threads,
             network=self.files.sha256,
         ).key()

@@ -155,10 +155,14 @@ def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     return float(np.median(laps[5:])) / 1e9  # the first ones warm up
 
 
-def reset_peak_memory() -> None:
-    """Start a new window for `peak_memory_bytes`; where the system forbids it the process's start remains."""
+def reset_peak_memory(device: str = "cpu") -> None:
+    """Start a new window for the peaks of memory; where the system forbids it the process's start remains."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    if device.startswith("cuda"):
+        import torch
+
+        torch.cuda.reset_peak_memory_stats(device)
 
 
 def peak_memory_bytes() -> int:
@@ -170,7 +174,7 @@ def peak_memory_bytes() -> int:
 
 
 def peak_device_memory_bytes(device: str) -> int | None:
-    """Return the most memory that was in use on an accelerator, None on a CPU."""
+    """Return the most memory that was in use on an accelerator in the window, None on a CPU."""
     if not device.startswith("cuda"):
         return None
     import torch

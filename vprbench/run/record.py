@@ -19,10 +19,11 @@ from vprbench.metrics.ranking import Outcome
 from vprbench.run.note import Note
 from vprbench.run.record_rules import check_arrays, check_failure, check_summary
 from vprbench.run.stopwatch import Laps, Timing, plain
+from vprbench.run.timing_protocol import Protocol
 
 logger = logging.getLogger(__name__)
 
-SCHEMA = 7
+SCHEMA = 8
 SUMMARY, _ARRAYS, _SCORES, _FAILURE = "run.json", "arrays.npz", "scores.npy", "failure.json"
 _LARGEST_SUMMARY = 1 << 26  # bytes
 
@@ -60,7 +61,7 @@ class Run:
     peak_memory_bytes: int
     harness_seconds: float  # spent neither in the method nor in reading images
     method_seconds: float  # spent in the method
-    timing: Timing
+    timing: Timing | None  # None: it was not timed
     outcome: Outcome
     positives: tuple[npt.NDArray[np.int64], ...]  # per query the right places
     top_places: npt.NDArray[np.int32]  # (n_queries, depth), best first
@@ -75,15 +76,31 @@ class Run:
     def training_seconds(self) -> float | None:
         """The wall time until queries take their usual time: the fit, and what the first query took beyond a usual one.
 
-        None if nothing was fitted.
+        None if nothing was fitted; the fit alone if queries were not timed.
         """
-        return None if self.fit_seconds is None else self.fit_seconds + self.timing.first_query_excess_seconds
+        return None if self.fit_seconds is None else self.fit_seconds + self._first_query_excess_seconds
 
     @property
     def training_compute_seconds(self) -> float | None:
         """The same without the time that the method waited for images."""
         computing = self.fit_compute_seconds
-        return None if computing is None else computing + self.timing.first_query_excess_seconds
+        return None if computing is None else computing + self._first_query_excess_seconds
+
+    @property
+    def _first_query_excess_seconds(self) -> float:
+        return 0.0 if self.timing is None else self.timing.first_query_excess_seconds
+
+    @property
+    def timed_by(self) -> Protocol:
+        """The protocol that it was timed by; one without rates if it was not timed."""
+        asked = self.config.get("timing")
+        return Protocol(rates=False) if self.timing is None or asked is None else Protocol(**asked)
+
+    def insist_on_timing(self) -> Timing:
+        """Return what was timed; raises ValueError if nothing was, which `timing` tells beforehand."""
+        if self.timing is None:
+            raise ValueError(f"the run of {self.method} on {self.dataset} was not timed")
+        return self.timing
 
 
 @dataclass(frozen=True)
@@ -156,14 +173,9 @@ def write(run: Run, folder: Path) -> None:
 
     Raises OSError if the disk refuses, ValueError for a run that `load` would not take.
     """
-    laps = {"streaming": run.timing.streaming}
-    laps |= {f"offline_{number}": laps for number, laps in enumerate(run.timing.offline)}
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
-    arrays |= {f"{name}_encode_seconds": lap.encode_seconds for name, lap in laps.items()}
-    arrays |= {f"{name}_match_seconds": lap.match_seconds for name, lap in laps.items()}
     arrays |= {
-        "sample": run.timing.sample,
-        "answers": run.timing.answers,
+        **({} if run.timing is None else _timed_arrays(run.timing)),
         "top_places": run.top_places,
         "top_scores": run.top_scores,
         "positives": np.concatenate([np.empty(0, np.int64), *run.positives]),
@@ -179,35 +191,50 @@ def write(run: Run, folder: Path) -> None:
         "schema": SCHEMA,
         "notes": [note._asdict() for note in run.notes],
         "n_places": run.outcome.n_places,
-        "timing": plain(run.timing),
+        "timing": None if run.timing is None else plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
     check_summary(json.loads(json.dumps(summary)))
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
-def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
+def _timed_arrays(timing: Timing) -> dict[str, npt.NDArray[Any]]:
+    arrays: dict[str, npt.NDArray[Any]] = {"sample": timing.sample, "answers": timing.answers}
+    laps = {"streaming": timing.streaming}
+    laps |= {f"offline_{number}": laps for number, laps in enumerate(timing.offline)}
+    for name, lap in laps.items():
+        arrays |= {f"{name}_encode_seconds": lap.encode_seconds, f"{name}_match_seconds": lap.match_seconds}
+    return arrays
+
+
+def _timing(plain: Mapping[str, Any] | None, arrays: Mapping[str, npt.NDArray[Any]]) -> Timing | None:
+    if plain is None:
+        return None
+
     def laps(name: str, images_per_call: int, valid: bool) -> Laps:
         return Laps(arrays[f"{name}_encode_seconds"], arrays[f"{name}_match_seconds"], images_per_call, valid)
 
-    timing = summary["timing"]
+    return Timing(
+        plain["first_query_seconds"],
+        plain["warmup_queries"],
+        laps("streaming", 1, plain["streaming_valid"]),
+        tuple(
+            laps(f"offline_{number}", lap["images_per_call"], lap["valid"])
+            for number, lap in enumerate(plain["offline"])
+        ),
+        arrays["sample"],
+        arrays["answers"],
+        plain["repeated_seconds"],
+        plain["unseen_seconds"],
+    )
+
+
+def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
     ends = np.cumsum(arrays["positives_per_query"])[:-1]
     return Run(
         **{name: summary[name] for name in _PLAIN},
         notes=tuple(Note(**note) for note in summary["notes"]),
-        timing=Timing(
-            timing["first_query_seconds"],
-            timing["warmup_queries"],
-            laps("streaming", 1, timing["streaming_valid"]),
-            tuple(
-                laps(f"offline_{number}", lap["images_per_call"], lap["valid"])
-                for number, lap in enumerate(timing["offline"])
-            ),
-            arrays["sample"],
-            arrays["answers"],
-            timing["repeated_seconds"],
-            timing["unseen_seconds"],
-        ),
+        timing=_timing(summary["timing"], arrays),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
         positives=tuple(np.split(arrays["positives"], ends)),
         top_places=arrays["top_places"],

@@ -32,10 +32,17 @@ class _Part(BaseModel):
 class _Timed(_Part):
     """The timing protocol that was asked for."""
 
+    model_config = ConfigDict(extra="forbid")
+
     minimum_seconds: _Seconds
     minimum_queries: _Count
+    minimum_passes: _Count
+    maximum_seconds: _Seconds
     sample: _Count
     warmup_queries: _Count
+    batch_sizes: Annotated[list[Annotated[int, Field(ge=1, le=1 << 53)]], Field(min_length=1)]
+    total_seconds: _Seconds | None
+    rates: bool
 
 
 class _Asked(_Part):
@@ -172,7 +179,7 @@ class _Summary(_Part):
     spikes: _Spikes | None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
     tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
-    timing: _Timing
+    timing: _Timing | None
     sha256: _Digests
 
 
@@ -209,6 +216,7 @@ _ARRAYS: Mapping[str, tuple[Sequence[str], tuple[str, ...], float, str | float]]
     "place_numbers": (_INTEGERS, ("places",), -(1 << 53), 1 << 53),
 }
 _OPTIONAL = ("scores", "place_numbers")
+_TIMED = ("sample", "answers")
 _NEVER_MORE = (("top_tied_correct", "top_tied"), ("tied_correct", "tied"))  # the first than the second
 
 
@@ -227,13 +235,15 @@ def check_failure(content: Mapping[str, Any]) -> None:
 def check_arrays(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Check the arrays of a run whose summary is right; raises ValueError that names the first that cannot be."""
     lengths: dict[str, float] = {"places": summary["n_places"], "last place": summary["n_places"] - 1}
+    timing = summary["timing"]
+    optional = (*_OPTIONAL, *(_TIMED if timing is None else ()))
     for name, (kinds, axes, lowest, highest) in _ARRAYS.items():
-        if name in arrays or name not in _OPTIONAL:
+        if name in arrays or name not in optional:
             _check_shape(name, arrays[name], axes, lengths)
             lengths["last query"] = lengths["queries"] - 1
             bound = lengths[highest] if isinstance(highest, str) else highest
             _check_values(name, arrays[name], kinds, lowest, bound)
-    laps = ["streaming", *(f"offline_{number}" for number in range(len(summary["timing"]["offline"])))]
+    laps = [] if timing is None else ["streaming", *(f"offline_{number}" for number in range(len(timing["offline"])))]
     for lap in laps:
         for part in (f"{lap}_encode_seconds", f"{lap}_match_seconds"):
             _check_shape(part, arrays[part], (f"calls of {lap}",), lengths)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 
 import pandas as pd
 
@@ -13,9 +13,10 @@ from vprbench.metrics.tolerance import hits_within
 from vprbench.run.rates import StageRates, best_batch, percentile_bound
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
+from vprbench.run.stopwatch import Timing
 from vprbench.run.tuned import tuned_note
 
-NOTHING = "-"
+NOTHING, UNTIMED = "-", "not timed"
 _DIGITS = 12  # of a hash that people compare by eye
 
 
@@ -27,17 +28,24 @@ def label(run: Run | Failure) -> str:
 
 def readable_row(run: Run, metrics: Sequence[str] = ()) -> dict[str, str]:
     """Return one run as a row of text, with more `metrics` by their names."""
-    batch = best_batch(run.timing.offline)
     shown = [METRICS[name] for name in (*(f"recall_at_{n}" for n in RECALLS[1:]), "auc_pr_a", *metrics)]
     return {
         "method": label(run),
         "R@1 % [95 %]": _recall_with_interval(run),
         **{metric.head: metric.text(metric.of(run)) for metric in shown},
         "fit s": _fit(run),
-        "streaming Hz enc/match/total": _rates(StageRates.streaming(run.timing.streaming)),
-        "offline Hz enc/match/total": f"{_rates(StageRates.offline(batch))} (batch {batch.images_per_call})",
+        **_readable_rates(run.timing),
         "peak MB": f"{run.peak_memory_bytes / 1e6:.0f}",
     }
+
+
+def _readable_rates(timing: Timing | None) -> dict[str, str]:
+    streaming = offline = UNTIMED
+    if timing is not None:
+        batch = best_batch(timing.offline)
+        streaming = _rates(StageRates.streaming(timing.streaming))
+        offline = f"{_rates(StageRates.offline(batch))} (batch {batch.images_per_call})"
+    return {"streaming Hz enc/match/total": streaming, "offline Hz enc/match/total": offline}
 
 
 def _fit(run: Run) -> str:
@@ -64,7 +72,6 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
     first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
     interval = recall_interval([run])
-    streaming, batch = run.timing.streaming, best_batch(run.timing.offline)
     search = run.search or {}
     return {
         **_accuracies(run, [f"recall_at_{n}" for n in RECALLS]),
@@ -79,15 +86,11 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
-        "first_query_seconds": run.timing.first_query_seconds,
+        "first_query_seconds": None if run.timing is None else run.timing.first_query_seconds,
         "training_seconds": run.training_seconds,
         "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
-        **_named_rates("streaming", StageRates.streaming(streaming)),
-        "streaming_p90_seconds": percentile_bound(streaming.total_seconds, 0.9),
-        "streaming_p99_seconds": percentile_bound(streaming.total_seconds, 0.99),
-        **_named_rates("offline", StageRates.offline(batch)),
-        "offline_batch": batch.images_per_call,
+        **_rate_numbers(run.timing),
         "index_recall_at_1": search.get("recall_at_1"),
         "index_recall_at_10": search.get("recall_at_10"),
         "index_bytes_per_place": search.get("bytes_per_place"),
@@ -174,6 +177,21 @@ def _rates(rates: StageRates) -> str:
 
 def _hz(rate: float) -> str:
     return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
+
+
+def _rate_numbers(timing: Timing | None) -> dict[str, float | int | None]:
+    """Return rates and percentiles by their names; without a timing each is None."""
+    if timing is None:
+        rates = (f"{scenario}_{stage.name}_hz" for scenario in ("streaming", "offline") for stage in fields(StageRates))
+        return dict.fromkeys([*rates, "streaming_p90_seconds", "streaming_p99_seconds", "offline_batch"])
+    streaming, batch = timing.streaming, best_batch(timing.offline)
+    return {
+        **_named_rates("streaming", StageRates.streaming(streaming)),
+        "streaming_p90_seconds": percentile_bound(streaming.total_seconds, 0.9),
+        "streaming_p99_seconds": percentile_bound(streaming.total_seconds, 0.99),
+        **_named_rates("offline", StageRates.offline(batch)),
+        "offline_batch": batch.images_per_call,
+    }
 
 
 def _named_rates(scenario: str, rates: StageRates) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -13,13 +13,14 @@ from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
 from vprbench.run import machine, spikes
+from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
 from vprbench.run.fitting import Learnt, learn
 from vprbench.run.identity import Request, code_hash, data_record
 from vprbench.run.note import Note, noted
 from vprbench.run.record import Run
-from vprbench.run.stopwatch import Stopwatch, synchroniser
+from vprbench.run.stopwatch import Stopwatch, Timing, synchroniser
 
 _NOISE = 0.05  # drift of a fixed computation that marks a run as noisy
 _BUSY = 15.0  # percent of CPU pressure that marks a run as noisy
@@ -27,21 +28,20 @@ _CACHING = 0.9  # known images that need less than this share of the time of new
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
-def run(request: Request, key: str) -> Run:
+def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates; `key` identifies the run.
 
-    Raises whatever the method raises. A network is stored before the first query; whether it can be is seen before it
-    is trained. Descriptors worth keeping are kept in the request's cache and taken from there; the sample that is timed
-    is encoded in any case.
+    `keep` is given the run without its rates before these are measured, unless none are asked for. Raises whatever the
+    method raises. A network is stored before the first query; whether it can be is seen before it is trained.
+    Descriptors worth keeping are kept in the request's cache and taken from there; the sample that is timed is encoded
+    in any case.
     """
     method, dataset, device = request.method, request.dataset, request.config["device"]
     queries = dataset.queries.unnamed()
     data = data_record(dataset)
     started = time.perf_counter()
-    environment = machine.capture(device, request.threads)
-    canary = machine.canary_seconds()
+    watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
-    machine.reset_peak_memory()
 
     described = Described.of(request.cache if request.files.load is None else None, method, request.config)
     with ledger() as resumed:
@@ -54,36 +54,62 @@ def run(request: Request, key: str) -> Run:
         from_cache = scoring.score(described)
         elsewhere = learnt.seconds + answers.method_seconds + queries.reading.seconds - read
 
-    with stopwatch.lap() as measuring:
-        timing = stopwatch.measure(method, queries, first_query)
-    progress.report("timing", 1.0)
-    environment |= {
-        "canary_slowdown": machine.canary_seconds() / canary,
-        "cpu_pressure_avg10_after": machine.cpu_pressure(),
-        "device_memory_bytes": machine.peak_device_memory_bytes(device),
-    }
-    measured = {"data": data, "environment": environment, "timing": timing}
-    measured["peak_memory_bytes"] = machine.peak_memory_bytes()
+    measured = {"data": data, **watch.seen()}
     with stopwatch.lap() as auditing:
         measured["search"] = scoring.audited.search()
         measured["spikes"], spike_notes = spikes.counted(method, queries)
-    told = (*learnt.notes, *noted("method", method.notes()), *_cache_notes(dataset, learnt.from_cache, from_cache))
-    finished = _finished(request, key, learnt, answers, measured)
-    return replace(
-        finished,
-        notes=(*noted("dataset", dataset.notes), *told, *_notes_on(finished), *spike_notes),
-        harness_seconds=time.perf_counter() - started - elsewhere - measuring[0] - auditing[0],
+    adapted = noted("adapted", adaptation_words(request.config, dataset.n_places))
+    told = (*adapted, *learnt.notes, *noted("method", method.notes()))
+    told = (*noted("dataset", dataset.notes), *told, *_cache_notes(dataset, learnt.from_cache, from_cache))
+    scored = replace(
+        _scored(request, key, learnt, answers, measured),
+        harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
+    scored = replace(scored, notes=(*told, *_notes_on(scored), *spike_notes))
+    if not request.protocol.rates:
+        return scored
+    keep(scored)
+    watch.look_again()
+    timing = stopwatch.measure(method, queries, first_query)
+    progress.report("timing", 1.0)
+    config = {**scored.config, "timing": asdict(request.protocol)}
+    timed = replace(scored, config=config, timing=timing, **watch.seen())
+    return replace(timed, notes=(*told, *_notes_on(timed), *spike_notes))
 
 
-def _finished(request: Request, key: str, learnt: Learnt, answers: Answers, measured: Mapping[str, Any]) -> Run:
-    """Return the record of a run but for its notes and `harness_seconds`."""
-    dataset, protocol = request.dataset, asdict(request.protocol)
+class _Watch:
+    """Looks at the machine before and after, and at the most memory in between; audits in the middle do not count."""
+
+    def __init__(self, device: str, threads: int) -> None:
+        self._device = device
+        self._before = machine.capture(device, threads)
+        self._canary_seconds = machine.canary_seconds()
+        self._peaks: list[tuple[int, int | None]] = []
+        machine.reset_peak_memory(device)
+
+    def look_again(self) -> None:
+        machine.reset_peak_memory(self._device)
+
+    def seen(self) -> dict[str, Any]:
+        """Return what a run records of it all: `environment` and `peak_memory_bytes`."""
+        after = {
+            "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
+            "cpu_pressure_avg10_after": machine.cpu_pressure(),
+        }
+        self._peaks.append((machine.peak_memory_bytes(), machine.peak_device_memory_bytes(self._device)))
+        host, on_device = zip(*self._peaks, strict=True)
+        after["device_memory_bytes"] = max((peak for peak in on_device if peak is not None), default=None)
+        return {"environment": {**self._before, **after}, "peak_memory_bytes": max(host)}
+
+
+def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measured: Mapping[str, Any]) -> Run:
+    """Return the record of a run that is not timed, but for its notes and `harness_seconds`."""
+    dataset = request.dataset
     return Run(
         method=request.name,
         dataset=dataset.name,
         key=key,
-        config={**request.config, "code": code_hash(type(request.method)), "timing": protocol},
+        config={**request.config, "code": code_hash(type(request.method)), "timing": None},
         protocol=dataset.protocol,
         fingerprint=request.fingerprint,
         notes=(),
@@ -94,6 +120,7 @@ def _finished(request: Request, key: str, learnt: Learnt, answers: Answers, meas
         network=request.files.sha256,
         harness_seconds=0.0,
         method_seconds=learnt.method_seconds + answers.method_seconds,
+        timing=None,
         outcome=answers.outcome,
         positives=dataset.positives,
         place_numbers=dataset.place_numbers,
@@ -115,38 +142,43 @@ def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[
 
 def _notes_on(run: Run) -> Iterator[Note]:
     """Yield what a reader of a run's times and answers has to know."""
-    timing, search = run.timing, run.search
+    slowdown, pressure = run.environment["canary_slowdown"], run.environment["cpu_pressure_avg10_after"]
+    if abs(slowdown - 1) > _NOISE:
+        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
+    if pressure is not None and pressure > _BUSY:
+        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of the run")
+    if run.timing is not None:
+        yield from _notes_on_rates(run, run.timing)
+    if run.search is not None and run.search["index"] != "exact":
+        yield Note(
+            "index",
+            f"index {run.search['index']}: {100 * run.search['recall_at_1']:.1f} % of the exactly best places found, "
+            f"{100 * run.search['recall_at_10']:.1f} % of the best 10; {run.search['bytes_per_place']:,} bytes a place",
+        )
+
+
+def _notes_on_rates(run: Run, timing: Timing) -> Iterator[Note]:
     if timing.first_query_excess_seconds:
         trained = run.fit_seconds is not None
         use = "what it took more counts as training" if trained else "no time holds it, for nothing was trained"
         seconds = timing.first_query_seconds
         times = seconds / float(np.median(timing.streaming.total_seconds))
         yield Note("late", f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}")
-    slowdown, pressure = run.environment["canary_slowdown"], run.environment["cpu_pressure_avg10_after"]
-    if abs(slowdown - 1) > _NOISE:
-        yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
-    if pressure is not None and pressure > _BUSY:
-        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of timing")
     if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
-        unmet = "a minimum of the timing protocol was not met within timing.maximum_seconds"
+        limit = "maximum" if run.timed_by.total_seconds is None else "total"
+        unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
         yield Note("invalid", f"invalid rates: {unmet}")
     if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
         share = 100 * timing.repeated_seconds / timing.unseen_seconds
         yield Note("caching", f"caching: images seen before are answered in {share:.0f} % of the time of new ones")
-    if not _same_answers(run):
+    if not _same_answers(run, timing):
         yield Note("audit", "audit failed: the timed run gave other answers than the scored run")
-    if search is not None and search["index"] != "exact":
-        yield Note(
-            "index",
-            f"index {search['index']}: {100 * search['recall_at_1']:.1f} % of the exactly best places found, "
-            f"{100 * search['recall_at_10']:.1f} % of the best 10; {search['bytes_per_place']:,} bytes a place",
-        )
 
 
-def _same_answers(run: Run) -> bool:
+def _same_answers(run: Run, timing: Timing) -> bool:
     """Tell whether the places named when the run was timed score best in its stored answers too."""
-    queries = run.timing.sample[run.timing.answers >= 0]
-    named = run.timing.answers[run.timing.answers >= 0]
+    queries = timing.sample[timing.answers >= 0]
+    named = timing.answers[timing.answers >= 0]
     places, scores = run.top_places[queries], run.top_scores[queries]
     largest = np.abs(scores).max(1, initial=0, where=scores > -np.inf, keepdims=True)
     close = scores >= scores[:, :1] - _SAME_SCORE * largest

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import registry
-from vprbench.run.stopwatch import Protocol
+from vprbench.run.timing_protocol import Protocol
 from vprbench.storage.cores import core_count
 from vprbench.storage.folders import insist_on_homes
 
@@ -81,9 +81,14 @@ def n_threads(settings: Settings) -> int:
     return settings.threads or core_count()
 
 
+def timings() -> list[str]:
+    """Return the names of the timing protocols in conf/timing."""
+    return sorted(path.stem for path in (registry.conf_folders()["vprbench"] / "timing").glob("*.yaml"))
+
+
 def _checked_timing(config: Any) -> Protocol:
     if not isinstance(config, Mapping):
-        raise BadInput(f"timing={config}: set its options one by one, as in timing.minimum_seconds=10")
+        raise BadInput(f"timing={config}: give {', '.join(timings())}, or one option, as in timing.minimum_seconds=10")
     hints = get_type_hints(Protocol)
     for name in config:
         if name not in hints:

@@ -6,7 +6,7 @@ import gc
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from vprbench import progress
 from vprbench.api.arrays import Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method, held_together
-from vprbench.errors import BadInput
+from vprbench.run.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
 Seconds = npt.NDArray[np.float64]
@@ -26,41 +26,11 @@ _LATE = 10  # times the median, beyond which a first query is no usual one
 _BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
 _STEADY_QUERIES = 10
 _STEADY_SPREAD = 0.1
+_SHARES = (0.15, 0.5, 0.6)  # of `total_seconds`, by which warm-up, streaming and the look for caching have to end
 
 
 def _nothing() -> None:
     """Synchronise a device that does nothing behind the caller's back."""
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """How long and how often to measure; a part of every record.
-
-    A measurement ends when all three minima are met, or unfinished at `maximum_seconds`: it is then marked invalid.
-    Source: the rules of MLPerf LoadGen (warm-up, minimum duration and count).
-    """
-
-    minimum_seconds: float = 2.0
-    minimum_queries: int = 64  # enough for a 90th percentile; 662 are for a 99th
-    minimum_passes: int = 1  # over the sample of images
-    maximum_seconds: float = 120.0
-    sample: int = 256  # query images held decoded in memory
-    warmup_queries: int = 50  # at most; fewer once the last ten differ by less than 10 %
-    batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])
-
-    def __post_init__(self) -> None:
-        """Check that something will be measured."""
-        if min(self.minimum_queries, self.minimum_passes, self.sample) < 1 or not self.batch_sizes:
-            raise BadInput(
-                f"timing.minimum_queries={self.minimum_queries}, timing.minimum_passes={self.minimum_passes}, "
-                f"timing.sample={self.sample}: all have to be at least 1, and timing.batch_sizes not empty"
-            )
-        if min(self.batch_sizes) < 1 or not 0 <= self.minimum_seconds <= self.maximum_seconds > 0:
-            raise BadInput(
-                f"timing.batch_sizes={self.batch_sizes}, timing.minimum_seconds={self.minimum_seconds}, "
-                f"timing.maximum_seconds={self.maximum_seconds}: batches hold at least one image, and the minimum "
-                "cannot exceed the maximum"
-            )
 
 
 @dataclass(frozen=True)
@@ -93,7 +63,7 @@ class Timing:
     offline: tuple[Laps, ...]  # one per batch size
     sample: npt.NDArray[np.int64]  # (n_sample,), the queries that were timed
     answers: npt.NDArray[np.int64]  # (n_sample,), the best place of each in the timed run; -1 if not reached
-    repeated_seconds: float  # median of images asked a second time in a row
+    repeated_seconds: float  # median of images asked a second time in a row; 0: there was no time to
     unseen_seconds: float = 0.0  # median of images never shown before: a method that caches is slower there
 
     @property
@@ -122,6 +92,7 @@ class Stopwatch:
         self._clock = clock
         self._synchronise = synchronise
         self._generator = np.random.default_rng(seed)
+        self._end = float("inf")  # by the clock, of what is measured now
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
@@ -148,17 +119,17 @@ class Stopwatch:
         singles = [sample[np.array([i])] for i in range(count)]
         with _garbage_kept():
             progress.report("timing", 0.0)
-            first, warmup = self._warm_up(method, singles)
+            began = self._clock()
+            self._end_after(began, _SHARES[0])
+            first, warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            self._end_after(began, _SHARES[1])
             streaming, answers = self._stream(method, singles)
             progress.report("timing", 0.2)
-            repeated, unseen = self._caching(method, singles)
-            sizes = sorted({held_together(method, min(size, count)) for size in self._protocol.batch_sizes})
-            offline = []
-            for done, size in enumerate(sizes):
-                progress.report("timing", 0.3 + 0.7 * done / len(sizes))
-                offline.append(self._batches(method, sample, size))
+            self._end_after(began, _SHARES[2])
+            repeated, unseen = self._caching(method, singles, float(np.median(streaming.total_seconds)))
+            offline = self._offline(method, sample, streaming, began)
         first = first if first_query_seconds is None else first_query_seconds
-        return Timing(first, warmup, streaming, tuple(offline), chosen, answers, repeated, unseen)
+        return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
         """Return the seconds of encode and match, and the scores."""
@@ -172,12 +143,14 @@ class Stopwatch:
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Method, singles: Sequence[Images]) -> tuple[float, int]:
+    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, int]:
+        """Return the seconds of the first call and the number of calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
-        while len(laps) < self._protocol.warmup_queries and not self._late(started):
+        while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
             encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
             laps.append(encode + match)
+            usual = laps[-1]
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
@@ -187,37 +160,52 @@ class Stopwatch:
         encodes: list[float] = []
         matches: list[float] = []
         answers = np.full(len(singles), -1)
-        started = self._clock()
-        while not (finished := self._finished(len(encodes), len(singles), started)) and not (
-            encodes and self._late(started)
-        ):
+        late, started = False, self._clock()
+        while not (finished := self._finished(len(encodes), len(singles), started)) and not late:
             order = self._generator.permutation(len(singles)).tolist()
             for query in order:
                 encode, match, scores = self._call(method, singles[query])
                 encodes.append(encode)
                 matches.append(match)
                 answers[query] = int(scores[0].argmax())
-                if self._late(started):
+                if late := self._late(started, encode + match):
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _caching(self, method: Method, singles: Sequence[Images]) -> tuple[float, float]:
-        """Return the median seconds of images asked twice in a row, and of new ones asked in between."""
+    def _caching(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, float]:
+        """Return the median seconds of images asked twice in a row, and of new ones asked in between.
+
+        Both are 0 if there is no time for one image; `usual` is what a call takes.
+        """
         repeated: list[float] = []
         unseen: list[float] = []
         started = self._clock()
-        while len(unseen) < self._protocol.minimum_queries and not (unseen and self._late(started)):
+        while len(unseen) < self._protocol.minimum_queries and not self._late(started, 3 * usual):
             single = singles[len(unseen) % len(singles)]
             for laps, image in ((None, single), (repeated, single), (unseen, self._changed(single))):
                 encode, match, _ = self._call(method, image)
                 if laps is not None:
                     laps.append(encode + match)
-        return float(np.median(repeated)), float(np.median(unseen))
+        return (float(np.median(repeated)), float(np.median(unseen))) if unseen else (0.0, 0.0)
 
     def _changed(self, single: Images) -> Images:
         """Return the image with noise in the lowest bit of its levels: the same to see, but new."""
         image = single[0]
         return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
+
+    def _offline(self, method: Method, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
+        """Return the laps of each batch size whose calls fit into the time left; at least those of single queries."""
+        sizes = sorted({held_together(method, min(size, len(sample))) for size in self._protocol.batch_sizes})
+        offline: list[Laps] = []
+        last = streaming
+        for done, size in enumerate(sizes):
+            progress.report("timing", 0.3 + 0.7 * done / len(sizes))
+            self._end_after(began, _SHARES[2] + (1 - _SHARES[2]) * (done + 1) / len(sizes))
+            call = float(np.median(last.total_seconds)) * size / last.images_per_call  # at most
+            if not self._over(2 * call):  # one is not timed
+                last = self._batches(method, sample, size)
+                offline.append(last)
+        return tuple(offline) or (replace(streaming, valid=False),)
 
     def _batches(self, method: Method, sample: Images, size: int) -> Laps:
         starts = range(0, len(sample) - size + 1, size)  # whole batches only
@@ -225,13 +213,12 @@ class Stopwatch:
         encodes: list[float] = []
         matches: list[float] = []
         self._call(method, batches[0])
-        started = self._clock()
-        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not (
-            encodes and self._late(started)
-        ):
+        late, started = False, self._clock()
+        while not (finished := self._finished(len(encodes) * size, len(sample), started)) and not late:
             encode, match, _ = self._call(method, batches[len(encodes) % len(batches)])
             encodes.append(encode)
             matches.append(match)
+            late = self._late(started, encode + match)
         return Laps(np.array(encodes), np.array(matches), size, finished)
 
     def _finished(self, queries: int, per_pass: int, started: int) -> bool:
@@ -239,8 +226,17 @@ class Stopwatch:
         long_enough = (self._clock() - started) / 1e9 >= protocol.minimum_seconds
         return long_enough and queries >= max(protocol.minimum_queries, protocol.minimum_passes * per_pass)
 
-    def _late(self, started: int) -> bool:
-        return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds
+    def _end_after(self, began: int, share: float) -> None:
+        """Let what is measured next end before a share of `total_seconds` is over, if a call is enough for that."""
+        total = self._protocol.total_seconds
+        self._end = float("inf") if total is None else began + share * total * 1e9
+
+    def _late(self, started: int, coming: float) -> bool:
+        """Tell whether no call that takes `coming` seconds may follow."""
+        return (self._clock() - started) / 1e9 > self._protocol.maximum_seconds or self._over(coming)
+
+    def _over(self, coming: float) -> bool:
+        return self._clock() + coming * 1e9 > self._end
 
 
 def _sample(images: Images, wanted: int) -> npt.NDArray[np.int64]:

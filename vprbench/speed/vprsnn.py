@@ -113,7 +113,9 @@ def module_cell(bench: Bench, method: str) -> ModuleCell:
     """Train a module on one core, several times and once more part by part; the last is left in `bench.modules`."""
     settings = bench.settings
     references, places = bench.route.references(settings.vprsnn_places, TRAVERSES)
-    watched = partial(registry.entries("method")[method].beside("benchmark").watched, Stopwatch(Protocol()).lap)
+    watched = partial(
+        registry.beside(registry.entries("method")[method], "benchmark").watched, Stopwatch(Protocol()).lap
+    )
     fits: list[Fit] = []
     with _on_cores(1, settings):
         with listening(lambda *_: None), watched():  # lets all loops be compiled, those of the parts too

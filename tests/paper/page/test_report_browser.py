@@ -87,8 +87,8 @@ def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab: 
 )
 def test_a_filter_keeps_its_queries_and_says_how_many(tab: Page, kind: str, queries: list[int]) -> None:
     choose(tab, kind=kind, order=ORDERS["route"])
-    assert listed(tab) == queries[:20]
-    expect(tab.locator("#status")).to_have_text(f"1 to {min(20, len(queries))} of {len(queries)}: {kind}")
+    assert listed(tab) == queries[:10]
+    expect(tab.locator("#status")).to_have_text(f"1 to {min(10, len(queries))} of {len(queries)}: {kind}")
     expect(tab.locator("#kind option:checked")).to_have_text(f"{kind} ({len(queries)})")
 
 

@@ -77,12 +77,12 @@ def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages(tab: Page) -> None:
     for key, query in [("ArrowDown", 1), ("ArrowRight", 2), ("ArrowUp", 1), ("End", 49), ("Home", 0), ("ArrowUp", 0)]:
         tab.keyboard.press(key)
         assert (current(tab), focused(tab)) == (query, f"query-{query}")
-    for _ in range(20):
+    for _ in range(10):
         tab.keyboard.press("ArrowDown")
-    assert focused(tab) == "query-20"
-    assert listed(tab) == [*range(20, 40)]
+    assert focused(tab) == "query-10"
+    assert listed(tab) == [*range(10, 20)]
     tab.keyboard.press("ArrowLeft")
-    assert listed(tab) == [*range(20)]
+    assert listed(tab) == [*range(10)]
 
 
 def test_pages_turn_by_their_buttons_which_do_nothing_at_the_ends(tab: Page) -> None:
@@ -90,22 +90,22 @@ def test_pages_turn_by_their_buttons_which_do_nothing_at_the_ends(tab: Page) -> 
     back, on = tab.locator("#previous-page"), tab.locator("#next-page")
     expect(back).to_have_attribute("aria-disabled", "true")
     expect(on).to_have_attribute("aria-disabled", "false")
-    on.click()
-    on.click()
+    for _ in range(4):
+        on.click()
     assert (listed(tab), current(tab)) == ([*range(40, 50)], 40)
-    expect(tab.locator("#page-number")).to_have_text("Page 3 of 3")
+    expect(tab.locator("#page-number")).to_have_text("Page 5 of 5")
     expect(on).to_have_attribute("aria-disabled", "true")
     on.dispatch_event("click")
     assert current(tab) == 40
     back.click()
-    assert listed(tab) == [*range(20, 40)]
+    assert listed(tab) == [*range(30, 40)]
 
 
 def test_turning_pages_by_the_keyboard_keeps_the_focus_at_the_ends(tab: Page) -> None:
     choose(tab, kind="all queries", order=ROUTE)
     for name, query in [("next-page", 40), ("previous-page", 0)]:
         tab.locator(f"#{name}").focus()
-        for _ in range(3):
+        for _ in range(5):
             tab.keyboard.press("Enter")
         assert (focused(tab), current(tab)) == (name, query)
 
@@ -118,10 +118,10 @@ def test_an_empty_selection_says_what_to_do(tab: Page) -> None:
     assert listed(tab) == []
 
 
-def test_of_thousands_of_queries_twenty_are_in_the_page_at_a_time(reader: Reader) -> None:
+def test_of_thousands_of_queries_ten_are_in_the_page_at_a_time(reader: Reader) -> None:
     scores = np.eye(2700, 30, dtype=np.float32)
     run = answered(scores, [[query % 30] for query in range(2700)], scores=None)
     tab = reader.read(page("", [], [Section("Railway", (Series("SAD", False, (run,)),), None)]))
     choose(tab, kind="all queries")
-    expect(tab.locator("#queries > li")).to_have_count(20)
-    expect(tab.locator("#page-number")).to_have_text("Page 1 of 135")
+    expect(tab.locator("#queries > li")).to_have_count(10)
+    expect(tab.locator("#page-number")).to_have_text("Page 1 of 270")

@@ -33,9 +33,11 @@ from vprbench.paper.page import page as report
 from vprbench.paper.page import words
 from vprbench.paper.page.page import Picture, Section
 from vprbench.paper.selection import Series
+from vprbench.progress import listening
 from vprbench.run.note import Note
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
+from vprbench.run.verdicts import judged
 
 
 class Parsed(HTMLParser):
@@ -166,6 +168,26 @@ def test_a_section_of_two_datasets_is_refused() -> None:
         report.page("", [], [Section("Journey", (Series("SAD", False, runs),), None)])
 
 
+def test_a_page_of_anybodys_data_bears_its_name_and_speaks_of_no_paper() -> None:
+    text = report.page("", [Picture("speed", "Rates.", b"")], [journey_section()], title="My street")
+    parsed = Parsed(text)
+    assert "<title>My street</title>" in text
+    assert "<h1>My street</h1>" in text
+    assert "paper" not in parsed.text.lower()
+    assert "table ii" not in parsed.text.lower()
+
+
+def test_while_the_page_is_made_it_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    section = sized_section(60, 40, 2, noise(40, 60, quality=90))
+    whole = report.page("", [], [section])
+    monkeypatch.setattr(report, "MOST_BYTES", len(whole.encode()) - sum(map(len, embedded(whole)["queries"])) // 2)
+    heard: dict[str, list[float]] = {}
+    with listening(lambda stage, done: heard.setdefault(stage, []).append(done)):
+        report.page("", [], [section])
+    assert [len(shares) for shares in heard.values()] == [2, 100]
+    assert all(shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 1 for shares in heard.values())
+
+
 # Frames
 
 
@@ -268,6 +290,37 @@ def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch: 
 
 
 # Words
+
+
+@pytest.mark.parametrize(
+    ("wrong", "seeds", "sentence"),
+    [
+        ([SAD_WRONG, {10: 0.125, 40: 0.25}], 1, "Of 49 queries every method misses 1; some miss 5 more."),
+        ([{}, {}], 1, "Of 49 queries every method misses none; some miss no more."),
+        ([SAD_WRONG, SAD_WRONG], 2, "Of 49 queries every run misses 5; some miss no more."),
+        ([SAD_WRONG], 1, None),
+    ],
+)
+def test_the_last_finding_counts_what_all_and_what_some_missed(
+    wrong: list[dict[int, float]], seeds: int, sentence: str | None
+) -> None:
+    """Query 20 is tied, and query 49 has no right place."""
+    runs = [journey_run(one, seed) for seed, one in enumerate(wrong)]
+    alone = [Series(f"method {number}", False, (run,)) for number, run in enumerate(runs)]
+    each = [Series("VPRTempo", True, tuple(runs))] if seeds > 1 else alone
+    found = words.findings(each, [judged(run) for run in runs])
+    assert len(found) <= 3
+    assert (found[-1] == sentence) is (sentence is not None)
+
+
+@pytest.mark.parametrize(
+    ("timing", "told"),
+    [({"rates": False}, "Query rates were not timed"), ({"total_seconds": 5.0}, "within 5 s for all batch sizes")],
+)
+def test_a_protocol_says_whether_and_how_long_rates_were_timed(timing: dict[str, Any], told: str) -> None:
+    run = journey_run({})
+    run = replace(run, config={**run.config, "timing": {**run.config["timing"], **timing}})
+    assert dict(words.protocol([run]))["Timing"].endswith(told)
 
 
 def test_the_protocol_is_told_in_words() -> None:

@@ -18,6 +18,7 @@ from made_table import GPU, NAMES, OTHER, cell, found, measured, paper, row, sma
 
 from vprbench.paper.table import formats
 from vprbench.paper.table.cells import Cell, Column, Table
+from vprbench.paper.table.quantities import quantities
 
 STORED = Path(__file__).parent / "stored"
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
@@ -156,7 +157,9 @@ def test_a_number_shows_as_many_digits_as_it_has(quantity: str, made: Cell, show
             ("recall_at_1", found(value, 48.0), f"48 ({shown})")
             for value, shown in ((47.97, "0.0"), (48.03, "0.0"), (48.06, "+0.1"), (40.0, "-8.0"))
         ),
-        ("query_cpu", found(1614.96, 353.0), "353 (+1,262)"),
+        ("query_cpu", found(1368.4, 353.0, at_boundary=1614.96), "353 (match alone here: 1,615; +1,262)"),
+        ("query_cpu", replace(found(1.0, 2.0, at_boundary=3.0), difference=None), "2 (match alone here: 3.0)"),
+        ("query_cpu", replace(found(41.0, at_boundary=50.0), published_mark="not applicable"), "-"),
         ("recall_at_1", replace(found(46.6, 48.0), difference=None), "48"),
     ],
 )
@@ -174,19 +177,34 @@ def test_what_the_paper_printed_stands_below_with_the_difference(quantity: str, 
         (alone(found(41.0, low=1.0, high=2.0, seeds=(0, 1))), {"of their mean: the wider"}),
         (alone(cell("quoted", quoted=4.0)), {"Italics"}),
         (alone(found(41.0, total=50.0), "train_cpu"), {"Training:"}),
-        (alone(found(41.0, total=50.0), "query_cpu"), {"brackets encoding"}),
-        (alone(found(41.0), "query_cpu"), {"memory, encoding and"}),
+        (alone(found(41.0, at_boundary=50.0), "query_cpu"), {"memory, encoding and"}),
         (
-            small(row("A", query_cpu=found(41.0)), row("SAD", query_gpu=found(41.0, total=50.0))),
-            {"brackets encoding", "without brackets"},
+            alone(found(41.0, 37.0, at_boundary=50.0), "query_cpu"),
+            {"memory, encoding and", "of one step", "Line paper", "printed; in brackets", "none:"},
         ),
     ],
 )
 def test_only_what_a_table_shows_is_explained(made: Table, words: set[str]) -> None:
     known = {"Line paper", "printed; in brackets", "none:", "±", "queries: the wider", "of their mean: the wider"}
-    known |= {"Italics", "Training:", "brackets encoding", "memory, encoding and", "without brackets"}
+    known |= {"Italics", "Training:", "memory, encoding and", "of one step"}
     text = formats.markdown(made)
     assert {word for word in known if word in text} == words
+
+
+def test_a_comparison_keeps_its_order_and_says_nothing_of_a_paper() -> None:
+    rows = row("VPRTempo", spiking=True, recall_at_1=found(54.3, notes=(1,))), row("SAD", recall_at_1=found(40.0))
+    made = small(*rows, title="Corridor_1", quantities=quantities([], ("cpu",)), notes=told("a note"))
+    assert [line[0] for line in markdown_table(made)] == ["method", "VPRTempo", "SAD"]
+    assert [line["quantity"] for line in in_csv(made)][:3] == ["recall_at_1", "train_cpu", "query_cpu"]
+    texts = [getattr(formats, form)(made) for form in ("markdown", "csv", "latex", "html")]
+    fragment = formats.latex(made, fragment=True)
+    for text in (*texts, fragment):
+        assert not any(word in text for word in ("Table II", "aper line", "ICRA", "GPU", "Line paper"))
+    assert [line for line in fragment.splitlines() if line.startswith("{")] == [
+        r"{VPRTempo} & 54.3 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
+        r"{SAD} & 40.0 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
+    ]
+    assert "documentclass" not in fragment
 
 
 def test_a_table_of_no_runs_is_one_of_words() -> None:

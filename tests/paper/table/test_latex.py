@@ -90,8 +90,8 @@ def test_known_numbers_stand_on_the_page(whole: tuple[str, str, str]) -> None:
     assert "54.3 ± 1.3 [52.4, 56.2]" in text
     for number in ("46.6 [44.8, 48.5]", "48 (\u22121.4)", "0.31 ± 0.01 (1.1)", "0.0052 ± 0.0001 (0.77)"):
         assert number in text
-    assert "22,346 ± 100 (21,000)" in text
-    assert "1,634 (+20,712)" in text
+    assert "21,000 ± 100" in text
+    assert "1,634 (match alone here: 22,346; +20,712)" in text
     assert f"M1: {OTHER}" in text
 
 

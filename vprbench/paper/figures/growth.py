@@ -20,7 +20,6 @@ _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  #
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
 _ORDER: dict[Law, str] = {"constant": "O(1)", "logarithmic": "O(log n)", "linear": "O(n)"}
 _MS = 1e3  # milliseconds of a second
-_LARGE, _SMALL = 4.0, 2.4  # markers, in points: of what the laws are fitted to, and of encode and match beside it
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,6 @@ class _Fitted:
     """The samples of a row with the laws fitted to them; None if they are too few to tell laws apart."""
 
     samples: GrowthSamples
-    stage: str  # what a query covers
     claims: tuple[Law | None, Law | None]  # of the paper: training, query
     training: Comparison | None
     query: Comparison | None
@@ -48,16 +46,14 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
     for row in fitted:
         samples, look = row.samples, looked[row.samples.name]
         name = "" if len(rows) == 1 else f"{samples.name}: "
-        _draw_points(left, samples.training, 1, look, f"{name}training{_power(row.training)}", _LARGE)
+        _draw_points(left, samples.training, 1, look, f"{name}training{_power(row.training)}")
         _draw_laws(left, samples.training, row.training, 1, look, name)
-        _draw_points(right, samples.query, _MS, look, f"{name}{row.stage}{_power(row.query)}", _LARGE)
-        total = _power(_compared(samples.total))
-        _draw_points(right, samples.total, _MS, look, f"{name}encode and match{total}", _SMALL)
+        _draw_points(right, samples.query, _MS, look, f"{name}encode and match{_power(row.query)}")
         _draw_laws(right, samples.query, row.query, _MS, look, name)
     left.set(xlabel="Places", ylabel="Training time (s)", title="Training")
     right.set(xlabel="Places", ylabel="Time of a query (ms)", title="Query")
     _finish(left, [sample for row in rows for sample in row.training], 1)
-    _finish(right, [sample for row in rows for sample in (*row.query, *row.total)], _MS)
+    _finish(right, [sample for row in rows for sample in row.query], _MS)
     runs = [run for row in rows for run in row.runs]
     told = {
         "datasets": [run.dataset for run in runs],
@@ -69,9 +65,8 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
 
 
 def _fitted(row: GrowthSamples) -> _Fitted:
-    stage = "encode and match" if row.boundary is None else f"{row.boundary} alone"
     claims = _CLAIMS.get(row.name, (None, None))
-    return _Fitted(row, stage, claims, _compared(row.training), _compared(row.query))
+    return _Fitted(row, claims, _compared(row.training), _compared(row.query))
 
 
 def _compared(samples: Sequence[Sample]) -> Comparison | None:
@@ -89,7 +84,7 @@ def _power(comparison: Comparison | None) -> str:
     return f", exponent {exponent.value:.2f} [{exponent.low:.2f}, {exponent.high:.2f}]"
 
 
-def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str, size: float) -> None:
+def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look, label: str) -> None:
     """Draw times with their intervals; the disturbed ones are hollow."""
     for disturbed in (False, True):
         drawn = [sample for sample in samples if sample.disturbed is disturbed]
@@ -102,7 +97,6 @@ def _draw_points(axes: Axes, samples: Sequence[Sample], unit: float, look: Look,
             unit * np.array(ends).T,
             color=look.colour,
             marker=look.marker,
-            markersize=size,
             markerfacecolor="white" if disturbed else look.colour,
             linestyle="none",
             label=label,

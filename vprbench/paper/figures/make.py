@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,16 +12,16 @@ from typing import TYPE_CHECKING
 
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
-from vprbench.paper.gather import Material, TableRequest, gather, stored, wanted
+from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather, made, stored, wanted
 from vprbench.paper.growth import GrowthSamples, samples
-from vprbench.paper.missing_runs import fill, results_folder
+from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Quantity, Row
 from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
 from vprbench.paper.shelf import Compose
+from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
 from vprbench.run.record import Run
-from vprbench.run.store import Store
 from vprbench.run.thumbnails import Thumbnails, find
 from vprbench.storage.atomic import remove_leftovers, replace_text
 
@@ -32,29 +33,30 @@ logger = logging.getLogger(__name__)
 
 def make_figures(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Draw all figures as PDF and PNG under results/figures; returns the exit code, 1 where a run failed."""
+    found = gather(choose(asked, compose), options, compose)
+    growth = growth_columns(found, compose)
+    once = replace(found.chosen, devices=("cpu",))
+    sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
+    endings = made(found.chosen, sizes, [*options, "frames=false"], compose)  # nobody looks at theirs
+    runs = stored(found.chosen)[0] if sizes else found.runs
+    folder = Path(asked.results).expanduser() / "figures"
+    for path in write_figures(draw_all(found, runs, growth), folder):
+        print(f"{path} and .png" if path.suffix == ".pdf" else f"what each shows: {path}")
+    return exit_code([*found.endings, *endings])
+
+
+def write_figures(drawings: Iterable[tuple[str, Drawn]], folder: Path) -> Iterator[Path]:
+    """Write figures as PDF and PNG into a folder, and at last their captions; yields each PDF, then the captions."""
     from vprbench.paper.figures.style import write
 
-    found = gather(asked, options, compose)
-    growth = growth_columns(found, compose)
-    runs = found.runs
-    endings = list(found.endings)
-    if not asked.stored:
-        store = Store(results_folder(asked.results))
-        once = replace(found.chosen, devices=("cpu",))
-        sizes = [run for column in growth for run in wanted(once, column, _growing(found))]
-        endings += fill(sizes, [*options, "frames=false"], store, compose)  # nobody looks at theirs
-        runs = tuple(stored(asked)[0])
-    folder = Path(asked.results).expanduser() / "figures"
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder)
     captions: list[tuple[str, str]] = []
-    for name, drawn in draw_all(found, runs, growth, asked):
-        paths = write(drawn, folder, name)
+    for name, drawn in drawings:
         captions.append((name, drawn.caption))
-        print(f"{paths[0]} and .png")
+        yield write(drawn, folder, name)[0]
     replace_text(folder / "captions.md", listed(captions))
-    print(f"what each shows: {folder / 'captions.md'}")
-    return exit_code(endings)
+    yield folder / "captions.md"
 
 
 def listed(captions: Iterable[tuple[str, str]]) -> str:
@@ -66,21 +68,24 @@ def listed(captions: Iterable[tuple[str, str]]) -> str:
 def draw_all(
     found: Material,
     runs: Sequence[Run],
-    growth: Sequence[ResolvedColumn],
-    asked: TableRequest,
+    growth: Sequence[ResolvedColumn] = (),
     report: Callable[[str], None] = logger.info,
 ) -> Iterator[tuple[str, Drawn]]:
-    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why."""
-    for name, draw in [*_speed(found, runs, growth), *_of_columns(found, asked)]:
+    """Yield each figure with the name of its files; `report` is told which have nothing to show, and why.
+
+    Without `growth` none is drawn. Names hold the paper's numbers of figures if the table is Table II.
+    """
+    for numbered, draw in [*_speed(found, runs, growth), *_of_columns(found)]:
+        name = numbered if found.table.title is None else re.sub(r"^fig\d\w-", "", numbered)
         try:
             yield name, draw()
         except BadInput as error:
             report(f"{name} is not drawn: {error}")
 
 
-def thumbnails_of(group: Group, asked: TableRequest) -> Thumbnails | None:
+def thumbnails_of(group: Group, chosen: Chosen) -> Thumbnails | None:
     """Return the frames that were kept of a group's dataset, from the first store that has them."""
-    for folder in (asked.results, *asked.stores):
+    for folder in (chosen.results, *chosen.stores):
         kept = find(results_folder(folder), group.runs[0].fingerprint) if group.runs else None
         if kept is not None:
             return kept
@@ -112,7 +117,8 @@ def _speed(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn
         parts = series(group, rows), series(group, rows, "cuda"), rows, group.asked.planned, _marks(found, group)
         yield "fig2a-training-time", partial(speed.training_time, *parts)
         yield "fig2b-query-rate", partial(speed.query_rate, *parts)
-    yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
+    if growth:
+        yield "fig2c-growth", lambda: growing.growth(_growth(found, runs, growth))
 
 
 def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColumn]) -> list[GrowthSamples]:
@@ -144,7 +150,7 @@ def _growing(found: Material) -> list[Row]:
     return [replace(plan.rows[name], seeds=plan.rows[name].seeds[:1]) for name in plan.growth.rows]
 
 
-def _of_columns(found: Material, asked: TableRequest) -> Iterator[tuple[str, Draw]]:
+def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
     from vprbench.paper.figures import accuracy, metrics, pictures, spikes, tradeoff
 
@@ -154,11 +160,12 @@ def _of_columns(found: Material, asked: TableRequest) -> Iterator[tuple[str, Dra
             continue
         timed = series(group, found.chosen.rows)
         name = group_name(group)
-        thumbnails = thumbnails_of(group, asked)
+        thumbnails = thumbnails_of(group, found.chosen)
         if thumbnails is not None:
             yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
-        papers = [one for one in shown if one.name in found.chosen.plan.rows] or shown
-        one = papers[-1]  # VPRTempo, as in the paper, where it has runs
+        papers = [one for one in shown if one.name in found.chosen.plan.rows]
+        best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
+        one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
         yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
         yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,13 +17,14 @@ from vprbench.errors import BadInput
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.log_axis import plain, plain_log
 from vprbench.paper.figures.style import DOUBLE_MM, GREY, SINGLE_MM, Drawn, Look, looks, new, styled
-from vprbench.paper.plan import PlannedColumn, Quantity, Row, published
+from vprbench.paper.plan import Boundary, PlannedColumn, Quantity, Row, published
 from vprbench.paper.selection import Series
 from vprbench.paper.table import best
 from vprbench.run.record import Run
 
 _PUBLISHED, _QUOTED = "//////", "......"  # hatches
 _BAR = 0.38  # of the distance between rows
+_STEPS = get_args(Boundary)
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class _Bar:
     value: float | None = None
     low: float | None = None
     high: float | None = None
-    more: float | None = None  # where the tick stands: of rates encode and match, of training with reading the images
+    more: float | None = None  # where the tick stands: of training with reading the images
     word: str = ""
 
 
@@ -62,7 +63,7 @@ def training_time(
     quantities: tuple[Quantity, Quantity] = ("train_cpu", "train_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _minutes)
     quoted = [row.name for row in rows if row.training == "pretrained"]
-    figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted, "with reading the images"), quoted)
+    figure = _draw(panels, rows, "Training time (min)", _keys(panels, quoted), quoted)
     told = {"column": column, "printed": any(p.published for p in panels), "ticks": _has_ticks(panels)}
     return Drawn(figure, caption("training_time", [*cpu, *gpu], **told, quoted=quoted))
 
@@ -77,18 +78,15 @@ def query_rate(
 ) -> Drawn:
     """Draw the queries per second of each row, measured above published, a panel for each kind of device with runs.
 
-    A bar covers the row's boundary, a tick is encode and match together. `marks` and what is raised are those of
-    `training_time`.
+    A measured bar is of encode and match together. `marks` and what is raised are those of `training_time`.
     """
     quantities: tuple[Quantity, Quantity] = ("query_cpu", "query_gpu")
     panels = _panels(cpu, gpu, rows, column, quantities, marks, _hertz)
-    figure = _draw(panels, rows, "Queries per second", _keys(panels, (), "encode and match"), ())
-    told = {"column": column, "printed": any(p.published for p in panels), "ticks": _has_ticks(panels)}
-    of_stages = [(stage, [row.name for row in rows if row.boundary == stage]) for stage in ("encode", "match", None)]
-    covered = [(stage, names) for stage, names in of_stages if names]
-    in_paper = {name for name, _ in published()}
-    theirs = [row.name for row in rows if row.name in in_paper]
-    return Drawn(figure, caption("query_rate", [*cpu, *gpu], **told, covered=covered, theirs=theirs))
+    figure = _draw(panels, rows, "Queries per second, encode and match", _keys(panels, (), ", of one step alone"), ())
+    printed = {name for panel in panels for name in panel.published}
+    steps = [(step, [row.name for row in rows if row.boundary == step and row.name in printed]) for step in _STEPS]
+    told = {"column": column, "printed": printed, "steps": [(step, names) for step, names in steps if names]}
+    return Drawn(figure, caption("query_rate", [*cpu, *gpu], **told))
 
 
 def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
@@ -102,15 +100,14 @@ def _minutes(row: Row, runs: Sequence[Run], word: str) -> _Bar:
 
 
 def _hertz(row: Row, runs: Sequence[Run], word: str) -> _Bar:
+    runs = [run for run in runs if run.timing is not None]
     if not runs:
         return _Bar(word=word)
-    rates = [best.rate(run, row.boundary) for run in runs]
+    rates = list(map(best.rate, runs))
     low, high = min(rates), max(rates)
     if len(runs) == 1:
-        laps = best.laps(runs[0], row.boundary)
-        low, high = (1 / float(np.quantile(laps, share)) for share in (0.9, 0.1))
-    total = None if row.boundary is None else mean(best.rate(run, None) for run in runs)
-    return _Bar(mean(rates), low, high, total)
+        low, high = (1 / float(np.quantile(best.laps(runs[0]), share)) for share in (0.9, 0.1))
+    return _Bar(mean(rates), low, high)
 
 
 def _panels(
@@ -187,17 +184,17 @@ def _write(axes: Axes, x: float, y: float, text: str, **looking: Any) -> None:
     axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=7, **looking)
 
 
-def _keys(panels: Sequence[_Panel], quoted: Sequence[str], tick: str) -> list[Patch | Line2D]:
+def _keys(panels: Sequence[_Panel], quoted: Sequence[str], of_what: str = "") -> list[Patch | Line2D]:
     """Return what the legend shows: only what is drawn."""
     printed = {name for panel in panels for name in panel.published}
     keys: list[Patch | Line2D] = [Patch(facecolor=GREY, edgecolor="black", linewidth=0.5, label="measured here")]
     if printed - set(quoted):
-        keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_PUBLISHED, label="published"))
+        keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_PUBLISHED, label=f"published{of_what}"))
     if printed & set(quoted):
         keys.append(Patch(facecolor="white", edgecolor=GREY, hatch=_QUOTED, label="published, quoted there"))
     if _has_ticks(panels):
         mark = Line2D([], [], color="black", marker="|", linestyle="none", markersize=8, markeredgewidth=1.6)
-        mark.set_label(tick)
+        mark.set_label("with reading the images")
         keys.append(mark)
     return keys
 

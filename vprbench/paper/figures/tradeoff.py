@@ -37,9 +37,11 @@ class _Point:
 def against_rate(series: Sequence[Series]) -> Drawn:
     """Draw R@1 against queries per second, encode and match together: up and right is better.
 
-    Raises BadInput for no rows, for rows on different data and if no query has a right place.
+    Rows with runs that were not timed are left out. Raises BadInput for no rows, for rows on different data and if no
+    query has a right place.
     """
-    points = _points(series, "accuracy against query rate", lambda run: contests.rate(run, None))
+    series = [one for one in series if all(run.timing is not None for run in one.runs)]
+    points = _points(series, "accuracy against query rate", contests.rate)
     figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
     best = _draw(axes, points, "Queries per second, encode and match", lower_is_better=False)
     return Drawn(figure, caption("against_rate", series, best=best))

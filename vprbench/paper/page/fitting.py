@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 from PIL import Image
 
+from vprbench.progress import report
+
 _STEPS = ((96, 40), (96, 20), (80, 20), (64, 20), (48, 20), (32, 20), (24, 10))  # longest side in pixels, WebP quality
 _SAMPLED = 50  # frames by which the size of all is estimated
 _ENCLOSING = 3  # bytes of the quotes and the comma around a frame
@@ -32,7 +34,10 @@ def fitting(frames: Sequence[bytes], most_bytes: int) -> list[bytes] | None:
         estimated = text_bytes([_coarser(frame, side, quality) for frame in sample]) / len(sample) * len(there)
         if estimated + empty > most_bytes:
             continue
-        made = [_coarser(frame, side, quality) for frame in frames]
+        made = []
+        for number, frame in enumerate(frames):
+            report("making frames coarser", number / len(frames))
+            made.append(_coarser(frame, side, quality))
         if text_bytes(made) <= most_bytes:
             return made
     return None

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
-from vprbench.paper.gather import TableRequest, gather
+from vprbench.paper.gather import Material, TableRequest, choose, gather
 from vprbench.paper.selection import accuracy_series, series, title
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
+from vprbench.progress import progress_shown
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
+
+if TYPE_CHECKING:
+    from vprbench.paper.figures.style import Drawn
 
 
 def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
@@ -20,17 +25,31 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
 
     Runs of the table that are missing are made; those of the growth are drawn where they are stored.
     """
-    from vprbench.paper.figures.style import png
-    from vprbench.paper.page.page import Picture, Section, page
-
-    found = gather(asked, options, compose)
+    found = gather(choose(asked, compose), options, compose)
     absent: list[str] = []
-    drawings = draw_all(found, found.runs, growth_columns(found, compose), asked, absent.append)
-    pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
+    drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
+    default = asked.name is None and not asked.columns
+    name = "report.html" if default else f"report-{file_name(asked)}.html"
+    path = write_page(found, drawings, Path(asked.results).expanduser() / name, absent)
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, opens from disk")
+    return exit_code(found.endings)
+
+
+def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Path, absent: Sequence[str] = ()) -> Path:
+    """Write the page of a table, titled as the table if that is not the paper's, with these figures; returns `path`.
+
+    `absent` says of each figure that is not drawn why.
+    """
+    from vprbench.paper.figures.style import png
+    from vprbench.paper.page.page import TITLE, Picture, Section, page
+
+    with progress_shown("report"):
+        pictures = [Picture(name, drawn.caption, png(drawn)) for name, drawn in drawings]
     rows = found.chosen.rows
     groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
-        Section(heading, tuple(accuracy_series(group, rows)), thumbnails_of(group, asked)) for heading, group in groups
+        Section(heading, tuple(accuracy_series(group, rows)), thumbnails_of(group, found.chosen))
+        for heading, group in groups
     ]
     measured = [
         (heading, one) for heading, group in groups for one in (*series(group, rows), *series(group, rows, "cuda"))
@@ -38,11 +57,9 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     runs = [run for _, one in measured for run in one.runs]
     newest = max(str(run.environment.get("time_utc", ""))[:10] for run in runs)
     made_from = f"Made from {len(runs)} stored run{'s' * (len(runs) != 1)}, the newest of {newest}."
-    text = page(formats.html(found.table), pictures, sections, made_from=made_from, measured=measured, absent=absent)
-    folder = Path(asked.results).expanduser()
-    Store(folder).prepare()
-    default = asked.name is None and not asked.columns
-    path = folder / ("report.html" if default else f"report-{file_name(asked)}.html")
+    heading = found.table.title or TITLE
+    with progress_shown("report"):
+        text = page(formats.html(found.table), pictures, sections, heading, made_from, measured, absent)
+    Store(path.parent).prepare()
     replace_text(path, text)
-    print(f"{path}: {len(text.encode()) / 1e6:.1f} MB, opens from disk")
-    return exit_code(found.endings)
+    return path

@@ -19,11 +19,13 @@ from vprbench.paper.page.fitting import fitting
 from vprbench.paper.page.small_png import small_png
 from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import TRAINING_TIME
+from vprbench.progress import report
 from vprbench.run.recall_intervals import METHOD
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails
 from vprbench.run.verdicts import Answers, columns, judged, place_ranges, places_shown
 
+TITLE = "Visual place recognition, measured"
 MOST_BYTES = 9_900_000  # of a page, unless its table and figures alone are larger
 
 _FOLDER = Path(__file__).parent
@@ -62,12 +64,12 @@ def page(
     table_html: str,
     pictures: Sequence[Picture],
     sections: Sequence[Section],
-    title: str = "Visual place recognition, measured",
+    title: str = TITLE,
     made_from: str = "",
     measured: Sequence[tuple[str, Series]] = (),
     absent: Sequence[str] = (),
 ) -> str:
-    """Return the page: table, figures, queries one by one, protocol, machines and notes.
+    """Return the page: findings, queries one by one, table, figures, protocol, machines and notes.
 
     `table_html` is a fragment that is escaped already; `made_from` is a sentence that stands below the title.
     `measured` are the series behind the table on every device, with the titles of their sections: machines and notes
@@ -87,7 +89,14 @@ def page(
             {"name": one.name, "caption": one.caption, "png": _base64(small_png(one.png))} for one in pictures
         ],
         "absent": absent,
-        "protocols": [(one.title, words.protocol([run for _, run in _named(one)])) for one in sections],
+        "sections": [
+            {
+                "title": one.title,
+                "findings": words.findings(one.series, judged_runs.values()),
+                "protocol": words.protocol([run for _, run in _named(one)]),
+            }
+            for one, judged_runs in zip(sections, answers, strict=True)
+        ],
         "interval_method": METHOD,
         "training_time": TRAINING_TIME,
         "machines": words.machines(series for _, series in measured),
@@ -118,7 +127,11 @@ def _judged(section: Section) -> dict[str, Answers]:
     named = _named(section)
     if len({run.fingerprint for _, run in named}) > 1:
         raise ValueError(f"the runs of {section.title} are of different images: a section shows one dataset")
-    return {name: judged(run) for name, run in named}
+    answers = {}
+    for number, (name, run) in enumerate(named):
+        report(f"judging answers, {section.title}", number / len(named))
+        answers[name] = judged(run)
+    return answers
 
 
 def _told(section: Section, answers: Mapping[str, Answers]) -> dict[str, Any]:
@@ -182,7 +195,7 @@ def _rendered(facts: Mapping[str, Any], told: Sequence[Mapping[str, Any]], frame
         lstrip_blocks=True,
     )
     style, *scripts = (
-        (_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "queries.js", "report.js")
+        (_FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "queries.js", "report.js", "table.js")
     )
     script = "".join(scripts)
     text = templates.get_template("template.html").render(

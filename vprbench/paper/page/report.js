@@ -1,6 +1,7 @@
-// The browser of single queries: reads the answers of the stored runs from this page and shows twenty at a time.
+// The browser of single queries: reads the answers of the stored runs from this page and shows ten at a time.
 (() => {
-  const PAGE = 20;
+  const PAGE = 10;
+  const PAUSE = 250; // milliseconds after a choice before the address tells it: browsers refuse many changes at once
   const { KINDS, VERDICTS, counted, make, row, unfold } = Queries;
   const HEIGHTS = { r: 45, w: 100, t: 75, u: 15 }; // of the bars, so that they differ in grey too
   const FILTERS = [
@@ -20,8 +21,9 @@
   if (!sections.length) return;
   const element = (id) => document.getElementById(id);
   const choices = Object.fromEntries(
-    ["dataset", "method-a", "method-b", "kind", "order"].map((id) => [id, element(id)]),
+    ["method-a", "method-b", "kind", "order"].map((id) => [id, element(id)]),
   );
+  const tabs = [...document.querySelectorAll("#datasets [role=tab]")];
   const list = element("queries");
   const along = element("along");
   const frames = sections.map(() => null); // parsed when a dataset is first looked at
@@ -31,6 +33,7 @@
   let b = null;
   let shown = []; // queries that pass the filter, in the order of the list
   let at = 0; // which of them is the current one
+  let telling = null; // what will write the address
   const open = new Set(); // queries whose best places are unfolded
 
   function picture(kind, index) {
@@ -83,22 +86,55 @@
     select.value = chosen;
   }
 
-  function chooseSection() {
-    section = sections[Number(choices.dataset.value)];
-    const runs = section.runs.map((run, i) => ({ value: String(i), text: run.name }));
-    fill(choices["method-a"], runs, "0");
-    fill(choices["method-b"], [{ value: "", text: "nothing" }, ...runs], "");
-    element("frames-missing").hidden = !section.framesMissing;
-    element("frames-missing").textContent = section.framesMissing;
-    element("first-references").hidden = !section.firstReferences;
-    element("first-references").textContent = section.firstReferences;
-    chooseRuns();
+  // What is shown as the fragment of the address, in names, so that a link outlives the page it was copied from
+
+  function told() {
+    const chosen = { dataset: section.title, a: a.name, show: chosenFilter().id, sort: choices.order.value };
+    if (b) chosen.b = b.name;
+    if (shown.length) chosen.query = shown[at];
+    return new URLSearchParams(chosen);
   }
 
-  function chooseRuns() {
-    a = section.runs[Number(choices["method-a"].value)];
-    b = choices["method-b"].value === "" ? null : section.runs[Number(choices["method-b"].value)];
-    const before = chosenFilter();
+  function tell() {
+    clearTimeout(telling);
+    telling = setTimeout(() => history.replaceState(null, "", `#${told()}`), PAUSE);
+  }
+
+  function follow() {
+    if (!location.hash.includes("=")) return;
+    show(new URLSearchParams(location.hash.slice(1)));
+    clearTimeout(telling);
+    if (shown.length) go(at, false);
+  }
+
+  function show(wanted) {
+    const number = Math.max(0, sections.findIndex(({ title }) => title === wanted.get("dataset")));
+    section = sections[number];
+    tabs.forEach((tab, i) => {
+      tab.setAttribute("aria-selected", String(i === number));
+      tab.tabIndex = i === number ? 0 : -1;
+    });
+    document.querySelectorAll("#findings .found").forEach((found, i) => (found.hidden = i !== number));
+    if (tabs.length) element("dataset").setAttribute("aria-labelledby", tabs[number].id);
+    const remarks = { "frames-missing": section.framesMissing, "first-references": section.firstReferences };
+    for (const [id, text] of Object.entries(remarks)) {
+      element(id).hidden = !text;
+      element(id).textContent = text;
+    }
+    const runs = section.runs.map(({ name }) => ({ value: name, text: name }));
+    const named = (name, otherwise) => (section.runs.some((run) => run.name === name) ? name : otherwise);
+    fill(choices["method-a"], runs, named(wanted.get("a"), runs[0].value));
+    fill(choices["method-b"], [{ value: "", text: "nothing" }, ...runs], named(wanted.get("b"), ""));
+    const orders = [...choices.order.options].map(({ value }) => value);
+    choices.order.value = orders.includes(wanted.get("sort")) ? wanted.get("sort") : orders[0];
+    chooseRuns(wanted.get("show"), Number(wanted.get("query") ?? -1));
+  }
+
+  function chooseRuns(kind, query) {
+    const named = (name) => section.runs.find((run) => run.name === name) ?? null;
+    a = named(choices["method-a"].value);
+    b = named(choices["method-b"].value);
+    const before = FILTERS.find(({ id }) => id === kind) ?? FIRST;
     const kept = before.pair && !b ? FIRST : before;
     const options = FILTERS.map((filter) => ({
       value: filter.id,
@@ -106,13 +142,13 @@
       disabled: filter.pair && !b,
     }));
     fill(choices.kind, options, kept.id);
-    refresh();
+    refresh(query);
   }
 
-  function refresh() {
+  function refresh(query = -1) {
     open.clear();
     shown = sorted(passing(chosenFilter()));
-    at = 0;
+    at = Math.max(0, shown.indexOf(query));
     drawLanes();
     drawPage();
   }
@@ -137,6 +173,7 @@
   }
 
   function mark() {
+    tell();
     for (const made of list.children) {
       const current = Number(made.dataset.query) === shown[at];
       made.classList.toggle("current", current);
@@ -259,14 +296,41 @@
   element("next-page").addEventListener("click", () => turn(PAGE));
   element("controls").addEventListener("submit", (event) => event.preventDefault());
   along.addEventListener("input", slide);
-  choices.dataset.addEventListener("change", chooseSection);
-  choices["method-a"].addEventListener("change", chooseRuns);
-  choices["method-b"].addEventListener("change", chooseRuns);
-  choices.kind.addEventListener("change", refresh);
-  choices.order.addEventListener("change", refresh);
+  choices["method-a"].addEventListener("change", () => chooseRuns(choices.kind.value));
+  choices["method-b"].addEventListener("change", () => chooseRuns(choices.kind.value));
+  choices.kind.addEventListener("change", () => refresh());
+  choices.order.addEventListener("change", () => refresh());
+  window.addEventListener("hashchange", follow);
 
-  fill(choices.dataset, sections.map(({ title }, i) => ({ value: String(i), text: title })), "0");
-  choices.dataset.closest("label").hidden = sections.length === 1;
+  function turnTo(number) {
+    const wanted = told();
+    wanted.set("dataset", sections[number].title);
+    wanted.delete("query");
+    show(wanted);
+    tabs[number].focus();
+  }
+
+  const tabSteps = {
+    ArrowRight: (i) => (i + 1) % tabs.length,
+    ArrowLeft: (i) => (i + tabs.length - 1) % tabs.length,
+    Home: () => 0,
+    End: () => tabs.length - 1,
+  };
+  tabs.forEach((tab, i) => {
+    tab.addEventListener("click", () => turnTo(i));
+    tab.addEventListener("keydown", (event) => {
+      if (event.altKey || event.ctrlKey || event.metaKey || !(event.key in tabSteps)) return;
+      event.preventDefault();
+      turnTo(tabSteps[event.key](i));
+    });
+  });
+
+  if (tabs.length) {
+    element("datasets").hidden = false;
+    element("dataset").setAttribute("role", "tabpanel");
+  }
   element("browsing").hidden = false;
-  chooseSection();
+  show(new URLSearchParams());
+  clearTimeout(telling);
+  follow();
 })();

@@ -5,13 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from vprbench.paper.ranking import ranked
 from vprbench.paper.selection import Series
 from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.run.machine import Machine
 from vprbench.run.record import Run
 from vprbench.run.tuned import all_notes
+from vprbench.run.verdicts import RIGHT, UNANSWERABLE, Answers
+
+_FINDINGS = 3  # sentences
 
 Facts = tuple[tuple[str, str], ...]  # terms, each with what is said of it
+
+
+def findings(series: Sequence[Series], answers: Iterable[Answers]) -> list[str]:
+    """Return at most three sentences on the series of one dataset: what tests say, then which queries were missed.
+
+    `answers` are those of their runs.
+    """
+    found = list(ranked(series).sentences)
+    kinds = [set(verdicts) for verdicts in zip(*(one.verdicts for one in answers), strict=True)]
+    wrong = [RIGHT not in kind for kind in kinds if kind != {UNANSWERABLE}]
+    n_runs = sum(len(one.runs) for one in series)
+    if n_runs > 1 and wrong:
+        by_some = sum(RIGHT in kind and len(kind) > 1 for kind in kinds)
+        what = "run" if n_runs > len(series) else "method"
+        found += sentences("page/words.j2", "missed", len(wrong), sum(wrong), by_some, what)
+    return found[:_FINDINGS]
 
 
 def protocol(runs: Sequence[Run]) -> Facts:

@@ -22,8 +22,6 @@ CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a colum
 RATE_CHANCE = 0.01
 FASTER = 1.25  # times: less is within what machines vary by
 
-Stage = Boundary | None  # None: encode and match together
-
 
 @dataclass(frozen=True)
 class Contestant:
@@ -31,7 +29,6 @@ class Contestant:
 
     name: str
     runs: tuple[Run, ...]  # one a seed, at least one
-    boundary: Stage
     finished: bool  # all its seeds are stored: otherwise it may be beaten but cannot win
 
 
@@ -51,14 +48,13 @@ def best_rate(rows: Sequence[Contestant]) -> str | None:
     """Return the row with the highest query rate if the laps separate it from every other row, else None.
 
     All rows ran undisturbed on one machine and were timed alike. For every pair of seeds it is at least 1.25 times as
-    fast, and the Mann-Whitney U test of the streaming laps gives p < 0.01: at the boundary of each row, and of encode
-    and match together, for rows of different boundaries do not do the same work. A row with a run that caches, or that
-    answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
+    fast, and the Mann-Whitney U test of the streaming laps, encode and match together, gives p < 0.01. A row with a run
+    that caches, or that answered otherwise when it was timed (timing rules, 2.4), may be beaten but cannot win.
     """
     rows = [replace(row, finished=row.finished and not any(map(failed_audit, row.runs))) for row in rows]
     if not _comparable(rows):
         return None
-    return _winner(rows, lambda row: float(np.mean([rate(run, row.boundary) for run in row.runs])), _faster)
+    return _winner(rows, lambda row: float(np.mean([rate(run) for run in row.runs])), _faster)
 
 
 def best_training(rows: Sequence[Contestant]) -> str | None:
@@ -80,9 +76,9 @@ def mean_recall(runs: Sequence[Run]) -> float | None:
     return float(np.mean(expected)) if expected else None
 
 
-def rate(run: Run, stage: Stage) -> float:
-    """Return the streaming rate of a stage in Hz: 1 / median."""
-    return 1 / float(np.median(laps(run, stage)))
+def rate(run: Run, boundary: Boundary | None = None) -> float:
+    """Return the streaming rate in Hz, 1 / median: of encode and match together, or of one of them alone."""
+    return 1 / float(np.median(laps(run, boundary)))
 
 
 def disturbed(run: Run) -> bool:
@@ -129,13 +125,10 @@ def _separated(first: Run, second: Run, chance: float) -> bool:
 def _faster(one: Contestant, other: Contestant) -> bool:
     from scipy.stats import mannwhitneyu  # takes long to import
 
-    stages: tuple[tuple[Stage, Stage], ...] = ((one.boundary, other.boundary), (None, None))
-    for (first, second), (ours, theirs) in product(product(one.runs, other.runs), stages):
-        if rate(first, ours) < FASTER * rate(second, theirs):
-            return False
-        if mannwhitneyu(laps(first, ours), laps(second, theirs)).pvalue >= RATE_CHANCE:
-            return False
-    return True
+    return all(
+        rate(first) >= FASTER * rate(second) and mannwhitneyu(laps(first), laps(second)).pvalue < RATE_CHANCE
+        for first, second in product(one.runs, other.runs)
+    )
 
 
 def _comparable(rows: Sequence[Contestant]) -> bool:
@@ -149,12 +142,13 @@ def _timed_by(run: Run) -> tuple[object, ...]:
     return run.config.get("timing"), run.environment.get("libraries"), run.environment.get("threads")
 
 
-def laps(run: Run, stage: Stage) -> Seconds:
-    """Return the seconds of the streaming laps of a stage."""
-    streaming = run.timing.streaming
-    if stage is None:
-        return streaming.total_seconds
-    return streaming.encode_seconds if stage == "encode" else streaming.match_seconds
+def laps(run: Run, boundary: Boundary | None = None) -> Seconds:
+    """Return the seconds of the streaming laps: of encode and match together, or of one of them alone.
+
+    Raises ValueError for a run that was not timed.
+    """
+    encode, match, both = run.insist_on_timing().streaming.by_stage
+    return both if boundary is None else encode if boundary == "encode" else match
 
 
 def _slowest(row: Contestant) -> float:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field, replace
 from statistics import stdev
 
 from vprbench.paper.plan import Plan, Row, published
-from vprbench.paper.selection import DEVICES, Group, of_row, protocol_words, title
+from vprbench.paper.selection import DEVICES, Group, of_row, protocol_words
+from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
-from vprbench.paper.table.quantities import QUANTITIES, Numbers, Quantity
+from vprbench.paper.table.quantities import QUANTITIES, RATES, Numbers, Quantity
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason, short
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here, tuned_note
@@ -24,14 +25,15 @@ def assemble(
     plan: Plan,
     left_out: Mapping[tuple[str, str], str],
     quantities: tuple[Quantity, ...] = QUANTITIES,
+    title: str | None = None,
 ) -> Table:
     """Return the table of some rows, a group of columns for each group of runs, one for each of the quantities.
 
-    `left_out` says by the names of column and row where rows stand that take too long. Looks at runs, failures and plan
-    alone.
+    `left_out` says by the names of column and row where rows stand that take too long. Under a `title` other than the
+    paper's the rows stay in their order. Looks at runs, failures and plan alone.
     """
     columns = tuple(_column(group, groups, plan) for group in groups)
-    ordered = sorted(rows, key=lambda row: row.spiking)
+    ordered = sorted(rows, key=lambda row: title is None and row.spiking)
     entries = {
         row.name: [
             Entry(row, group, column, {device: of_row(group, row, device) for device in DEVICES})
@@ -52,9 +54,8 @@ def assemble(
         for row in ordered
     )
     machines = tuple(f"{machine}, {day}" for machine, day in sheet.machines.items())
-    return Table(
-        columns, made, tuple(caption(groups, columns, entries, made)), tuple(sheet.notes.values()), machines, quantities
-    )
+    sentences = tuple(caption(groups, columns, entries, made))
+    return Table(columns, made, sentences, tuple(sheet.notes.values()), machines, quantities, title)
 
 
 def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
@@ -66,7 +67,7 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     name = planned.name if group.number == 1 else f"{planned.name}-{group.number}"
     n_queries = len(run.outcome)
     return Column(
-        name, title(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+        name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
     )
 
 
@@ -89,7 +90,7 @@ class _Sheet:
         """
         there = {entry.row.name: (entry, runs) for entry in entries if (runs := entry.runs(quantity))}
         contest = [
-            Contestant(name, runs, entry.row.boundary, not entry.found[entry.device(quantity)].missing_seeds)
+            Contestant(name, runs, not entry.found[entry.device(quantity)].missing_seeds)
             for name, (entry, runs) in there.items()
             if quantity.contends(entry.row) and not any(map(tuned_here, runs))
         ]
@@ -136,7 +137,7 @@ class _Sheet:
             empty,
             mark="unfinished" if found.missing_seeds else "measured",
             measured=self._measured(entry, quantity, runs, numbers),
-            difference=None if value is None or column.stand_in_for else numbers.value - value,
+            difference=None if value is None or column.stand_in_for else numbers.compared - value,
             notes=self._numbers(told),
         )
 
@@ -157,6 +158,8 @@ class _Sheet:
     def _absence(self, entry: Entry, quantity: Quantity) -> Reason:
         device = entry.device(quantity)
         found = entry.found[device]
+        if found.runs and quantity in RATES:
+            return reason("untimed")
         if found.runs:  # and none of them trained
             return reason("loaded" if any(run.network is not None for run in found.runs) else "kept")
         if entry.group.number > 1:
@@ -174,6 +177,7 @@ class _Sheet:
             spread=stdev(numbers.values) if len(numbers.values) > 1 else None,
             seeds=tuple(run.config["seed"] for run in runs),
             total=numbers.total,
+            at_boundary=numbers.at_boundary,
             best=self.best[entry.column.name, quantity.name] == entry.row.name,
             disturbed=quantity.disturbed(runs),
             machine=self._machine(runs),

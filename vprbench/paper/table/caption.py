@@ -26,7 +26,8 @@ def caption(
     rows: Sequence[TableRow],
 ) -> list[str]:
     """Return the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
-    measured = [cell.measured for row in rows for cell in row.cells.values() if cell.measured is not None]
+    cells = [cell for row in rows for cell in row.cells.values()]
+    measured = [cell.measured for cell in cells if cell.measured is not None]
     versions = Counter(group.asked.planned.name for group in groups)
     apart = [options_apart(group) if versions[group.asked.planned.name] > 1 else () for group in groups]
     seeds = [(row.name, _seeds(row, columns)) for row in rows]
@@ -40,6 +41,7 @@ def caption(
         [(name, _failed(there), *_aside(there)) for name, there in entries.items()],
         any(each.best for each in measured),
         any(each.disturbed for each in measured),
+        any(cell.published_mark != "none" for cell in cells),
     )
 
 
@@ -47,7 +49,7 @@ def _seeds(row: TableRow, columns: Sequence[Column]) -> dict[tuple[int, ...], li
     """Return which columns, and devices if these differ, show which seeds of a row."""
     places: dict[tuple[int, ...], list[str]] = {}
     for column in columns:
-        cells = {rate.device: row.cells[column.name, rate.name].measured for rate in RATES}
+        cells = {rate.device: cell.measured for rate in RATES if (cell := row.cells.get((column.name, rate.name)))}
         shown = {device: measured.seeds for device, measured in cells.items() if measured is not None}
         for device, seeds in shown.items():
             where = column.title if len({*shown.values()}) == 1 else f"{column.title}, {_NAMES[device]}"

@@ -23,12 +23,13 @@ class Measured:
     high: float | None
     spread: float | None  # standard deviation over the seeds; None for one
     seeds: tuple[int, ...]
-    total: float | None  # rates: Hz at encode + match; training: minutes with the images read too
+    total: float | None  # of training: minutes with the images read too
     best: bool  # a paired test separates it from every other row
     disturbed: bool  # the machine did other things meanwhile, or the laps were too few; never of R@1
     machine: int  # which of the table's machines, from 0
     interval: IntervalKind | None = None  # of R@1: what low and high are of
     block: int | None = None  # of R@1: consecutive queries that were taken to be alike
+    at_boundary: float | None = None  # of rates: Hz of the step that the paper timed
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Cell:
     quoted: float | None  # where mark is "quoted"
     published: float | None  # None: the paper printed "-", or has no such cell
     published_mark: Literal["measured", "quoted", "not applicable", "none"]  # none: the paper has no such cell
-    difference: float | None  # measured less published; None where there are not both, or they are of other data
+    difference: float | None  # measured, of the same step, less published; None without both or on other data
     notes: tuple[int, ...]  # numbers, from 1, into the table's notes: reasons
 
 
@@ -77,6 +78,12 @@ class Table:
     notes: tuple[Reason, ...]  # note n is notes[n - 1]
     machines: tuple[str, ...]  # one line each
     quantities: tuple[Quantity, ...] = QUANTITIES
+    title: str | None = None  # None: Table II, whose spiking rows stand apart
+
+    @property
+    def heading(self) -> str:
+        """Return what stands above it."""
+        return "Table II" if self.title is None else self.title
 
 
 @dataclass(frozen=True)

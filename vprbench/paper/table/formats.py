@@ -22,12 +22,15 @@ def markdown(table: Table) -> str:
     return _without_gaps(document("table/table.md.j2", table=table, words=words))
 
 
-def latex(table: Table) -> str:
-    """Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
+def latex(table: Table, fragment: bool = False) -> str:
+    r"""Return a table as a LaTeX document of landscape pages, for booktabs and graphicx; any text is escaped.
 
-    Two datasets stand in one table: more would be too small to read.
+    Two datasets stand in one table: more would be too small to read. A cell fills two columns, its value on the right
+    of the first and what goes with it on the left of the second; words fill both. A fragment holds these tables alone,
+    for \input and booktabs, and tells what their numbers are in comments.
     """
-    return _without_gaps(document("table/table.tex.j2", table=table, words=words, n=len(table.quantities)))
+    values = {"table": table, "words": words, "n": len(table.quantities), "fragment": fragment}
+    return _without_gaps(document("table/table.tex.j2", **values)).lstrip()
 
 
 def html(table: Table) -> str:
@@ -42,8 +45,8 @@ def html(table: Table) -> str:
 def csv(table: Table) -> str:
     """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
 
-    `value` is the quoted one where `mark` says so. `total`, in the same unit, takes in more steps: the reading of the
-    images in training, encoding and matching both in rates. Seeds are separated by spaces, notes by "; ".
+    `value` is the quoted one where `mark` says so. `total`, of training, takes in the reading of the images,
+    `at_boundary`, of rates, is of the step alone that the paper timed. Seeds are separated by spaces, notes by "; ".
     """
     lines = [
         _csv_line(table, row, column, quantity)
@@ -89,7 +92,7 @@ def _markdown_cell(cell: words.Words) -> str:
 
 def _markdown_published(cell: words.Words) -> str:
     value = f"*{cell.published}*" if cell.published_quoted else cell.published
-    return f"{value} ({cell.difference})" if cell.difference else value
+    return f"{value} ({cell.beside})" if cell.beside else value
 
 
 def _without_gaps(text: str) -> str:
@@ -100,7 +103,8 @@ ENVIRONMENT.filters |= {"shown_as_it_is": shown_as_it_is, "tex": tex, "table_of"
 
 _CSV_COLUMNS = (
     *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
-    *("spread", "seeds", "total", "best", "disturbed", "machine", "published", "published_mark", "difference", "notes"),
+    *("spread", "seeds", "total", "at_boundary", "best", "disturbed", "machine"),
+    *("published", "published_mark", "difference", "notes"),
 )
 
 
@@ -122,9 +126,8 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
         "notes": "; ".join(one_line(table.notes[number - 1].text) for number in cell.notes),
     }
     if cell.measured is not None:
-        copied = ("value", "low", "high", "interval", "block", "spread", "best", "disturbed")
+        copied = ("value", "low", "high", "interval", "block", "spread", "total", "at_boundary", "best", "disturbed")
         line |= {name: getattr(cell.measured, name) for name in copied}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
-        line["total"] = cell.measured.total
         line["machine"] = one_line(table.machines[cell.measured.machine])
     return line

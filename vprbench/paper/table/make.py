@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vprbench.paper.gather import Material, TableRequest, gather
+from vprbench.paper.gather import Material, TableRequest, choose, gather
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.run import rows
@@ -16,7 +16,7 @@ from vprbench.storage.atomic import replace_text
 
 def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
-    found = gather(asked, options, compose)
+    found = gather(choose(asked, compose), options, compose)
     folder = Path(asked.results).expanduser()
     print(formats.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
     written = write(found, folder, file_name(asked))
@@ -25,13 +25,16 @@ def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) ->
 
 
 def write(found: Material, folder: Path, name: str) -> list[Path]:
-    """Write the table in its three formats, and all numbers of the runs behind it; returns the files."""
+    """Write the table in its three formats, and all numbers of the runs behind it; returns the files.
+
+    The LaTeX of a table with a title of its own is a fragment.
+    """
     Store(folder).prepare()
     runs = [run for group in found.groups for run in group.runs]
     texts = {
         f"{name}.md": formats.markdown(found.table),
         f"{name}.csv": formats.csv(found.table),
-        f"{name}.tex": formats.latex(found.table),
+        f"{name}.tex": formats.latex(found.table, fragment=found.table.title is not None),
         f"{name}-runs.csv": rows.csv(runs, found.chosen.metrics),
     }
     for file, text in texts.items():

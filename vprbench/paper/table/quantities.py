@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean, median
 from typing import ClassVar, Literal
@@ -13,7 +13,7 @@ from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.plan import PlannedColumn, Row
-from vprbench.paper.selection import Device
+from vprbench.paper.selection import DEVICES, Device
 from vprbench.paper.table.best import (
     Contestant,
     best_rate,
@@ -42,7 +42,13 @@ class Numbers:
     values: Sequence[float]  # one a seed
     value: float  # of all seeds
     total: float | None = None  # with the steps that `value` leaves out
+    at_boundary: float | None = None  # of the step alone that the paper timed
     interval: WiderInterval | None = None  # 95 %, 0 to 1
+
+    @property
+    def compared(self) -> float:
+        """Return what stands beside a published number."""
+        return self.value if self.at_boundary is None else self.at_boundary
 
 
 @dataclass(frozen=True)
@@ -197,16 +203,20 @@ class Training(Quantity):
 
 @dataclass(frozen=True)
 class Rate(Quantity):
-    """Queries per second at the row's boundary, 1 / median of the streaming laps: the mean over the seeds."""
+    """Queries per second, encode and match together, 1 / median of the streaming laps: the mean over the seeds."""
 
     device: Device = "cpu"
     audited: ClassVar[bool] = True
 
+    def shown(self, row: Row, runs: tuple[Run, ...]) -> tuple[Run, ...]:
+        """Return the runs that were timed."""
+        return tuple(run for run in runs if run.timing is not None)
+
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
-        """Return the rates at the row's boundary; the total is that of both steps."""
-        values = [rate(run, row.boundary) for run in runs]
-        total = None if row.boundary is None else mean(rate(run, None) for run in runs)
-        return Numbers(values, mean(values), total)
+        """Return the rates, and that of the step that the paper timed of the row."""
+        values = list(map(rate, runs))
+        alone = None if row.boundary is None else mean(rate(run, row.boundary) for run in runs)
+        return Numbers(values, mean(values), at_boundary=alone)
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
         """Compare the laps of all pairs of seeds."""
@@ -217,15 +227,9 @@ class Rate(Quantity):
         return other_timing(runs)
 
     def differences(self, row: Row, planned: PlannedColumn, real: str | None, run: Run) -> Iterator[Reason]:
-        """Yield why the times cannot be compared, and which step the rate covers."""
+        """Yield why the times cannot be compared, and what is known of how the paper timed the row."""
         yield from of_times(planned, real, run, self.device)
         yield from of_rates(row, planned)
-
-    def remarks(self, row: Row, runs: Sequence[Run]) -> Iterator[Reason]:
-        """Yield that it covers both steps if the paper has no such row, and the notes."""
-        if row.boundary is None:
-            yield reason("both steps")
-        yield from super().remarks(row, runs)
 
 
 RECALL = Recall("recall_at_1", "R@1", "%")
@@ -235,10 +239,11 @@ RATES = (Rate("query_cpu", "query CPU", "Hz", "cpu"), Rate("query_gpu", "query G
 QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], RATES[1])
 
 
-def quantities(metrics: Sequence[str]) -> tuple[Quantity, ...]:
-    """Return the columns of a table: those of the paper, and `metrics` by their names."""
+def quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
+    """Return the columns of a table: those of the paper, times on these devices, and `metrics` by their names."""
+    shown = (one for one in QUANTITIES if one.device is None or one.device in devices)
     more = (METRICS[name] for name in dict.fromkeys(metrics) if name != RECALL.name)
-    return (*QUANTITIES, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
+    return (*shown, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
 
 
 def exponent(value: float, decimals: int) -> int:

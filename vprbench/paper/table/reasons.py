@@ -22,11 +22,13 @@ Mark = Literal[
     "failed",
     "left out",  # too many places for this row within the time of the table
     "unfinished",  # some of the seeds are not stored yet, or none
+    "not timed",  # answers are stored, and no rates with them
     "not run",  # no run of this kind is stored, as on a machine without a GPU
 ]
 #: The word of a cell without a number, by the code of the reason.
 MARKS: Mapping[str, Mark] = {
-    **{"failed": "failed", "missing": "not there", "left out": "left out", "seeds": "unfinished"},
+    **{"failed": "failed", "missing": "not there", "left out": "left out"},
+    **{"seeds": "unfinished", "untimed": "not timed"},
     **dict.fromkeys(("device", "protocol without runs", "loaded", "kept"), "not run"),
 }
 
@@ -129,9 +131,7 @@ def of_times(planned: PlannedColumn, real_title: str | None, run: Run, device: D
 
 
 def of_rates(row: Row, planned: PlannedColumn) -> Iterator[Reason]:
-    """Yield which step a rate covers, and what is known of how the paper timed the row."""
-    if planned.published in _PAPER and row.boundary is not None:
-        yield reason("boundary", row.boundary)
+    """Yield what is known of how the paper timed the row."""
     if planned.published in _PAPER and row.rate_remark is not None:
         yield short("paper's way", row.rate_remark)
 

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from vprbench.paper.table.cells import Column, Measured, Table, TableRow
+from vprbench.paper.table.cells import Cell, Column, Measured, Table, TableRow
 from vprbench.paper.table.quantities import RATES, TRAINING, TRAINING_TIME, Quantity, exponent
 from vprbench.paper.templates import ENVIRONMENT, sentences
 
-TITLE = "Table II"
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
 SPIKING = "spiking"
@@ -24,14 +23,14 @@ class Words:
     kind: Literal["measured", "quoted", "absent"]
     absence: str  # "failed", "-" ...; nothing where all is there
     value: str  # nothing where there is none
-    extent: str  # spread, interval, and in brackets what takes in more steps
+    extent: str  # spread, interval, and in brackets what takes in waiting for images
     best: bool
     machine: int | None  # number from 1, where the table has several
     notes: tuple[int, ...]
     in_paper: bool  # the paper has any cell of the row in the column
     published: str  # never nothing
     published_quoted: bool
-    difference: str  # nothing where there is none
+    beside: str  # behind the published number: the step that it is of here, and the difference
 
 
 def of_cell(table: Table, row: TableRow, column: Column, quantity: Quantity) -> Words:
@@ -54,15 +53,15 @@ def of_cell(table: Table, row: TableRow, column: Column, quantity: Quantity) -> 
         in_paper=any(c.published_mark != "none" for (name, _), c in row.cells.items() if name == column.name),
         published=published if cell.published is None else _printed(cell.published),
         published_quoted=cell.published_mark == "quoted",
-        difference="" if cell.difference is None else _signed(cell.difference, quantity),
+        beside="" if cell.published is None else _beside(cell, row, quantity),
     )
 
 
 def sections(table: Table, columns: Sequence[Column]) -> list[list[tuple[TableRow, list[Words]]]]:
-    """Return the conventional and the spiking rows, apart, each with its cells in some columns."""
+    """Return the rows with their cells in some columns; of Table II the conventional and the spiking ones apart."""
     lines = [(row, [of_cell(table, row, c, q) for c in columns for q in table.quantities]) for row in table.rows]
     parts = [[line for line in lines if line[0].spiking is spiking] for spiking in (False, True)]
-    return [part for part in parts if part]
+    return [part for part in (parts if table.title is None else [lines]) if part]
 
 
 def data(column: Column) -> str:
@@ -107,6 +106,12 @@ def _extent(measured: Measured, quantity: Quantity) -> str:
     if measured.total is not None:
         parts.append(f"({quantity.text(measured.total)})")
     return " ".join(parts)
+
+
+def _beside(cell: Cell, row: TableRow, quantity: Quantity) -> str:
+    alone = None if cell.measured is None else cell.measured.at_boundary
+    parts = [] if alone is None else [f"{row.boundary} alone here: {quantity.text(alone)}"]
+    return "; ".join(parts if cell.difference is None else [*parts, _signed(cell.difference, quantity)])
 
 
 def _spread(spread: float, beside: str) -> str:

@@ -1,0 +1,73 @@
+"""An argument that does not fit a map is changed and said where nobody set it, and refused where somebody did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from small_plan import RUN, install
+
+from vprbench.cli import main
+from vprbench.methods.sad import SAD
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.paper import missing_runs
+from vprbench.paper.missing_runs import MissingRun
+from vprbench.paper.plan import Row
+from vprbench.run.compose import composed
+from vprbench.run.processes import Ending
+from vprbench.run.store import Store
+
+SMALL = {"height": 12, "width": 12, "epochs": 1}
+DATASET = ["dataset=synthetic", "dataset.places=12", "dataset.first_query_place=2"]
+ASKED = ["method=vprtempo", *(f"method.{name}={value}" for name, value in SMALL.items()), *DATASET, *RUN]
+
+
+@pytest.fixture(scope="module")
+def adapted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the run of a network whose module is larger than the map."""
+    folder = tmp_path_factory.mktemp("adapted")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        install(monkeypatch, folder)
+        assert main(ASKED) == 0
+    return folder
+
+
+def test_an_argument_that_nobody_set_is_adapted_noted_and_recorded_apart_from_what_was_asked(adapted: Path) -> None:
+    (run,) = Store(adapted / "results", read_only=True).runs()
+    assert run.config["adapted"] == {"max_module": 12}
+    assert run.config["method"]["max_module"] == 12
+    assert run.config["changed"] == SMALL
+    (note,) = (note for note in run.notes if note.kind == "adapted")
+    assert "max_module=12" in note.text
+
+
+@pytest.mark.parametrize(("arguments", "n_processes"), [({}, 0), ({"max_module": 12}, 0), ({"max_module": 6}, 1)])
+def test_a_process_is_started_unless_an_adapted_run_of_these_arguments_is_stored(
+    adapted: Path, monkeypatch: pytest.MonkeyPatch, arguments: dict[str, int], n_processes: int
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(missing_runs, "run_apart", lambda *given, **_: asked.append(given) or Ending(0))
+    wish = MissingRun(
+        Row("VPRTempo", "vprtempo"), "Route", tuple(DATASET), {"name": "synthetic"}, {**SMALL, **arguments}, 0, "cpu"
+    )
+    store = Store(adapted / "results")
+    assert missing_runs.fill([wish], RUN, store, lambda options: composed(list(options))) == [Ending(0)]
+    assert len(asked) == n_processes
+
+
+@pytest.mark.parametrize("places", [13, 1100])
+def test_what_was_set_by_hand_and_does_not_fit_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], places: int
+) -> None:
+    install(monkeypatch, tmp_path)
+    monkeypatch.delenv("VPRBENCH_IN_SWEEP")
+    assert main([*ASKED, f"method.max_module={places}"]) == 2
+    assert f"method.max_module={places}" in capsys.readouterr().err
+    assert not list((tmp_path / "results").glob("*/*"))
+
+
+def test_what_fits_is_left_as_it_is() -> None:
+    assert VPRTempo().adapted(1100) == {}
+    assert VPRTempo(max_module=8).adapted(7) == {"max_module": 7}
+    assert SAD().adapted(1) == {}

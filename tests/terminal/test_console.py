@@ -1,0 +1,73 @@
+"""Tables fit the terminal they are shown in, and colours are for terminals alone."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from vprbench.terminal.console import console, table_text
+
+COLUMNS = ["method", "R@1 %", "R@5 %", "rates"]
+ROWS = [["sad", "12.5", "30.1", "x" * 60], ["a method of many words, " * 2, "1.0", "2.0", "1,000"]]
+
+
+@pytest.fixture(autouse=True)
+def no_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+def longest(text: str) -> int:
+    return max(map(len, text.splitlines()))
+
+
+def test_a_table_that_is_too_wide_loses_whole_columns_from_the_right_and_names_them() -> None:
+    shown = table_text(COLUMNS, ROWS).splitlines()
+    assert shown[0].split() == ["method", "R@1", "%", "R@5", "%"]
+    assert shown[-1].startswith("left out: rates ")
+    assert longest("\n".join(shown)) <= 100
+
+
+def test_the_columns_that_matter_least_go_first() -> None:
+    assert "left out: rates " in table_text(COLUMNS, ROWS, least=["rates", "R@5 %"])
+    assert "left out: R@5 %, rates " in table_text(COLUMNS, ROWS, least=["R@5 %"])
+
+
+def test_a_wide_table_has_all_columns_and_no_word_is_cut() -> None:
+    shown = table_text(COLUMNS, ROWS, wide=True)
+    assert "x" * 60 in shown
+    assert "left out" not in shown
+    assert longest(shown) > 100
+
+
+def test_of_two_columns_the_widest_is_cut_short() -> None:
+    shown = table_text(["name", "description"], [["sad", "word " * 40]])
+    assert longest(shown) == 100
+    assert shown.endswith("\N{HORIZONTAL ELLIPSIS}")
+
+
+def test_more_columns_are_used_where_they_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "left out" not in table_text(COLUMNS, ROWS)
+    monkeypatch.setenv("COLUMNS", "20")
+    assert console().width == 100
+
+
+def test_a_name_is_shown_and_not_obeyed() -> None:
+    assert r"[red]\x1b[2J\n" in table_text(["a"], [["[red]\x1b[2J\n"]])
+
+
+@pytest.mark.parametrize(
+    ("terminal", "told", "coloured"), [(True, {}, True), (True, {"NO_COLOR": "1"}, False), (False, {}, False)]
+)
+def test_colours_are_for_terminals_that_want_them(
+    terminal: bool, told: dict[str, str], coloured: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for name, value in told.items():
+        monkeypatch.setenv(name, value)
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    console(stream).print("word", style="red")
+    assert ("\x1b[31m" in stream.getvalue()) == coloured

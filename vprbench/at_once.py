@@ -1,0 +1,170 @@
+"""What is answered without waiting for Hydra, PyTorch or a plug-in: help, version, lists, and what TAB completes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from vprbench import __version__
+from vprbench.errors import BadInput
+from vprbench.plugins.entries import Entry, Group, broken_plugins, conf_folders, entries, read
+from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
+from vprbench.terminal.described import Option, of_class, of_yaml, together
+from vprbench.terminal.help import Command, show_commands, show_options
+from vprbench.text import near, printable
+
+_SPEED = "vprbench.speed"
+RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"), run=None)
+
+#: What may stand in place of a run's options.
+COMMANDS: dict[str, Command] = {
+    "run": RUN,
+    "list": Command(
+        "vprbench.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
+    ),
+    "check": Command("vprbench.commands:check_method", groups=("method",), run=("device", "threads", "seed")),
+    "doctor": Command("vprbench.commands:doctor", groups=("dataset",), run=("output",)),
+    "fetch": Command("vprbench.commands:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
+    "table": Command("vprbench.commands:table", "vprbench.paper.gather:TableRequest", run=None),
+    "figures": Command("vprbench.commands:figures", "vprbench.paper.gather:TableRequest", run=None),
+    "report": Command("vprbench.commands:report", "vprbench.paper.gather:TableRequest", run=None),
+    "search": Command("vprbench.commands:search_parameters", "vprbench.tuning.search:Settings"),
+    "bench": Command("vprbench.commands:measure_speed", f"{_SPEED}.settings:Settings"),
+    "bench-descriptors": Command("vprbench.commands:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
+    "gpu-check": Command("vprbench.commands:compare_gpu", f"{_SPEED}.gpu:Settings"),
+    "completion": Command("vprbench.at_once:show_completion", words="bash|zsh|fish"),
+}
+_NOT_THE_TABLES = ("device", "output", "save", "load", "wide")  # options of a run; rows and devices say what it holds
+
+
+def answered(arguments: Sequence[str]) -> int | None:
+    """Answer what can be answered at once and return the exit code; None for all else. Raises BadInput."""
+    name, *options = arguments or ["help"]
+    if name == HIDDEN:
+        print("\n".join(candidates(" ".join(options), COMMANDS, _options, _values)))
+    elif name == "--version":
+        print(f"vprbench {__version__}")
+    elif name in ("--help", "-h", "help") and not options:
+        show_commands(__version__, COMMANDS)
+    elif name == "help" or {"--help", "-h"} & {*arguments}:
+        _help(options if name == "help" else [each for each in arguments if each not in ("--help", "-h")])
+    elif name == "list":
+        show_list(options)
+    elif name == "completion":
+        show_completion(options)
+    else:
+        return None
+    return 0
+
+
+def _help(arguments: Sequence[str]) -> None:
+    name = arguments[0] if arguments and re.fullmatch(r"\w[\w-]*", arguments[0]) else "run"
+    if name not in COMMANDS:
+        raise BadInput(f"{name} is no command: {near(name, COMMANDS)}")
+    show_options(name, COMMANDS[name], _options(COMMANDS[name], arguments))
+
+
+def show_list(words: Sequence[str]) -> None:
+    """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
+    from vprbench.plugins.listing import Listing, listed
+    from vprbench.plugins.options import chosen
+    from vprbench.terminal.console import console, show_table
+
+    asked = chosen(Listing, [word for word in words if "=" in word], {})
+    found = listed([word for word in words if "=" not in word], asked.weights)
+    if asked.output == "json":
+        print(json.dumps([asdict(each) for each in found]))
+        return
+    for group in ("method", "dataset"):
+        rows = [
+            (each.name, f"BROKEN: {each.broken}" if each.broken else each.description + _origin(each.provider))
+            for each in found
+            if each.kind == group
+        ]
+        if rows:
+            show_table([f"{group}s", ""], rows, asked.wide or not console().is_terminal)
+    for provider, reason in broken_plugins() if not words else ():
+        print(printable(f"plug-in {provider} BROKEN: {reason}"))
+
+
+def _origin(provider: str) -> str:
+    return "" if provider == "vprbench" else f"  [{provider}]"
+
+
+def show_completion(words: Sequence[str]) -> None:
+    """Print what makes TAB complete commands, methods, datasets and options: eval "$(vprbench completion bash)"."""
+    shell = " ".join(words)
+    if shell not in SCRIPTS:
+        raise BadInput(f"completion {shell}: {near(shell, SCRIPTS)}, as in vprbench completion bash")
+    print(SCRIPTS[shell], end="")
+
+
+def _options(command: Command, given: Sequence[str]) -> list[Option]:
+    """Return the options that a command takes together with those given, those of the chosen method and dataset too."""
+    conf = conf_folders()["vprbench"]
+    of_run = together(of_yaml(conf / "run.yaml"), of_class("vprbench.run.settings:Settings"))
+    said = {option.name: option.meaning for option in of_run}
+    own = of_class(command.takes) if command.takes else ()
+    found = {each.name: replace(each, meaning=each.meaning or said.get(each.name, "")) for each in own}
+    for group in command.groups:
+        usual = _usual(conf).get(group, "")
+        if not usual:
+            continue
+        chosen = next((each.partition("=")[2] for each in given if each.startswith(f"{group}=")), usual)
+        found[group] = Option(group, "name", usual * (command is RUN), f"one of vprbench list {group}s")
+        entry = _of_entry(group, chosen.split(",")[0], conf)
+        found |= {name: replace(each, name=name) for each in entry for name in [f"{group}.{each.name}"]}
+    for option in of_run:
+        if option.name in (command.run or ()) or (command.run is None and _allowed(option, command)):
+            found.setdefault(option.name, option)
+    return list(found.values())
+
+
+def _allowed(option: Option, command: Command) -> bool:
+    return command is RUN or option.name not in (*_NOT_THE_TABLES, "seed")
+
+
+def _usual(conf: Path) -> dict[str, str]:
+    """Return what a run has of each group of configurations unless another one is chosen."""
+    defaults = read((conf / "run.yaml").read_text(encoding="utf-8"))["defaults"]
+    return {group: name for each in defaults if isinstance(each, Mapping) for group, name in each.items()}
+
+
+def _of_entry(group: str, name: str, conf: Path) -> list[Option]:
+    """Return the options of a method, a dataset or a way to time; none if it is unknown."""
+    if group not in ("method", "dataset"):
+        path = conf / group / f"{name}.yaml"
+        return of_yaml(path) if path.is_file() else []
+    known: dict[str, Entry] = entries(group)  # type: ignore[arg-type]
+    if name not in known:
+        return []
+    values = known[name].values()
+    own = of_yaml(known[name].path)
+    below = [_of_entry(group, base, conf) for base in values.get("defaults") or () if base not in ("_self_", name)]
+    merged = {option.name: option for base in below for option in base}
+    merged |= {option.name: option for option in together(own, merged.values())}
+    return together(merged.values(), of_class(":".join(str(values.get("_target_", "")).rsplit(".", 1))))
+
+
+def _values(name: str) -> Iterator[str]:
+    """Yield the names that an option of this name may have as values."""
+    conf = conf_folders()["vprbench"]
+    group: Group
+    for group in ("method", "dataset"):
+        if name in (group, f"{group}s"):
+            yield from entries(group)
+    if name == "timing":
+        yield from (path.stem for path in sorted((conf / "timing").glob("*.yaml")))
+    if name in ("device", "devices"):
+        yield from ("cpu", "cuda")
+    if name in ("rows", "columns"):
+        yield from read((conf / "table.yaml").read_text(encoding="utf-8"))[name]
+    if name == "[NAME]":
+        yield from (path.stem for path in sorted((conf / "fetch").glob("*.yaml")))
+    if name == "bash|zsh|fish":
+        yield from SCRIPTS
+    if name.startswith("[methods"):
+        yield from ("methods", "datasets", "spiking")

@@ -1,0 +1,77 @@
+"""Rows of one dataset from the best to the worst, and what tests say of the first ones in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import mean, median
+
+import numpy as np
+
+from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.intervals import WiderInterval, difference_interval
+from vprbench.paper.selection import Series
+from vprbench.paper.table.best import Contestant, best_rate, best_recall, mean_recall, rate
+from vprbench.paper.table.quantities import RATES
+from vprbench.paper.templates import sentences
+from vprbench.run.recall_intervals import along_the_journey, recall_interval
+from vprbench.run.record import Run
+from vprbench.run.tuned import tuned_here
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One row of a ranking; numbers are of all its seeds."""
+
+    name: str
+    runs: tuple[Run, ...]  # one a seed
+    recall: float | None  # mean R@1, 0 to 1; None: no query has a right place
+    low: float | None  # its 95 % interval
+    high: float | None
+    hz: float | None  # queries per second, encode and match together; None: not timed
+    fit_seconds: float | None  # median, reading the images included; None: nothing was fitted
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Rows of one dataset, the best first, and what a test says of them."""
+
+    rows: tuple[Ranked, ...]
+    sentences: tuple[str, ...]  # the first is about the best row
+
+
+def ranked(series: Sequence[Series]) -> Ranking:
+    """Rank rows that answered the same queries by R@1, those of equal R@1 as they came, and say what tests separate.
+
+    A row that was tuned on these places is ranked, and in no contest.
+    """
+    rows = sorted(map(_row, series), key=lambda row: -1.0 if row.recall is None else row.recall, reverse=True)
+    tuned = [row.name for row in rows if any(map(tuned_here, row.runs))]
+    return Ranking(tuple(rows), tuple(_told([row for row in rows if row.name not in tuned], tuned)))
+
+
+def _row(series: Series) -> Ranked:
+    runs = series.runs
+    interval = recall_interval(runs)
+    low, high = (None, None) if interval is None else (interval.low, interval.high)
+    timed = all(run.timing is not None for run in runs)
+    fits = [run.training_seconds for run in runs if run.training_seconds is not None]
+    hz = mean(rate(run) for run in runs) if timed else None
+    return Ranked(series.name, runs, mean_recall(runs), low, high, hz, median(fits) if fits else None)
+
+
+def _told(rows: Sequence[Ranked], tuned: Sequence[str]) -> list[str]:
+    contest = [Contestant(row.name, row.runs, True) for row in rows]
+    timed = [one for one, row in zip(contest, rows, strict=True) if row.hz is not None]
+    of_first = best_rate(timed[:2]) if timed[:2] == contest[:2] else None
+    found = best_recall(contest), _difference(rows), of_first, best_rate(timed)
+    return sentences("ranking.j2", "told", rows, *found, tuned, times=RATES[0].text)
+
+
+def _difference(rows: Sequence[Ranked]) -> WiderInterval | None:
+    """Return the interval of the first row's R@1 less the second's, of several seeds of their mean hits."""
+    if len(rows) < 2 or rows[1].recall is None:
+        return None
+    order = along_the_journey(rows[0].runs[0])
+    ours, theirs = (np.mean([hits_at(run.outcome, 1) for run in row.runs], axis=0)[order] for row in rows[:2])
+    return difference_interval(ours, theirs)

@@ -1,0 +1,76 @@
+"""The methods and datasets that `list` shows: those that fit what a person asks for, found without importing any."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from vprbench.errors import BadInput
+from vprbench.plugins.entries import Entry, Group, entries
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What to list."""
+
+    weights: Literal["any", "none", "needed"] = "any"  # of methods: none for those that need no published weights
+    output: Literal["row", "json"] = "row"  # or json: one list of objects
+    wide: bool = False  # true: descriptions are not cut short to fit the terminal
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One method or dataset, as far as it can be told without an import."""
+
+    kind: Group
+    name: str
+    description: str
+    provider: str  # vprbench or the plug-in that brings it
+    tags: tuple[str, ...] = ()
+    needs_weights: bool = False
+    options: tuple[str, ...] = ()
+    broken: str = ""  # why it cannot be used
+
+
+def listed(words: Sequence[str], weights: str = "any") -> list[Listed]:
+    """Return the methods and datasets, of `methods` or `datasets` alone, that each of the other words fits.
+
+    A word is a tag, as in spiking, or a part of a name or a description. Raises BadInput if nothing fits.
+    """
+    groups: dict[str, Group] = {"methods": "method", "datasets": "dataset"}
+    asked = [groups[word] for word in words if word in groups] or list(groups.values())
+    found = [each for group in asked if weights == "any" or group == "method" for each in map(_told, _entries(group))]
+    for word in (word.lower() for word in words if word not in groups):
+        found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
+    if weights != "any":
+        found = [each for each in found if each.needs_weights == (weights == "needed")]
+    if not found:
+        raise BadInput(f"list {' '.join(words)}: no method and no dataset fits: vprbench list shows all")
+    return found
+
+
+def _entries(group: Group) -> Iterator[Entry]:
+    yield from entries(group).values()
+
+
+def _told(entry: Entry) -> Listed:
+    given: dict[str, Any] = {"kind": entry.group, "name": entry.name, "provider": entry.provider}
+    try:
+        given |= {"description": entry.description, "tags": entry.tags, "needs_weights": entry.needs_weights}
+        given |= {"options": tuple(entry.options), "broken": _broken(entry)}
+    except (BadInput, OSError, UnicodeDecodeError) as error:
+        given |= {"description": "", "broken": str(error)}
+    return Listed(**given)
+
+
+def _broken(entry: Entry) -> str:
+    """Return why the class or function behind an entry is not there, as far as that shows without an import."""
+    target = entry.values().get("_target_")
+    if not isinstance(target, str):
+        return f"{entry.path} is no {entry.group}: a yaml with _target_ is wanted"
+    package = target.split(".")[0]
+    return (
+        "" if importlib.util.find_spec(package) else f"{target} cannot be imported: no package {package} is installed"
+    )

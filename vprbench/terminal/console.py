@@ -1,0 +1,85 @@
+"""The terminal: its width, its colours, and tables that never wrap in it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from io import StringIO
+from typing import TextIO
+
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from vprbench.text import printable
+
+LEAST_WIDTH = 100  # columns, where no terminal says how wide it is
+_GAP = 2  # columns between two of a table
+
+
+def console(stream: TextIO | None = None) -> Console:
+    """Return rich's console for `stream`, standard output if None: colours only on terminals, and none for NO_COLOR.
+
+    It is as wide as the terminal; what is no terminal has 100 columns, or more if COLUMNS says so.
+    """
+    stream = sys.stdout if stream is None else stream
+    told = os.environ.get("COLUMNS", "")
+    width = None if stream.isatty() else max(LEAST_WIDTH, int(told) if told.isdecimal() else 0)
+    return Console(file=stream, width=width, markup=False, emoji=False, highlight=False, force_jupyter=False)
+
+
+def show_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], wide: bool = False, least: Sequence[str] = ()
+) -> None:
+    """Print what `table_text` returns on standard output."""
+    print(table_text(columns, rows, wide, least))
+
+
+def table_text(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], wide: bool = False, least: Sequence[str] = ()
+) -> str:
+    """Return a table as text whose lines fit the terminal, or are as long as they are if `wide`.
+
+    What is too much is left out by whole columns, those of `least` first and then from the right, and named below; the
+    first two stay, and the widest of them is cut short if need be.
+    """
+    room = console()
+    cells = [[printable(text) for text in row] for row in (columns, *rows)]
+    widths: list[int] = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
+    kept = list(range(len(widths)))
+    order = [columns.index(name) for name in least if name in columns]
+    order += [at for at in reversed(kept[2:]) if at not in order]
+
+    def width() -> int:
+        return sum((widths[at] + _GAP for at in kept), -_GAP)
+
+    while not wide and order and width() > room.width:
+        kept.remove(order.pop(0))
+    if not wide and (over := width() - room.width) > 0:
+        widest = max(kept, key=widths.__getitem__)
+        widths[widest] = max(1, widths[widest] - over)
+    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    for at in kept:
+        table.add_column(Text(cells[0][at]), width=widths[at], no_wrap=True, overflow="ellipsis")
+    for row in cells[1:]:
+        table.add_row(*(Text(row[at]) for at in kept))
+    lines = drawn(table, room, width() + _GAP)
+    if len(kept) < len(columns):
+        lines += f"\nleft out: {', '.join(name for at, name in enumerate(columns) if at not in kept)} (wide=true)"
+    return lines
+
+
+def drawn(table: Table, room: Console, width: int | None = None) -> str:
+    """Return a table as lines, so wide or as `room` is, in its colours and without blanks at their ends."""
+    page = Console(
+        file=StringIO(),
+        width=width or room.width,
+        force_terminal=room.is_terminal,
+        no_color=room.no_color,
+        force_jupyter=False,
+    )
+    with page.capture() as lines:
+        page.print(table)
+    return "\n".join(line.rstrip() for line in lines.get().splitlines())
