@@ -22,6 +22,9 @@ RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"
 #: What may stand in place of a run's options.
 COMMANDS: dict[str, Command] = {
     "run": RUN,
+    "compare": Command(
+        "vprbench.commands:compare", "vprbench.compare.request:Request", groups=("dataset", "timing"), run=None
+    ),
     "list": Command(
         "vprbench.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
     ),

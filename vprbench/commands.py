@@ -43,6 +43,14 @@ def report(options: list[str]) -> int:
     return make_report(*_asked(options))
 
 
+def compare(options: list[str]) -> int:
+    """Run methods on one dataset, rank them in a table, draw figures and write a page."""
+    from vprbench.compare.make import make_comparison
+    from vprbench.compare.request import asked
+
+    return make_comparison(asked(readable(options)), lambda more: composed(readable(list(more))))
+
+
 def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
     """Return the rows and columns asked for, the options of their runs, and what resolves a dataset's options."""
     from vprbench.paper.gather import TableRequest

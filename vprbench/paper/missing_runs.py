@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ class MissingRun:
         return [
             *self.dataset_options,
             f"method={self.row.method}",
-            *(f"method.{name}={json.dumps(value)}" for name, value in self.arguments.items()),
+            *(f"method.{name}={json.dumps(value)}" for name, value in _flat(self.arguments)),
             f"seed={self.seed}",
             f"device={self.device}",
         ]
@@ -61,6 +61,15 @@ class MissingRun:
             machine.capture("cpu", 1),
             missing,
         )
+
+
+def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield arguments, those of mappings by dotted names."""
+    for name, value in arguments.items():
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{name}.{inner}", given) for inner, given in _flat(value))
+        else:
+            yield name, value
 
 
 def fill(wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose) -> list[Ending]:

@@ -313,4 +313,4 @@ def test_a_comparison_has_its_own_title_and_neither_published_numbers_nor_times_
     assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
     assert [q.name for q in made.quantities] == ["recall_at_1", "train_cpu", "query_cpu", "recall_at_5"]
     assert {each.published_mark for row in made.rows for each in row.cells.values()} == {"none"}
-    assert made.caption[0] == "R@1 in %, training in minutes, query rates in Hz."
+    assert made.caption[0] == "R@1 in %, train CPU in min, query CPU in Hz, R@5 in %."

@@ -54,7 +54,7 @@ def assemble(
         for row in ordered
     )
     machines = tuple(f"{machine}, {day}" for machine, day in sheet.machines.items())
-    sentences = tuple(caption(groups, columns, entries, made))
+    sentences = tuple(caption(groups, columns, entries, made, quantities))
     return Table(columns, made, sentences, tuple(sheet.notes.values()), machines, quantities, title)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from vprbench.paper.selection import DEVICES, Device, Group, options_apart
 from vprbench.paper.table import best
 from vprbench.paper.table.cells import Column, Entry, TableRow
-from vprbench.paper.table.quantities import RATES, RECALL
+from vprbench.paper.table.quantities import RATES, RECALL, Quantity
 from vprbench.paper.table.reasons import one_sentence
 from vprbench.paper.templates import ENVIRONMENT, sentences
 from vprbench.run.record import Failure
@@ -24,6 +24,7 @@ def caption(
     columns: Sequence[Column],
     entries: Mapping[str, Sequence[Entry]],
     rows: Sequence[TableRow],
+    quantities: Sequence[Quantity],
 ) -> list[str]:
     """Return the caption of a table; `columns` are those of the groups, `entries` those of each row by its name."""
     cells = [cell for row in rows for cell in row.cells.values()]
@@ -42,6 +43,7 @@ def caption(
         any(each.best for each in measured),
         any(each.disturbed for each in measured),
         any(cell.published_mark != "none" for cell in cells),
+        [f"{quantity.head} in {quantity.unit}" for quantity in quantities if quantity.unit],
     )
 
 

@@ -1,0 +1,122 @@
+"""A comparison makes what is missing, ranks it and writes it, of the runs that were asked for and no others."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_plan import Apart, install
+
+from vprbench.cli import main
+from vprbench.compare import make
+from vprbench.run.store import Store
+
+PLACES = 24
+ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
+METHODS = ["methods=sad,pca,cosplace", "seeds=2", "sad.patch=5"]
+
+
+def dataset(folder: Path) -> list[str]:
+    return ["dataset=folders", f"dataset.references=[{folder / 'ref'}]", f"dataset.queries={folder / 'query'}"]
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
+    """A folder with frames, of which half the queries are noise, and with a comparison and the run of another one."""
+    folder = tmp_path_factory.mktemp("compared")
+    random = np.random.default_rng(0)
+    for name in ("ref", "query"):
+        (folder / name).mkdir()
+    for place in range(PLACES):
+        frame = random.integers(0, 256, (40, 60, 3), np.uint8)
+        Image.fromarray(frame).save(folder / "ref" / f"{place}.png")
+        other = frame // 2 if place % 2 else random.integers(0, 256, frame.shape, np.uint8)
+        Image.fromarray(other).save(folder / "query" / f"{place}.png")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        apart = install(monkeypatch, folder)
+        assert main(["method=sad", *dataset(folder), *ASKED[1:3]]) == 0
+        assert main([*ASKED, *METHODS, *dataset(folder)]) == 0
+    return folder, apart
+
+
+@pytest.fixture
+def apart(compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch) -> Apart:
+    """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
+    monkeypatch.setattr(make, "written", lambda found: [])
+    return install(monkeypatch, compared[0])
+
+
+def lines(name: str) -> list[dict[str, str]]:
+    with Path("results", name).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_runs_are_made_of_each_seed_of_what_learns_from_one_and_nothing_where_weights_are_missing(
+    compared: tuple[Path, Apart],
+) -> None:
+    asked = [(options[3], [o for o in options if o.startswith("seed=")]) for options in compared[1].asked]
+    assert asked == [("method=sad", ["seed=0"]), ("method=pca", ["seed=0"]), ("method=pca", ["seed=1"])]
+
+
+def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(
+    compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(compared[0])
+    recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
+    assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
+    values = [float(line["value"]) for line in recalls[:2]]
+    assert values == sorted(values, reverse=True)
+    assert (recalls[2]["row"], recalls[2]["mark"], recalls[2]["value"]) == ("cosplace", "not there", "")
+    assert "ResNet50_2048_cosplace.pth" in recalls[2]["notes"]
+    assert {line["mark"] for line in lines("mine.csv") if line["quantity"] == "query_cpu"} == {"not timed", "not there"}
+    assert sorted(line["method"] for line in lines("mine-runs.csv")) == ["pca", "pca", "sad patch=5"]
+    texts = [Path("results", f"mine.{ending}").read_text(encoding="utf-8") for ending in ("md", "tex", "html")]
+    assert not any(word in text for text in texts[:2] for word in ("Table II", "ICRA", "GPU", "documentclass"))
+    assert "<title>mine</title>" in texts[2]
+    assert "precision-recall-mine" in Path("results/figures/mine/captions.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("more", [[], ["stored=true"]])
+def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
+    apart: Apart, capsys: pytest.CaptureFixture[str], more: Sequence[str]
+) -> None:
+    relative = Path() if not more else Path.cwd()
+    assert main([*ASKED, *METHODS, *dataset(relative), *more]) == 0
+    assert apart.asked == []
+    shown = capsys.readouterr().out
+    first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "pca", "cosplace"))
+    assert max(first, second) < third
+    assert " points above " in shown
+
+
+def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart: Apart, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = ["methods=sda,pca,vprtempo,hog", "pca.components=many", "vprtempo.max_module=25", "hog.epochs=3"]
+    stored = len(list(Store(Path("results"), read_only=True).runs()))
+    assert main([*ASKED, *wrong, *dataset(Path())]) == 2
+    told = [line.split(": ")[1] for line in capsys.readouterr().err.splitlines() if line.startswith("vprbench: ")]
+    assert told == ["sda", "pca", "vprtempo", "hog"]
+    assert (apart.asked, len(list(Store(Path("results"), read_only=True).runs()))) == ([], stored)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["dataset=folders"], "methods="),
+        (["methods=sad"], "dataset="),
+        (["methods=sad", "dataset=folders", "method=pca"], "method=pca"),
+        (["methods=sad", "dataset=folders", "seeds=0"], "seeds=0"),
+        (["methods=sad", "dataset=folders", "metrics=r1p"], "r1p"),
+        (["methods=sad", "dataset=folders", "dataset.tolerence=1"], "tolerence"),
+        (["methods=sad", "dataset=floders"], "floders"),
+    ],
+)
+def test_an_option_of_no_comparison_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str], word: str
+) -> None:
+    install(monkeypatch, tmp_path)
+    assert main(["compare", *options]) == 2
+    assert word in capsys.readouterr().err

@@ -1,0 +1,151 @@
+"""`vprbench compare`: what is missing is made, and all of it ends in one ranked table, with figures and a page."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vprbench.compare.checks import Cell, Checked, checked
+from vprbench.compare.quantities import quantities
+from vprbench.compare.request import Asked
+from vprbench.paper.figures.make import draw_all, write_figures
+from vprbench.paper.gather import Chosen, Material, made, material, stored, wanted
+from vprbench.paper.page.make import write_page
+from vprbench.paper.plan import Growth, Plan
+from vprbench.paper.ranking import Ranking, ranked
+from vprbench.paper.selection import accuracy_series, as_text, groups
+from vprbench.paper.shelf import Compose
+from vprbench.paper.table import words
+from vprbench.paper.table.make import exit_code, write
+from vprbench.progress import progress_shown
+from vprbench.run.processes import Ending
+from vprbench.run.record import Failure, Run
+from vprbench.run.settings import n_threads
+from vprbench.terminal.console import show_table
+from vprbench.text import printable
+
+_NO_PLAN = Plan({}, {}, {}, Growth((), (), (), 0, {}))
+_LEAST = ("peak MB", "AUC-PR (A)", "R@5 %")  # columns that a narrow terminal lacks first
+
+
+def make_comparison(asked: Asked, compose: Compose) -> int:
+    """Compare methods on one dataset; returns the exit code: 1 where a run failed, 2 for input to be mended."""
+    found, wrong = checked(asked, compose)
+    if found is None:
+        for line in wrong:
+            print(printable(f"vprbench: {line}"), file=sys.stderr)
+        return 2
+    chosen = chosen_of(found, asked)
+    there = [cell.row for cell in found.cells if cell.missing is None]
+    for cell in found.cells:
+        if cell.missing is not None:
+            print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
+    endings = made(chosen, list(wanted(chosen, found.column, there)), asked.of_runs, compose)
+    known, failures = stored(chosen)
+    compared, ranking = ranked_material(chosen, found, known, failures, endings)
+    show(compared, ranking, asked.request.wide)
+    print(f"\nwritten to {', '.join(map(str, written(compared)))}")
+    return exit_code(endings)
+
+
+def chosen_of(found: Checked, asked: Asked) -> Chosen:
+    """Return the rows and the one column of a comparison, as a table has them."""
+    request = asked.request
+    return Chosen(
+        _NO_PLAN,
+        tuple(cell.row for cell in found.cells),
+        (found.column,),
+        {},
+        tuple(request.devices),
+        metrics=tuple(request.metrics),
+        results=request.results,
+        stores=tuple(request.stores),
+        stored=request.stored,
+        title=found.column.planned.title,
+        quantities=quantities(request.metrics, request.devices),
+    )
+
+
+def ranked_material(
+    chosen: Chosen,
+    found: Checked,
+    known: Sequence[Run],
+    failures: Sequence[Failure],
+    endings: Sequence[Ending] = (),
+) -> tuple[Material, Ranking]:
+    """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
+
+    Raises BadInput if there is none.
+    """
+    runs = [run for run in known if _is_of(run, found)]
+    runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
+    (newest, *_) = groups(runs, (), [found.column], chosen.rows)
+    left_out = [
+        run.failed(cell.missing, missing=True)
+        for cell in found.cells
+        if cell.missing is not None
+        for run in wanted(chosen, found.column, [cell.row])
+    ]
+    ranking = ranked(accuracy_series(newest, chosen.rows))
+    order = [row.name for row in ranking.rows]
+    rows = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
+    chosen = replace(chosen, rows=tuple(rows))
+    return material(chosen, newest.runs, [*failures, *left_out], tuple(endings)), ranking
+
+
+def _is_of(run: Run, found: Checked) -> bool:
+    """Tell whether a stored run was made of these very frames, places and threads; any is if the frames are unknown."""
+    if found.dataset is None:
+        return True
+    alike = run.fingerprint == found.images and as_text(run.protocol) == as_text(found.dataset.protocol)
+    return alike and run.environment.get("threads") == n_threads(found.settings)
+
+
+def _as_asked(run: Run, cell: Cell, found: Checked) -> Run:
+    """Return a run as if it had been asked for in the words of this comparison: paths and what adapts by itself."""
+    changed = {
+        name: value
+        for name, value in run.config.get("changed", {}).items()
+        if name in cell.row.arguments or as_text(cell.adapted.get(name)) != as_text(value)
+    }
+    dataset: Mapping[str, Any] = run.config["dataset"] if found.dataset is None else found.column.dataset
+    return replace(run, config={**run.config, "dataset": dataset, "changed": changed})
+
+
+def show(found: Material, ranking: Ranking, wide: bool = False) -> None:
+    """Print notes, the ranked table and what tests say of it."""
+    table = found.table
+    (column,) = table.columns
+    print(printable(f"{table.title}: {words.data(column)}"))
+    for row in table.rows:
+        numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
+        for number in numbers:
+            print(printable(f"note: {row.name}: {table.notes[number - 1].text}"))
+    heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
+    print()
+    show_table(heads, [[row.name, *_shown(found, row.name)] for row in table.rows], wide, _LEAST)
+    if ranking.sentences:
+        print(printable("\n" + "\n".join(ranking.sentences), but="\n"))
+
+
+def _shown(found: Material, name: str) -> Iterator[str]:
+    (column,) = found.table.columns
+    row = next(row for row in found.table.rows if row.name == name)
+    cells = [words.of_cell(found.table, row, column, quantity) for quantity in found.table.quantities]
+    for number, cell in enumerate(cells):
+        told = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
+        yield " ".join(filter(None, [told, cell.value, cell.extent]))
+
+
+def written(found: Material) -> list[Path]:
+    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files."""
+    folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    files = write(found, folder, name)
+    absent: list[str] = []
+    with progress_shown("compare, figures"):
+        drawings = list(draw_all(found, found.runs, report=absent.append))
+        *_, captions = write_figures(drawings, folder / "figures" / name)
+    return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
