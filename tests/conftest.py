@@ -36,8 +36,9 @@ def _own_partial_trainings(partial_trainings: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_file_hashes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """No test keeps hashes of files in a person's cache."""
+    """No test keeps hashes of files or rendered frames in a person's cache."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VPRBENCH_FRAMES", str(tmp_path_factory.mktemp("frames")))
         patch.setenv("VPRBENCH_HASHES", str(tmp_path_factory.mktemp("hashes")))
         yield
 

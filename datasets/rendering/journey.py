@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Image, Images
+from vprbench.api import BadInput, Dataset, Image, Images, kept_frames
 
 from ..readers.traverses import Evaluation, Traverses, check_recorded, dataset_of, split
 from .film import HEIGHT, WIDTH
@@ -75,21 +75,18 @@ class Rendered:
             raise BadInput(
                 f"dataset.query_shift={self.query_shift}: the first query, of place {first}, has no such frame"
             )
-        painter = world.painter(self.seed)
+        frames = partial(_frames, world.painter(self.seed), {"journey": world.journey, **self._painted()})
         damage = {"query_shift": self.query_shift, "unanswerable": self.unanswerable}
         dataset = dataset_of(
             self.name,
             parts,
-            Traverses(self.references, self.query, partial(_frames, painter)),
+            Traverses(self.references, self.query, frames),
             {
                 "protocol": self.protocol,
                 "references": list(self.references),
                 "query": self.query,
                 **parts.record(),
-                "seed": self.seed,
-                "width": WIDTH,
-                "height": HEIGHT,
-                "renderer": world.version,
+                **self._painted(),
                 **{name: amount for name, amount in damage.items() if amount},
             },
         )
@@ -98,7 +95,11 @@ class Rendered:
         beyond = np.arange(self.unanswerable) + self.places + _BEYOND + abs(self.query_shift)
         shown = [(self.query, place) for place in (*(parts.queried + self.query_shift).tolist(), *beyond.tolist())]
         none = [np.array([], dtype=np.int64)] * self.unanswerable
-        return replace(dataset, queries=_frames(painter, shown), positives=(*dataset.positives, *none))
+        return replace(dataset, queries=frames(shown), positives=(*dataset.positives, *none))
+
+    def _painted(self) -> dict[str, int]:
+        """Return what decides about the frame of a place, for a record."""
+        return {"seed": self.seed, "width": WIDTH, "height": HEIGHT, "renderer": self.world.version}
 
     def _check(self) -> None:
         """Raise BadInput for traverses and numbers that nobody can render."""
@@ -112,6 +113,7 @@ class Rendered:
                 raise BadInput(f"dataset.{option}={number}: give 0 or more")
 
 
-def _frames(painter: Painter, shown: Sequence[tuple[str, int]]) -> Images:
-    """Return the frames of (traverse, place), each rendered when it is looked at."""
-    return Images(lambda i: painter.render(*shown[i]), [f"{traverse}/place-{place:05d}" for traverse, place in shown])
+def _frames(painter: Painter, painted: Mapping[str, Any], shown: Sequence[tuple[str, int]]) -> Images:
+    """Return the frames of (traverse, place), each rendered when it is looked at; `painted` decides how they look."""
+    names = [f"{traverse}/place-{place:05d}" for traverse, place in shown]
+    return kept_frames(Images(lambda i: painter.render(*shown[i]), names), painted)

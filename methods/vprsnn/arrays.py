@@ -14,7 +14,8 @@ Steps = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
 
 SIDE = 8  # neurons whose weights lie side by side: a line of the cache
-STRETCH = 512  # steps for which the input of a neuron with changing weights is summed
+STRETCH = 512  # steps for which the input of a neuron that fired lately is summed
+TILE = 64  # steps that are simulated from one look for silence to the next
 NEVER = -(1 << 60)  # the step of what has not happened yet
 
 
@@ -82,11 +83,10 @@ class Train(NamedTuple):
 class Scratch(NamedTuple):
     """Memory that a simulation works in; what it held before does not matter."""
 
-    drive: Floats  # (n_steps, n_padded) what arrives at each neuron
-    ring: Floats  # (a power of 2 above the longest delay, SIDE)
-    row: Floats  # (STRETCH + 1,)
-    change: Floats  # (STRETCH + 1,)
-    limit: Floats  # (STRETCH + 1,)
+    drive: Floats  # (n_blocks, n_steps, SIDE) what arrives at each neuron
+    tile: Floats  # (TILE, n_padded) the same for steps that come next
+    row: Floats  # (n_steps,) what arrives at one neuron
+    change: Floats  # (n_steps,) by how much its weights change at what arrives
     running: Floats  # (n_padded, n_inputs) weights that change, after what has arrived before step `until`
     settled: Floats  # (n_padded, n_inputs) the same before step `since`
     since: Steps  # (n_padded,)
@@ -104,13 +104,12 @@ class Scratch(NamedTuple):
     def of(cls, physics: Physics, n_neurons: int, n_inputs: int, longest_delay: int, learning: bool) -> Self:
         """Return memory for modules of this size."""
         n = padded(n_neurons)
-        changing = n if learning else 0
+        changing, n_steps = n if learning else 0, physics.shown + longest_delay
         return cls(
-            drive=np.empty((physics.shown + min(longest_delay, physics.rest), n)),
-            ring=np.empty((1 << int(longest_delay).bit_length(), SIDE)),
-            row=np.empty(STRETCH + 1),
-            change=np.empty(STRETCH + 1),
-            limit=np.empty(STRETCH + 1),
+            drive=np.empty((n // SIDE, n_steps, SIDE)),
+            tile=np.empty((TILE, n)),
+            row=np.empty(n_steps),
+            change=np.empty(n_steps),
             running=np.empty((changing, n_inputs)),
             settled=np.empty((changing, n_inputs)),
             since=np.empty(n, np.int64),

@@ -50,7 +50,7 @@ class Watch:
             unchanged = copy(module)
             unchanged.state, unchanged.learning = type(module.state)(*(array.copy() for array in module.state)), False
             with self._part("arrivals"):
-                sum_arrivals(module.synapses, train, module.scratch.ring, module.scratch.drive)
+                sum_arrivals(module.synapses, train, module.scratch.drive)
             with self._part("without learning"):
                 self.own["show"](unchanged, train)
         with self._part("with learning"):

@@ -27,7 +27,7 @@ def show(module: Module, train: Train, resting: bool = True) -> None:
     """Show one image and, if `resting`, the rest that follows; `module.state` then has the counts."""
     physics, scratch = module.physics, module.scratch
     end = physics.shown + physics.rest if resting else physics.shown
-    sum_arrivals(module.synapses, train, scratch.ring, scratch.drive[:end])
+    sum_arrivals(module.synapses, train, scratch.drive)
     if module.learning:
         find_largest(module.synapses.weights, scratch.largest)
     present(module.synapses, module.state, train, scratch, physics, module.traces, module.now, module.learning, resting)

@@ -14,9 +14,22 @@ import numpy as np
 
 from vprbench.api import compiled
 
-from .arrays import SIDE, STRETCH
+from .arrays import SIDE, STRETCH, TILE
 
-_LOOKED = 32  # steps from one look for silence to the next
+
+@compiled()
+def _arrive(steps, sources, delays, first, until, row, change, weights, most):  # type: ignore[no-untyped-def]
+    """Sum in `row` what arrives at a neuron from step `first` to `until` - 1, and change each weight that has acted."""
+    begin, length = np.uint64(first), np.uint64(until - first)
+    for spike in range(len(steps)):
+        source = np.uint64(sources[spike])
+        arrives = np.uint64(steps[spike]) + np.uint64(delays[source])
+        if arrives - begin < length:  # unsigned: neither earlier nor later
+            weight = weights[source]
+            row[arrives] += weight
+            weight += change[arrives]
+            weight = weight if weight > 0.0 else 0.0
+            weights[source] = weight if weight < most else most
 
 
 @compiled()
@@ -26,38 +39,41 @@ def _hear(synapses, train, scratch, post, since_spike, physics, j, first, until)
     An arrival adds the trace `post` of the neuron's last spike, `since_spike` steps before the presentation, to the
     weight by which it has just acted.
     """
-    row, change, limit, weights = scratch.row, scratch.change, scratch.limit, scratch.running[j]
-    length = until - first
-    for slot in range(length):
-        since = since_spike + first + slot
-        row[slot] = 0.0
-        change[slot] = post[since] if since < len(post) else 0.0
-        limit[slot] = physics.weight_max
-    # What arrives earlier or later goes into one more slot, which changes nothing: cheaper than to ask.
-    row[length] = 0.0
-    change[length] = 0.0
-    limit[length] = np.inf
-    delays = synapses.delays[j // SIDE, :, j % SIDE]
-    begin, end = np.searchsorted(train.step, first - len(scratch.ring) + 1), np.searchsorted(train.step, until)
-    for spike in range(begin, end):
-        source = train.source[spike]
-        arrives = min(np.uint64(train.step[spike] + delays[source] - first), np.uint64(length))
-        weight = weights[source]
-        row[arrives] += weight
-        weights[source] = min(max(weight + change[arrives], 0.0), limit[arrives])
+    row, change = scratch.row, scratch.change
+    row[first:until] = 0.0
+    over = min(max(len(post) - since_spike, first), until)
+    change[first:over] = post[since_spike + first : since_spike + over]
+    change[over:until] = 0.0
+    longest = len(row) - physics.shown
+    begin, end = np.searchsorted(train.step, first - longest), np.searchsorted(train.step, until)
+    delays = synapses.delays[j // SIDE, :, j % SIDE].copy()
+    steps, sources = train.step[begin:end], train.source[begin:end]
+    _arrive(steps, sources, delays, first, until, row, change, scratch.running[j], physics.weight_max)
 
 
 @compiled()
-def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first, arriving):  # type: ignore[no-untyped-def]
-    """Replace what arrives at neuron `j` in the stretch from step `first` on, each weight as it is by then."""
-    until = min(first + STRETCH, arriving)
+def _sum_stretch(synapses, train, scratch, post, since_spike, physics, j, first, until):  # type: ignore[no-untyped-def]
+    """Replace what arrives at neuron `j` from step `first` to `until` - 1, each weight as it is by then."""
     scratch.settled[j] = scratch.running[j]
     scratch.since[j] = first
     scratch.until[j] = max(first, until)
     if first < until:
         _hear(synapses, train, scratch, post, since_spike, physics, j, first, until)
+        arriving = scratch.drive[j // SIDE, :, j % SIDE]
         for step in range(first, until):
-            scratch.drive[step, j] = scratch.row[step - first]
+            arriving[step] = scratch.row[step]
+        for step in range(first, min(first - first % TILE + TILE, until)):
+            scratch.tile[step % TILE, j] = scratch.row[step]
+
+
+@compiled()
+def _lay_out(scratch, first, until):  # type: ignore[no-untyped-def]
+    """Lay out what arrives in steps `first` to `until` - 1 for one pass over all neurons a step."""
+    drive, tile = scratch.drive, scratch.tile
+    for block in range(len(drive)):
+        for step in range(first, until):
+            for k in range(SIDE):
+                tile[step - first, block * SIDE + k] = drive[block, step, k]
 
 
 @compiled()
@@ -70,7 +86,8 @@ def _learn(synapses, train, scratch, physics, pre, now, j, t, since_spike):  # t
     delays, weights = synapses.delays[j // SIDE, :, j % SIDE], scratch.running[j]
     for i in range(len(weights)):
         scratch.last[i] = scratch.passed[i] + delays[i] - now
-    begin, end = np.searchsorted(train.step, t - len(scratch.ring) + 1), np.searchsorted(train.step, t + 1)
+    longest = len(scratch.row) - physics.shown
+    begin, end = np.searchsorted(train.step, t - longest), np.searchsorted(train.step, t + 1)
     for spike in range(begin, end):
         source = train.source[spike]
         if train.step[spike] + delays[source] <= t:
@@ -162,7 +179,8 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
     v, ge, gi, limits, fired = state.v, state.ge, state.gi, scratch.limits, state.fired
     n = len(v)
     end = physics.shown + physics.rest if resting else physics.shown
-    arriving = min(len(scratch.drive), end)  # past the presentation for as long as delays last
+    longest = len(scratch.row) - physics.shown
+    arriving = min(len(scratch.row), end)  # past the presentation for as long as delays last
     state.counts[:] = state.late
     state.counts_i[:] = state.late_i
     state.late[:] = 0
@@ -181,7 +199,6 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
         if learning and (now - fired[j] < len(traces.post) or scratch.largest[j] > physics.weight_max):
             scratch.running[j] = synapses.weights[j // SIDE, :, j % SIDE]
             _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, 0, arriving)
-            next_stretch = min(next_stretch, scratch.until[j])
             scratch.changing[n_changing] = j
             n_changing += 1
         if state.ge_i[j] > 0:
@@ -197,8 +214,11 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
             for m in range(n_changing):
                 j = scratch.changing[m]
                 if scratch.until[j] == t:
-                    _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, t, arriving)
+                    until = min(t + STRETCH, arriving)
+                    _sum_stretch(synapses, train, scratch, traces.post, now - fired[j], physics, j, t, until)
                 next_stretch = min(next_stretch, scratch.until[j])
+        if t % TILE == 0 and t < arriving:
+            _lay_out(scratch, t, min(t + TILE, arriving))
         n_waiting = _release(state, scratch, physics, now + t, n_waiting)
 
         # Excitatory neurons: state update and what arrives
@@ -214,11 +234,11 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
                 gi[j] = h * physics.gi_keep
                 hot += v[j] > limits[j] * decayed + physics.e_threshold
             if t < arriving:
-                drive = scratch.drive[t]
+                drive = scratch.tile[t % TILE]
                 for j in range(n):
                     ge[j] += drive[j]
         else:
-            drive = scratch.drive[t]
+            drive = scratch.tile[t % TILE]
             for j in range(n):
                 x, g = v[j], ge[j]
                 v[j] = x + physics.e_gain * ((physics.e_rest - x) + g * (physics.excitation - x))
@@ -242,7 +262,7 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
 
         # What follows from the spikes of excitatory neurons
         if learning and n_firing > 0:
-            while n_passed < len(train.step) and train.step[n_passed] <= t - len(scratch.ring):
+            while n_passed < len(train.step) and train.step[n_passed] < t - longest:
                 scratch.passed[train.source[n_passed]] = now + train.step[n_passed]
                 n_passed += 1
         for m in range(n_firing):
@@ -257,7 +277,8 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
                     first = scratch.since[j]
                     _hear(synapses, train, scratch, traces.post, now - fired[j], physics, j, first, t + 1)
                 _learn(synapses, train, scratch, physics, traces.pre, now, j, t, now - fired[j])
-                _sum_stretch(synapses, train, scratch, traces.post, -t, physics, j, t + 1, arriving)
+                until = min(t + 1 + STRETCH, arriving)
+                _sum_stretch(synapses, train, scratch, traces.post, -t, physics, j, t + 1, until)
                 next_stretch = min(next_stretch, scratch.until[j])
                 state.theta[j] += physics.theta_plus / decayed
             fired[j] = now + t
@@ -277,7 +298,7 @@ def present(synapses, state, train, scratch, physics, traces, now, learning, res
                 state.late[j] += 1
 
         t += 1
-        if t % _LOOKED == 0:
+        if t % TILE == 0:
             if inhibited and gi.max() < physics.nothing:
                 gi[:] = 0.0
                 inhibited = False

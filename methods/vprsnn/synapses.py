@@ -25,34 +25,15 @@ def normalise(weights, total):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def sum_arrivals(synapses, train, ring, drive):  # type: ignore[no-untyped-def]
-    """Fill `drive` (n_steps, n_padded) with the weights that arrive at each neuron in each step."""
-    last = len(ring) - 1
-    for block in range(len(synapses.weights)):
-        weights, delays = synapses.weights[block], synapses.delays[block]
-        if last == 0:  # all arrive at once
-            drive[:, block * SIDE : (block + 1) * SIDE] = 0
-            for spike in range(len(train.step)):
-                step, source = train.step[spike], train.source[spike]
-                for k in range(SIDE):
-                    drive[step, block * SIDE + k] += weights[source, k]
-            continue
-        ring[:] = 0
-        done = 0
+def sum_arrivals(synapses, train, drive):  # type: ignore[no-untyped-def]
+    """Fill `drive` (n_blocks, n_steps, SIDE) with the weights that arrive at each neuron in each step."""
+    for block in range(len(drive)):
+        weights, delays, arriving = synapses.weights[block], synapses.delays[block], drive[block]
+        arriving[:] = 0
         for spike in range(len(train.step)):
-            step, source = train.step[spike], train.source[spike]
-            while done < step:
-                for k in range(SIDE):
-                    drive[done, block * SIDE + k] = ring[done & last, k]
-                    ring[done & last, k] = 0
-                done += 1
+            step, source = np.uint64(train.step[spike]), np.uint64(train.source[spike])
             for k in range(SIDE):
-                ring[(step + delays[source, k]) & last, k] += weights[source, k]
-        while done < len(drive):
-            for k in range(SIDE):
-                drive[done, block * SIDE + k] = ring[done & last, k]
-                ring[done & last, k] = 0
-            done += 1
+                arriving[step + np.uint64(delays[source, k]), k] += weights[source, k]
 
 
 @compiled()

@@ -125,8 +125,7 @@ def smaller_plan(path: Path) -> Plan:
         if method in ("vprtempo", "vprsnn")
     }
     columns = {
-        name: replace(column, options=(*column.options, *PART), fits=quick, smaller=None)
-        for name, column in plan.columns.items()
+        name: replace(column, options=(*column.options, *PART), fits=quick) for name, column in plan.columns.items()
     }
     growth = replace(plan.growth, sizes=(10, 12), at_most={"vprtempo": {"max_module": PLACES}})
     return replace(plan, columns=columns, growth=growth)

@@ -96,7 +96,7 @@ def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan: P
     stand_in, real = columns["railway_vprsnn"], columns["nordland_vprsnn"]
     assert (stand_in.stand_in_for, stand_in.published) == ("nordland_vprsnn", real.published)
     assert (stand_in.fits, stand_in.options[1:]) == (real.fits, real.options[1:])  # the frames alone differ
-    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450), ("railway_225", 225)):
+    for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450)):
         for method in ("vprtempo", "vprtempo_ensemble"):
             assert places % columns[name].fits[method]["max_module"] == 0
 
@@ -130,7 +130,6 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
         ({"rows": {"SAD": {"boundary": "everything"}}}, ["row SAD", "everything"]),
         ({"rows": {"SAD": {"training": "somehow"}}}, ["row SAD", "somehow"]),
         ({"rows": {"SAD": {"seeds": []}}}, ["row SAD", "seeds"]),
-        ({"columns": {"railway": {"smaller": "moon"}}}, ["column railway", "moon"]),
         ({"columns": {"railway": {"stand_in_for": "moon"}}}, ["column railway", "moon"]),
     ],
 )
@@ -182,7 +181,7 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name(
         ({"rows": {"x": {"method": "sad", "name": "VPRSNN (no delays)"}}}, ["VPRSNN", "shelf", "vprbench"]),
         ({"columns": {"street": {"title": "S", "options": []}}}, ["street", "shelf", "vprbench"]),
         (PLUG_IN, ["mine", "shelf", "drawer"]),
-        ({"columns": {"x": {"title": "X", "options": [], "smaller": "moon"}}}, ["more.yaml", "x", "moon"]),
+        ({"columns": {"x": {"title": "X", "options": [], "stand_in_for": "moon"}}}, ["more.yaml", "x", "moon"]),
         ({"growth": {}}, ["more.yaml", "growth"]),
         ({"rows": {"x": {"method": "sad", "colour": "red"}}}, ["more.yaml", "colour"]),
     ],
@@ -215,23 +214,21 @@ def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(p
     ],
 )
 def test_a_row_of_vprsnn_is_a_run_a_seed_with_its_arguments(name: str, options: list[str]) -> None:
-    here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"])
+    here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"], full=True)
     runs = [*wanted(here, here.columns[0], here.rows[-1:])]
     assert [run.seed for run in runs] == [0, 1, 2]
     assert {option for run in runs for option in run.options() if option.startswith("method")} == {*options}
 
 
-def test_rows_of_vprsnn_run_at_225_places_unless_all_is_to_run_in_full() -> None:
+def test_rows_of_vprsnn_run_on_the_street_with_one_seed_unless_all_is_to_run_in_full() -> None:
     rows = {"rows": ["VPRSNN"], "methods": ["vprsnn_fast", "vprsnn_all_neurons", "vprsnn_ensemble"]}
-    for full in (False, True):
+    for full, seeds in ((False, (0,)), (True, (0, 1, 2))):
         here = chosen(**rows, columns=["railway", "street"], full=full)
         railway, street = here.columns
         assert [here.slow(railway, row) for row in here.rows] == [not full] * 4
-        assert [here.slow(street, row) for row in here.rows] == [not full] * 4
-        assert {name: smaller.dataset["places"] for name, smaller in here.smaller.items()} == {
-            "railway": 225,
-            "street": 225,
-        }
+        assert not any(here.slow(street, row) for row in here.rows)
+        assert [row.seeds for row in here.rows] == [seeds] * 4
+    assert chosen(rows=["VPRSNN"], seeds=2).rows[0].seeds == (0, 1)
     (street,) = (here := chosen(rows=["NetVLAD"], columns=["street"])).columns
     assert street.dataset["places"] == here.rows[0].most_places
     assert not here.slow(street, here.rows[0])

@@ -81,8 +81,8 @@ class Loops:
     def normalise(self, weights):
         self.clock.spend(2)
 
-    def sum_arrivals(self, synapses, train, ring, drive):
-        assert (synapses, ring, drive) == ("synapses", "ring", "drive")
+    def sum_arrivals(self, synapses, train, drive):
+        assert (synapses, drive) == ("synapses", "drive")
         self.clock.spend(4)
 
     def show(self, module, train):
@@ -106,7 +106,7 @@ class Trained(Method):
     def fit(self, references, places):
         progress.report("training", 0.0)
         state = arrays.State.at_rest(SimpleNamespace(e_rest=0.0, i_rest=0.0), np.zeros(8), 5)
-        scratch = SimpleNamespace(ring="ring", drive="drive")
+        scratch = SimpleNamespace(drive="drive")
         for number in range(self.presentations):
             train = model.spike_train("levels")
             training.normalise("weights")

@@ -32,10 +32,10 @@ columns:
     published: Nordland
     stand_in_for: nordland
     options: [dataset=synthetic, dataset.places=20, dataset.first_query_place=4]
-    smaller: route_12
     fits: {vprtempo: {max_module: 10}}
   route_12:
     title: Route, 12 places
+    stand_in_for: nordland
     options: [dataset=synthetic, dataset.places=12, dataset.first_query_place=2]
     fits: {vprtempo: {max_module: 12}}
 growth:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         open_image as open_image,
     )
     from vprbench.api.images import Images as Images
+    from vprbench.api.frame_cache import frames_kept as frames_kept, kept_frames as kept_frames
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method
     from vprbench.api.neural import NeuralDescriptor as NeuralDescriptor
     from vprbench.api.preprocess import PatchNormalisation as PatchNormalisation, Variant as Variant

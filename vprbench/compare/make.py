@@ -58,7 +58,6 @@ def chosen_of(found: Checked, asked: Asked) -> Chosen:
         _NO_PLAN,
         tuple(cell.row for cell in found.cells),
         (found.column,),
-        {},
         tuple(request.devices),
         metrics=tuple(request.metrics),
         results=request.results,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from vprbench.errors import BadInput
+from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.selection import Group, ResolvedColumn, groups
@@ -71,7 +72,6 @@ class Chosen:
     plan: Plan
     rows: tuple[Row, ...]
     columns: tuple[ResolvedColumn, ...]
-    smaller: Mapping[str, ResolvedColumn]  # by column, where its slow rows run
     devices: tuple[str, ...]
     full: bool = True
     metrics: tuple[str, ...] = ()
@@ -115,9 +115,8 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
 
     return Chosen(
         plan,
-        tuple(replace(row, seeds=row.seeds[: asked.seeds]) for row in rows.values()),
+        tuple(_with_seeds(row, asked) for row in rows.values()),
         tuple(map(resolved, columns.values())),
-        {column.name: resolved(plan.columns[column.smaller]) for column in columns.values() if column.smaller},
         tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
         asked.full,
         tuple(asked.metrics),
@@ -133,11 +132,8 @@ def gather(chosen: Chosen, options: Sequence[str], compose: Compose) -> Material
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = made(chosen, _first(chosen), options, compose)
+    endings = made(chosen, _all(chosen), options, compose)
     runs, failures = stored(chosen)
-    if more := list(_in_smaller_columns(chosen, runs)):
-        endings += made(chosen, more, options, compose)
-        runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(endings))
 
 
@@ -150,12 +146,9 @@ def material(
     chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[Ending, ...] = ()
 ) -> Material:
     """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
-    columns = [*chosen.columns, *_shown_smaller(chosen, runs)]
-    shown = {column.planned.name for column in columns}
-    failures = [*failures, *_of_slow_rows(chosen, failures)]
-    found = groups(runs, failures, columns, chosen.rows)
+    found = groups(runs, failures, chosen.columns, chosen.rows)
     left_out = {
-        (column.planned.name, row.name): _left_out(chosen.smaller.get(column.planned.name), shown)
+        (column.planned.name, row.name): why_left_out(chosen.plan.in_full(row), column, found)
         for column, row in itertools.product(chosen.columns, chosen.rows)
         if chosen.slow(column, row)
     }
@@ -183,61 +176,21 @@ def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Itera
             yield MissingRun(row, planned.title, planned.options, column.dataset, planned.arguments(row), seed, device)
 
 
-def _first(chosen: Chosen) -> list[MissingRun]:
-    """Return the runs of all columns, slow rows in the smaller ones."""
+def _all(chosen: Chosen) -> list[MissingRun]:
+    """Return the runs of all columns but slow rows, row by row: those that run at any size first, short ones first."""
     found: list[MissingRun] = []
-    for column in chosen.columns:
-        fast = [row for row in chosen.rows if not chosen.slow(column, row)]
-        slow = [row for row in chosen.rows if chosen.slow(column, row)]
-        found += wanted(chosen, column, fast)
-        if column.planned.name in chosen.smaller:
-            found += wanted(chosen, chosen.smaller[column.planned.name], slow)
+    columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
+    for row in sorted(chosen.rows, key=lambda row: row.most_places is not None):
+        for column in columns:
+            if not chosen.slow(column, row):
+                found += wanted(chosen, column, [row])
     return found
 
 
-def _in_smaller_columns(chosen: Chosen, runs: Sequence[Run]) -> Iterator[MissingRun]:
-    """Yield the runs of the fast rows where slow ones have run."""
-    shown = {column.planned.name for column in _shown_smaller(chosen, runs)}
-    for column in chosen.columns:
-        smaller = chosen.smaller.get(column.planned.name)
-        if smaller is not None and smaller.planned.name in shown:
-            yield from wanted(chosen, smaller, [row for row in chosen.rows if not chosen.slow(column, row)])
-
-
-def _shown_smaller(chosen: Chosen, runs: Sequence[Run]) -> list[ResolvedColumn]:
-    """Return the smaller columns in which a slow row has runs."""
-    shown = []
-    for column in chosen.columns:
-        slow = [row for row in chosen.rows if chosen.slow(column, row)]
-        smaller = chosen.smaller.get(column.planned.name)
-        if not slow or smaller is None:
-            continue
-        there = groups(runs, (), [smaller], slow)
-        if any(group.runs for group in there) and smaller.planned.name not in {c.planned.name for c in chosen.columns}:
-            shown.append(smaller)
-    return shown
-
-
-def _of_slow_rows(chosen: Chosen, failures: Sequence[Failure]) -> Iterator[Failure]:
-    """Yield the failures of slow rows in the smaller columns, as failures in the columns they were left out of."""
-    for column in chosen.columns:
-        methods = {row.method for row in chosen.rows if chosen.slow(column, row)}
-        smaller = chosen.smaller.get(column.planned.name)
-        if not methods or smaller is None:
-            continue
-        (there, *_) = groups((), failures, [smaller], chosen.rows)
-        for failure in there.failures:
-            if failure.method in methods:
-                fits = {**failure.config.get("changed", {})}
-                for name in smaller.planned.fits.get(failure.method, {}):
-                    fits.pop(name, None)
-                changed = {**column.planned.fits.get(failure.method, {}), **fits}
-                yield replace(failure, config={**failure.config, "dataset": column.dataset, "changed": changed})
-
-
-def _left_out(smaller: ResolvedColumn | None, shown: set[str]) -> str:
-    there = f": it stands under {smaller.planned.title}" if smaller and smaller.planned.name in shown else ""
-    return f"too many places for the time that a table takes{there}; FULL=1 runs it here"
+def _with_seeds(row: Row, asked: TableRequest) -> Row:
+    """Return a row with the seeds that were asked for, or with as many as there is time for."""
+    most = asked.seeds if asked.full or asked.seeds is not None else row.seeds_unless_full
+    return replace(row, seeds=row.seeds[:most])
 
 
 def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
@@ -265,10 +218,9 @@ def _on_request(plan: Plan, name: str, asked: TableRequest) -> Row:
 
 def _default_columns(plan: Plan, asked: TableRequest) -> list[str]:
     """Return each dataset of the paper if its frames are given, else the rendered column that stands in for it."""
-    smaller = {column.smaller for column in plan.columns.values()}
     chosen = []
     for column in plan.columns.values():
-        if column.stand_in_for is not None and column.name not in smaller and not column.on_request:
+        if column.stand_in_for is not None and not column.on_request:
             real = plan.columns[column.stand_in_for]
             chosen.append(real.name if _root(real, asked) else column.name)
     return chosen

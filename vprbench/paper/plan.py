@@ -34,6 +34,8 @@ class Row:
     seeds: tuple[int, ...] = (0,)
     rate_remark: str | None = None  # what is known of how the paper timed its queries
     most_places: int | None = None  # with more it takes too long for a table; None: any number
+    seeds_unless_full: int | None = None  # the first so many of `seeds` unless slow rows are to run in full; None: all
+    asks_its_map: bool = False  # its fit asks the trained network for each of its places
 
     @property
     def learns_here(self) -> bool:
@@ -50,7 +52,6 @@ class PlannedColumn:
     options: tuple[str, ...]  # of the command line
     published: str | None = None  # the dataset of the paper's table
     stand_in_for: str | None = None  # the column of real frames that a rendered one stands in for
-    smaller: str | None = None  # the column where rows run that take too long here
     on_request: bool = False  # shown where it is asked for by name alone
     frames: str | None = None  # the option of a table that gives the root of its dataset
     remark: str | None = None  # what a reader of the table has to know of the data
@@ -91,6 +92,10 @@ class Plan:
     columns: Mapping[str, PlannedColumn]
     growth: Growth
     seeds: tuple[int, ...] = (0,)  # of rows that are asked for by their method's name and learn from a seed
+
+    def in_full(self, row: Row) -> Row:
+        """Return a row with all of its seeds."""
+        return next((own for own in (*self.rows.values(), *self.more_rows.values()) if own.name == row.name), row)
 
 
 def read_plan(path: Path) -> Plan:
@@ -157,9 +162,9 @@ def _plan_errors_told(path: Path) -> Iterator[None]:
 
 def _insist_on_columns(columns: Mapping[str, PlannedColumn], origin: object) -> None:
     for column in columns.values():
-        for named in (column.smaller, column.stand_in_for):
-            if named is not None and named not in columns:
-                raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
+        if column.stand_in_for is not None and column.stand_in_for not in columns:
+            named = column.stand_in_for
+            raise BadInput(f"{origin}: column {column.name} names {named}, which is none: there are {[*columns]}")
 
 
 def published() -> dict[tuple[str, str], dict[Quantity, float | None]]:

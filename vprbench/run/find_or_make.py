@@ -14,6 +14,7 @@ from typing import Any
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
+from vprbench.api.frame_cache import frames_kept
 from vprbench.api.method import Method
 from vprbench.data.doctor import insist
 from vprbench.errors import BadInput
@@ -116,7 +117,7 @@ def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store)
     entry = registry.entries("method").get(name)
     if entry is not None:
         asked["changed"] = entry.changed(asked["method"])
-    with chdir("."):
+    with chdir("."), frames_kept(settings.cache):
         dataset = registry.make_dataset(asked["dataset"])
     return requested(name, registry.make_method, dataset, asked, settings, store)
 

@@ -34,7 +34,8 @@ from vprbench.run.thumbnails import Example, Thumbnails
 STORED = Path(__file__).parent / "stored" / "captions.md"
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
-NORDLAND, STREET, SMALLER = (PLAN.columns[name] for name in ("nordland", "street", "railway_225"))
+NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
+UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
 FIVE = five_rows(n_places=50)
 ON_GPU = five_rows("cuda", n_places=50)
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
@@ -103,7 +104,7 @@ def all_drawn() -> Iterator[tuple[str, Drawn]]:
         name = draw.__name__
         yield f"{name} on two devices", draw(FIVE, ON_GPU, ROWS, NORDLAND, {})
         yield f"{name} of what stands in", draw(FIVE[-1:], (), ROWS, STREET, {})
-        yield f"{name} outside of the paper", draw(troubled()[2:], (), [Row("GCL", "gcl")], SMALLER, {})
+        yield f"{name} outside of the paper", draw(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {})
     for kind, rows in of_growth():
         yield f"growth {kind}", growth(rows)
     grey = np.zeros((45, 80, 3), np.uint8)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import figure_runs
 import pytest
@@ -15,7 +16,8 @@ from vprbench.paper.selection import Series
 
 PLAN = read_plan(ROOT / "conf" / "table.yaml")
 ROWS = list(PLAN.rows.values())
-NORDLAND, STREET, SMALLER = (PLAN.columns[name] for name in ("nordland", "street", "railway_225"))
+NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
+UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
 
 
 def tempo(*runs_of_seeds: float, device: str = "cpu") -> Series:
@@ -96,7 +98,7 @@ def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None
 def test_a_row_without_a_measured_training_says_why() -> None:
     loaded = figure_runs.series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
     marks: dict[tuple[str, Quantity], str] = {("VPRSNN", "train_cpu"): "not run", ("VPRTempo", "train_cpu"): "failed"}
-    (axes,) = training_time([loaded], (), ROWS, SMALLER, marks).figure.axes
+    (axes,) = training_time([loaded], (), ROWS, UNPUBLISHED, marks).figure.axes
     assert words(axes) == ["no training", "comes trained", "comes trained", "network loaded", "failed"]
 
 
@@ -110,7 +112,7 @@ def test_a_row_without_a_bar_has_the_word_of_the_table_for_its_device() -> None:
     }
     untimed = figure_runs.series("VPRSNN", figure_runs.run("vprsnn", timing=None))
     marks["VPRSNN", "query_cpu"] = "not timed"
-    drawn = query_rate([untimed, tempo(1.0)], [tempo(1.0, device="cuda")], ROWS, SMALLER, marks)
+    drawn = query_rate([untimed, tempo(1.0)], [tempo(1.0, device="cuda")], ROWS, UNPUBLISHED, marks)
     cpu, gpu = drawn.figure.axes
     assert words(cpu)[:4] == ["failed", "not there", "left out", "not timed"]
     assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
@@ -128,11 +130,11 @@ def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
 
 
 def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> None:
-    drawn = query_rate([tempo(3.0)], (), ROWS, SMALLER, {})
+    drawn = query_rate([tempo(3.0)], (), ROWS, UNPUBLISHED, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert keys(drawn) == ["measured here"]
     cosplace = figure_runs.series("CosPlace", figure_runs.run("cosplace", encode_seconds=0.03, match_seconds=0.02))
-    drawn = query_rate([cosplace], (), [Row("CosPlace", "cosplace")], SMALLER, {})  # a row outside the paper
+    drawn = query_rate([cosplace], (), [Row("CosPlace", "cosplace")], UNPUBLISHED, {})  # a row outside the paper
     assert bars(drawn.figure.axes[0], hatched=False) == {0: pytest.approx(20)}
 
 

@@ -1,0 +1,113 @@
+"""Frames that are kept are those that were made, bit for bit; a cache that is damaged or full costs time alone."""
+
+import numpy as np
+import pytest
+
+from vprbench.api import Images, frames_kept, kept_frames
+from vprbench.datasets.street import street
+from vprbench.datasets.synthetic import synthetic
+
+N = 300
+
+
+@pytest.fixture(autouse=True)
+def frames_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path / "frames"))
+    return tmp_path / "frames"
+
+
+class Painter:
+    """Frames of one seed, and how many were made."""
+
+    def __init__(self, seed=0, n=N):
+        self.frames = np.random.default_rng(seed).integers(0, 256, (n, 4, 5, 3), np.uint8)
+        self.made = 0
+
+    def read(self, number):
+        self.made += 1
+        return self.frames[number]
+
+    def shown(self, **what):
+        return kept_frames(Images(self.read, [str(i) for i in range(len(self.frames))]), {"seed": 0, **what})
+
+
+def seen(images):
+    return np.stack(list(images))
+
+
+def test_frames_are_made_once_and_read_by_all_that_ask_for_the_same():
+    painter = Painter()
+    for _ in range(3):
+        np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+    assert painter.made == N + 3  # each time the first tells their size
+
+
+def test_other_options_have_other_frames():
+    for seed in (0, 1):
+        painter = Painter(seed)
+        np.testing.assert_array_equal(seen(painter.shown(seed=seed)), painter.frames)
+
+
+def test_frames_that_are_looked_at_in_any_order_are_the_same():
+    painter = Painter()
+    order = np.random.default_rng(1).permutation(N)
+    for _ in range(2):
+        images = painter.shown()
+        np.testing.assert_array_equal(np.stack([images[i] for i in order]), painter.frames[order])
+
+
+@pytest.mark.parametrize("damage", [b"", b"short", None])
+def test_a_damaged_or_missing_file_is_made_anew(frames_folder, damage):
+    painter = Painter()
+    seen(painter.shown())
+    (first, *_) = sorted(frames_folder.rglob("*.frames"))
+    content = bytearray(first.read_bytes())
+    content[17] ^= 1
+    first.write_bytes(content if damage is None else damage)
+    for _ in range(2):
+        np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+    assert painter.made == N + 3 + 64
+
+
+def test_nothing_is_kept_where_that_was_not_asked_for_or_where_frames_are_few(frames_folder):
+    painter, few = Painter(), Painter(n=100)
+    with frames_kept(False):
+        images = painter.shown()
+    for shown in (images, few.shown()):
+        seen(shown)
+    assert not frames_folder.exists()
+
+
+def test_a_folder_that_refuses_costs_time_alone(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path / "file"))
+    painter = Painter()
+    np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+
+
+def test_who_was_not_read_for_longest_makes_room(frames_folder, monkeypatch):
+    one = N * 60
+    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 2 * one + 100)
+    for seed in range(4):
+        seen(Painter(seed).shown(seed=seed))
+        assert sum(file.stat().st_size for file in frames_folder.rglob("*.frames")) <= 2 * one + 100
+    made = Painter(3)
+    seen(made.shown(seed=3))
+    assert made.made == 1
+
+
+def test_more_than_fits_is_not_kept(frames_folder, monkeypatch):
+    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 1000)
+    painter = Painter()
+    np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+    assert not list(frames_folder.rglob("*.frames"))
+
+
+@pytest.mark.parametrize(("dataset", "query"), [(street, "dusk"), (synthetic, "winter")])
+def test_rendered_frames_are_those_that_rendering_gives(frames_folder, dataset, query):
+    options = {"places": 256, "first_query_place": 0, "query": query, "seed": 5}
+    with frames_kept(False):
+        rendered = seen(dataset(**options).queries)
+    for _ in range(2):
+        np.testing.assert_array_equal(seen(dataset(**options).queries), rendered)
+    assert len(list(frames_folder.rglob("*.frames"))) == 4
