@@ -120,7 +120,8 @@ def _options(command: Command, given: Sequence[str]) -> list[Option]:
         if not usual:
             continue
         chosen = next((each.partition("=")[2] for each in given if each.startswith(f"{group}=")), usual)
-        found[group] = Option(group, "name", usual * (command is RUN), f"one of vprbench list {group}s")
+        names = ", ".join(sorted(_values("timing"))) if group == "timing" else f"vprbench list {group}s"
+        found[group] = Option(group, "name", usual * (command is RUN), f"one of {names}")
         entry = _of_entry(group, chosen.split(",")[0], conf)
         found |= {name: replace(each, name=name) for each in entry for name in [f"{group}.{each.name}"]}
     for option in of_run:

@@ -57,6 +57,7 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
 
     own = [option for option in options if option.partition("=")[0] in TableRequest.__dataclass_fields__]
     rest = readable([option for option in options if option not in own])
+    own = [*own, *readable([option for option in own if option.startswith("methods=")])]  # loose files get their names
     for option in rest:
         if option.split("=")[0].split(".")[0] in ("method", "dataset", "seed", "device", "output", "save", "load"):
             raise BadInput(
