@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 import subprocess
@@ -15,10 +16,11 @@ import pytest
 from checkout import ROOT
 
 from vprbench.paper.plan import read_plan
-from vprbench.paper.table.quantities import QUANTITIES, TRAINING_TIME
+from vprbench.paper.table.quantities import TRAINING_TIME
 from vprbench.plugins import registry
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PLUG_INS = (ROOT / "docs" / "plug-ins.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -29,13 +31,14 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_method_in_two_files_keeps_the_contract(checkout: Path) -> None:
-    for path, language in (("methods/darkness.py", "python"), ("conf/method/darkness.yaml", "yaml")):
-        shown = re.search(rf"`{path}`:\n\n```{language}\n(.*?)```", README, re.DOTALL)
+@pytest.mark.parametrize(("group", "name"), [("method", "darkness"), ("dataset", "lamps")])
+def test_what_stands_in_two_files_keeps_the_contract(group: str, name: str, checkout: Path) -> None:
+    for path in (f"{group}s/{name}.py", f"conf/{group}/{name}.yaml"):
+        shown = re.search(rf"`{path}`:\n\n```\w+\n(.*?)```", PLUG_INS, re.DOTALL)
         assert shown, path
         (checkout / path).write_text(shown.group(1), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "vprbench", "check", "method=darkness", "method.cells=4"],
+        [sys.executable, "-m", "vprbench", "check", f"{group}={name}"],
         cwd=checkout,
         capture_output=True,
         text=True,
@@ -46,7 +49,8 @@ def test_the_method_in_two_files_keeps_the_contract(checkout: Path) -> None:
 
 
 DOCUMENTS = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
-NOT_OURS = {"methods/darkness.py", "conf/method/darkness.yaml", "vprbench/weights"}  # the example; a folder of a user
+EXAMPLES = ("methods/darkness.py", "conf/method/darkness.yaml", "datasets/lamps.py", "conf/dataset/lamps.yaml")
+NOT_OURS = {"vprbench/weights", *EXAMPLES}  # a folder of a user
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
@@ -82,39 +86,37 @@ def shown(name: str) -> str:
 
 
 def test_the_time_of_training_is_told_in_the_words_of_the_page() -> None:
-    assert TRAINING_TIME in " ".join(README.split())
+    assert TRAINING_TIME in " ".join((ROOT / "docs" / "numbers.md").read_text(encoding="utf-8").split())
 
 
-def test_what_it_shows_of_a_run_is_filled_in() -> None:
-    assert "vprtempo" in shown("run")
+def test_the_readme_fits_two_screens_and_shows_what_it_tells_of() -> None:
+    assert len(README.splitlines()) <= 120
+    assert "is best" in shown("compare") or "leads" in shown("compare")
 
 
-def test_the_table_it_shows_has_the_columns_and_rows_of_the_plan() -> None:
-    plan = read_plan(ROOT / "conf" / "table.yaml")
-    heads = ["method", *(f"{quantity.head} {quantity.unit}" for quantity in QUANTITIES)]
-    stand_ins = [column for column in plan.columns.values() if column.stand_in_for and not column.on_request]
-    published = [column.title for column in stand_ins if column.published]
-    sections = dict(re.findall(r"^## (.*)\n((?:(?!## ).*\n)*)", shown("table"), re.MULTILINE))
-    assert [*sections][: len(published)] == published
-    assert {*sections} <= {column.title for column in stand_ins}  # the smaller ones, where slow rows run
-    for title, section in sections.items():
-        lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
-        assert lines[0] == heads
-        names = [line[0] for line in lines if line[0] in plan.rows]
-        assert names == [*plan.rows]
-        assert [line[0] for line in lines].count("\u21b3 paper") == (len(names) if title in published else 0)
+def test_the_table_it_shows_is_the_stored_one_beside_the_papers() -> None:
+    cells = {(c["row"], c["column"], c["quantity"]): c for c in csv.DictReader((ROOT / "results/table.csv").open())}
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown("table").splitlines() if "|" in line]
+    assert len(lines) <= 12
+    for name, *values in lines[2:]:
+        of_row = [
+            cells[name.strip("*"), column, quantity]
+            for column in ("railway", "street")
+            for quantity in ("recall_at_1", "train_cpu", "query_cpu")
+        ]
+        for cell, value in zip(of_row, values, strict=True):
+            published = f"{float(cell['published']):,g}" if cell["published"] else "-"
+            assert value.endswith(f"({published})")
+            if cell["value"] and cell["mark"] == "measured":
+                digits = float(value.split()[0].strip("*~").replace(",", ""))
+                assert digits == pytest.approx(float(cell["value"]), rel=0.06)
+    assert [name.strip("*") for name, *_ in lines[2:]] == [*read_plan(ROOT / "conf" / "table.yaml").rows]
 
 
-def test_every_method_stands_in_the_readme_and_in_the_table_of_methods() -> None:
-    for document in ("README.md", "docs/methods.md"):
-        text = (ROOT / document).read_text(encoding="utf-8")
-        assert [name for name in registry.entries("method") if f"`{name}`" not in text] == []
-
-
-def test_every_dataset_stands_in_the_readme_and_in_the_table_of_datasets() -> None:
-    for document in ("README.md", "docs/datasets.md"):
-        text = (ROOT / document).read_text(encoding="utf-8")
-        assert [name for name in registry.entries("dataset") if f"`{name}`" not in text] == []
+@pytest.mark.parametrize("group", ["method", "dataset"])
+def test_every_method_and_dataset_stands_in_its_table(group: registry.Group) -> None:
+    text = (ROOT / "docs" / f"{group}s.md").read_text(encoding="utf-8")
+    assert [name for name in registry.entries(group) if f"`{name}`" not in text] == []
 
 
 def test_the_table_of_methods_names_the_file_that_each_network_takes() -> None:
