@@ -123,7 +123,7 @@ def show(found: Material, ranking: Ranking, wide: bool = False) -> None:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:
             print(told(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
-    heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
+    heads = ["method", *(quantity.heading for quantity in table.quantities)]
     print()
     show_table(heads, [[row.name, *_shown(found, row.name)] for row in table.rows], wide, _LEAST)
     print(*["", *(told(sentence, "bold") for sentence in ranking.sentences)], sep="\n")

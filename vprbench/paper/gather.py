@@ -47,6 +47,7 @@ class TableRequest:
     nordland: str | None = None  # folder of the real frames
     robotcar: str | None = None
     name: str | None = None  # of the files that are written
+    wide: bool = False  # all columns, however wide the terminal is
     results: str = "results"
 
     def __post_init__(self) -> None:

@@ -207,6 +207,14 @@ def test_a_comparison_keeps_its_order_and_says_nothing_of_a_paper() -> None:
     assert "documentclass" not in fragment
 
 
+def test_a_terminal_shows_each_row_and_note_in_100_columns() -> None:
+    made = table()
+    lines = formats.for_terminal(made).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
+    assert sum(line.startswith(f"{number} ") for number in range(1, len(made.notes) + 1) for line in lines) >= 1
+
+
 def test_a_table_of_no_runs_is_one_of_words() -> None:
     made = small(row("SAD", recall_at_1=cell("unfinished", **paper(48.0))), columns=(NO_RUN,), machines=())
     assert in_markdown(made) == ["unfinished", "48"]

@@ -10,9 +10,10 @@ import pandas as pd
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import Column, Table, TableRow
 from vprbench.paper.table.latex import tex
-from vprbench.paper.table.quantities import Quantity
+from vprbench.paper.table.quantities import TRAINING, Quantity
 from vprbench.paper.templates import ENVIRONMENT, document, one_line
 from vprbench.run import rows
+from vprbench.terminal.console import table_text, told
 
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -20,6 +21,19 @@ _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 def markdown(table: Table) -> str:
     """Return a table as Markdown: one table for each dataset, the paper's line below each row."""
     return _without_gaps(document("table/table.md.j2", table=table, words=words))
+
+
+def for_terminal(table: Table, wide: bool = False) -> str:
+    """Return a table as text that fits the terminal, unless `wide`, with its notes; legend and caption are in the files."""
+    of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
+    least = [*of_gpu, *(quantity.heading for quantity in TRAINING)]
+    parts = [told(table.heading, "bold")]
+    for column in table.columns:
+        heads, lines = _lines(table, column)
+        parts += ["", told(column.title, "bold"), told(words.data(column), "dim")]
+        parts += [table_text(heads, [[text.replace("*", "") for text in line] for line in lines], wide, least)]
+    notes = [told(f"{number} {note.text}", "dim") for number, note in enumerate(table.notes, 1)]
+    return "\n".join([*parts, "", *notes, *(f"{mark}: {machine}" for mark, machine in words.machines(table)), ""])
 
 
 def latex(table: Table, fragment: bool = False) -> str:
@@ -70,7 +84,13 @@ def shown_as_it_is(text: str) -> str:
 
 
 def _markdown_table(table: Table, column: Column) -> str:
-    heads = ["method", *(f"{quantity.head} {quantity.unit}".rstrip() for quantity in table.quantities)]
+    heads, lines = _lines(table, column)
+    return rows.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
+
+
+def _lines(table: Table, column: Column) -> tuple[list[str], list[list[str]]]:
+    """Return the heads and the lines of a column's table, the paper's line below each row."""
+    heads = ["method", *(quantity.heading for quantity in table.quantities)]
     lines: list[list[str]] = []
     sections = words.sections(table, [column])
     for part in sections:
@@ -80,7 +100,7 @@ def _markdown_table(table: Table, column: Column) -> str:
             lines.append([shown_as_it_is(row.name), *map(_markdown_cell, cells)])
             if any(cell.in_paper for cell in cells):
                 lines.append([f"↳ {words.PAPER}", *map(_markdown_published, cells)])
-    return rows.markdown([dict(zip(heads, line, strict=True)) for line in lines]) if lines else ""
+    return heads, lines
 
 
 def _markdown_cell(cell: words.Words) -> str:

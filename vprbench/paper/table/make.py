@@ -12,13 +12,16 @@ from vprbench.run import rows
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
+from vprbench.terminal.console import console
 
 
 def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
     found = gather(choose(asked, compose), options, compose)
     folder = Path(asked.results).expanduser()
-    print(formats.markdown(found.table), end="")  # first: it is there to be read even where nothing is written
+    narrow = console().is_terminal
+    printed = formats.for_terminal(found.table, asked.wide) if narrow else formats.markdown(found.table)
+    print(printed, end="")  # first: it is there to be read even where nothing is written
     written = write(found, folder, file_name(asked))
     print(f"\nwritten to {', '.join(str(path) for path in written)}")
     return exit_code(found.endings)

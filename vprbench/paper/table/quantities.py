@@ -62,6 +62,11 @@ class Quantity(ABC):
     undefined: ClassVar[Reason] = Reason("undefined", "no query has a right place")
     audited: ClassVar[bool] = False  # notes of failed audits are told here, and not elsewhere
 
+    @property
+    def heading(self) -> str:
+        """The head of its column, with the unit."""
+        return f"{self.head} {self.unit}".rstrip()
+
     def source(self, row: Row) -> Literal["measured", "quoted", "none"]:
         """Return where a row has it from; none: the row has no such step."""
         return "measured"
