@@ -39,7 +39,7 @@ def _value(text: str, hint: Any) -> Any:
     try:
         value = json.loads(text)
     except ValueError:
-        if not kinds:
+        if not kinds or (text[:1] == "[") != (text[-1:] == "]"):
             return text
         parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
         return parts if get_args(kinds[0]) == (str,) else [_value(part, None) for part in parts]
