@@ -45,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if (code := answered(arguments)) is not None:
             return code
+        arguments = ["wide=true" if argument == "--wide" else argument for argument in arguments]
         registry.register_search_path()
         name = arguments[0] if re.fullmatch(r"\w[\w-]*", arguments[0]) else "run"
         if name not in COMMANDS:
@@ -56,8 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return int(getattr(working, COMMANDS[name].does.partition(":")[2])(arguments[1:]))
             except SystemExit as error:  # of a plug-in; Hydra's goes on
                 return _complain(_told(error), 1)
-        asked = ["wide=true" if argument == "--wide" else argument for argument in arguments[arguments[0] == "run" :]]
-        return run_or_sweep(in_order(readable(asked)))
+        return run_or_sweep(in_order(readable(arguments[arguments[0] == "run" :])))
     except BadInput as error:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:

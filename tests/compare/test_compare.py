@@ -46,7 +46,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
 @pytest.fixture
 def apart(compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch) -> Apart:
     """Stand in the folder of the comparison, with nothing to be written; returns what stands in for processes."""
-    monkeypatch.setattr(make, "written", lambda found: [])
+    monkeypatch.setattr(make, "written", lambda *_: [])
     return install(monkeypatch, compared[0])
 
 

@@ -23,7 +23,11 @@ RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"
 COMMANDS: dict[str, Command] = {
     "run": RUN,
     "compare": Command(
-        "vprbench.commands.working:compare", "vprbench.compare.request:Request", groups=("dataset", "timing"), run=None
+        "vprbench.commands.working:compare",
+        "vprbench.compare.request:Request",
+        groups=("dataset", "timing"),
+        run=None,
+        usual={"timing": "quick"},
     ),
     "list": Command(
         "vprbench.commands.at_once:show_list", "vprbench.plugins.listing:Listing", words="[methods|datasets] [WORD]"
@@ -116,12 +120,12 @@ def _options(command: Command, given: Sequence[str]) -> list[Option]:
     own = of_class(command.takes) if command.takes else ()
     found = {each.name: replace(each, meaning=each.meaning or said.get(each.name, "")) for each in own}
     for group in command.groups:
-        usual = _usual(conf).get(group, "")
+        usual = command.usual.get(group, _usual(conf).get(group, ""))
         if not usual:
             continue
         chosen = next((each.partition("=")[2] for each in given if each.startswith(f"{group}=")), usual)
         names = ", ".join(sorted(_values("timing"))) if group == "timing" else f"vprbench list {group}s"
-        found[group] = Option(group, "name", usual * (command is RUN), f"one of {names}")
+        found[group] = Option(group, "name", usual * (command is RUN or group in command.usual), f"one of {names}")
         entry = _of_entry(group, chosen.split(",")[0], conf)
         found |= {name: replace(each, name=name) for each in entry for name in [f"{group}.{each.name}"]}
     for option in of_run:

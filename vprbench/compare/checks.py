@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import chdir
+from contextlib import chdir, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.compare.request import Asked
 from vprbench.data.doctor import insist
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn
 from vprbench.paper.shelf import Compose
@@ -72,7 +72,8 @@ def checked(asked: Asked, compose: Compose) -> tuple[Checked | None, list[str]]:
                 with chdir("."):
                     cells.append(_cell(name, asked, options, dataset, compose))
             except BadInput as error:
-                wrong.append(f"{name}: {str(error).removeprefix(f'{name}: ')}")
+                told = str(error).removeprefix(f"{name}: ").replace("method.", f"{name}.")
+                wrong.append(f"{name}: {told}")
     if wrong:
         return None, wrong
     title = asked.request.name or str(config["dataset"]["name"])
@@ -106,7 +107,9 @@ def _cell(name: str, asked: Asked, options: Sequence[str], dataset: Dataset | No
         adapted = {} if dataset is None else adaptation(method, dataset.n_places, config)
         if dataset is not None and isinstance(method, DescriptorMethod):
             method.insist_on_index(len(dataset.references))
-        list(method.files())
+        if not list(method.files()) and dataset is not None:
+            with suppress(NotFittedError):
+                registry.make_method({**config["method"], **adapted}).encode(dataset.references[:1].unnamed())
     except NotThere as error:
         return Cell(row, {}, str(error))
     except (BadInput, OSError):

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.quantities import quantities
 from vprbench.compare.request import Asked
@@ -47,7 +49,7 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
     known, failures = stored(chosen)
     compared, ranking = ranked_material(chosen, found, known, failures, endings)
     show(compared, ranking, asked.request.wide)
-    print(f"\nwritten to {', '.join(map(str, written(compared)))}")
+    print("\nwritten to", *written(compared, asked.request.name is None), sep="\n  ")
     return exit_code(endings)
 
 
@@ -138,12 +140,29 @@ def _shown(found: Material, name: str) -> Iterator[str]:
         yield " ".join(filter(None, [told, cell.value, cell.extent]))
 
 
-def written(found: Material) -> list[Path]:
-    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files."""
+def written(found: Material, beside_others: bool) -> list[Path]:
+    """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
+
+    If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
+    """
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
+        name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)
     absent: list[str] = []
     with progress_shown("compare, figures"):
         drawings = list(draw_all(found, found.runs, report=absent.append))
         *_, captions = write_figures(drawings, folder / "figures" / name)
+        for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
+            if path.stem not in dict(drawings):
+                path.unlink()
     return [*files, captions, write_page(found, drawings, folder / f"{name}.html", absent)]
+
+
+def _of_other_frames(path: Path, runs: Sequence[Run]) -> bool:
+    """Tell whether the runs of an earlier comparison are of other frames."""
+    if not path.is_file():
+        return False
+    frames = ["names_sha256", "content_sha256"]
+    earlier = pd.read_csv(path, dtype=str).reindex(columns=frames).fillna("").drop_duplicates().to_numpy().tolist()
+    return earlier != [[str(runs[0].data.get(part) or "") for part in frames]]

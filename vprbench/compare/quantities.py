@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from statistics import mean
+from statistics import mean, median
 from typing import Literal
 
 from vprbench.metrics.registry import METRICS
@@ -20,17 +20,16 @@ _METRICS = ("recall_at_5", "auc_pr_a")
 
 @dataclass(frozen=True)
 class Fit(Training):
-    """Seconds until queries can be answered, without waiting for images, in no contest: the median over the seeds."""
+    """Wall seconds until queries can be answered, as in the row of one run, in no contest: median over the seeds."""
 
     def source(self, row: Row) -> Literal["measured"]:
         """Say that every row has such a step."""
         return "measured"
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers:
-        """Return the seconds without waiting for images, and the wall time as the total."""
-        found = super().numbers(row, runs)
-        total = None if found.total is None else 60 * found.total
-        return Numbers([60 * value for value in found.values], 60 * found.value, total)
+        """Return the seconds, reading the images included."""
+        values = [run.training_seconds for run in runs if run.training_seconds is not None]
+        return Numbers(values, median(values))
 
     def best(self, rows: Sequence[Contestant]) -> str | None:
         """Name no row: some train, and some build a map alone."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins.options import chosen
+from vprbench.run.settings import KNOWN
+from vprbench.text import near
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,11 @@ def asked(options: Sequence[str]) -> Asked:
     own: list[str] = []
     of_dataset: list[str] = []
     rest: list[str] = []
+    known = (*Request.__dataclass_fields__, "dataset", "device", *KNOWN)
     for option in options:
         name = option.partition("=")[0]
+        if "." not in name and name not in known:
+            raise BadInput(f"option {name} is unknown: {near(name, known)}")
         if name.partition(".")[0] in ("method", "seed", "output", "save", "load"):
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "
@@ -67,6 +72,11 @@ def asked(options: Sequence[str]) -> Asked:
         raise BadInput("dataset= is missing: name the data, as in dataset=folders; see vprbench list")
     request = chosen(Request, own, {})
     methods = {name: [f"method{o.removeprefix(name)}" for o in rest if _is_of(o, name)] for name in request.methods}
+    for name, given in methods.items():
+        if run_wide := [o for o in given if o.partition("=")[0] in ("method.seed", "method.device")]:
+            raise BadInput(
+                f"{name}.{run_wide[0].removeprefix('method.')}: give seeds=NUMBER and device=, for all methods"
+            )
     of_runs = [option for option in rest if not any(_is_of(option, name) for name in methods)]
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]

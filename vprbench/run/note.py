@@ -17,6 +17,7 @@ NoteKind = Literal[
     "late",  # work of the fit that the first query did
     "noisy",  # a machine that did other things too
     "invalid",  # too few laps
+    "offline",  # too few laps of a batch size
     "caching",  # known images that are answered faster than new ones
     "audit",  # other answers when it was timed
     "index",  # an approximate search

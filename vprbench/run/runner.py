@@ -167,10 +167,12 @@ def _notes_on_rates(run: Run, timing: Timing) -> Iterator[Note]:
         seconds = timing.first_query_seconds
         times = seconds / float(np.median(timing.streaming.total_seconds))
         yield Note("late", f"late work: the first query took {seconds:.2f} s, {times:,.0f} times the median; {use}")
-    if not all(laps.valid for laps in (timing.streaming, *timing.offline)):
-        limit = "maximum" if run.timed_by.total_seconds is None else "total"
-        unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
+    limit = "maximum" if run.timed_by.total_seconds is None else "total"
+    unmet = f"a minimum of the timing protocol was not met within timing.{limit}_seconds"
+    if not timing.streaming.valid:
         yield Note("invalid", f"invalid rates: {unmet}")
+    elif not all(laps.valid for laps in timing.offline):
+        yield Note("offline", f"invalid rates in batches: {unmet}")
     if timing.repeated_seconds < _CACHING * timing.unseen_seconds:
         share = 100 * timing.repeated_seconds / timing.unseen_seconds
         yield Note("caching", f"caching: images seen before are answered in {share:.0f} % of the time of new ones")

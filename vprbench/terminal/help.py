@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rich.table import Table
 from rich.text import Text
@@ -31,6 +31,7 @@ class Command:
     groups: tuple[str, ...] = ()  # that it takes a choice of, with the options of what is chosen: method, dataset
     run: tuple[str, ...] | None = ()  # options of a run that it takes too; None: all that it has not itself
     words: str = ""  # what it takes before options: NAME
+    usual: Mapping[str, str] = field(default_factory=dict)  # by group, its own choice where none is given
 
     @property
     def meaning(self) -> str:

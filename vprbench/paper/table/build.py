@@ -159,7 +159,7 @@ class _Sheet:
     def _absence(self, entry: Entry, quantity: Quantity) -> Reason:
         device = entry.device(quantity)
         found = entry.found[device]
-        if found.runs:
+        if found.runs and not found.failures:  # which are of these runs, while they were timed
             return quantity.lacking(found.runs)
         if entry.group.number > 1:
             return reason("protocol without runs")

@@ -32,7 +32,11 @@ TRAINING_TIME = (  # of the table, the page and the README
     "Wall time from the first reference image to the finished map, without waiting for images to be read or rendered; "
     "in brackets with waiting for them."
 )
-_APART: frozenset[NoteKind] = DISTURBED | {"described", "resumed"}  # told by a mark, or with the training alone
+_APART: frozenset[NoteKind] = DISTURBED | {
+    "offline",
+    "described",
+    "resumed",
+}  # told by a mark, or with the training alone
 
 
 @dataclass(frozen=True)
