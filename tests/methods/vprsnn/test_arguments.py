@@ -107,6 +107,7 @@ def test_the_defaults_are_the_published_numbers() -> None:
 def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPRSNN], differs: dict[str, Any]) -> None:
     configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
+    assert configured.pop("tags") == ["spiking"]
     assert configured == {**defaults(kind), **differs, "seed": "${seed}", "device": "${device}"}
 
 
