@@ -24,8 +24,7 @@ Seconds = npt.NDArray[np.float64]
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _LATE = 10  # times the median, beyond which a first query is no usual one
 _BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
-_STEADY_QUERIES = 10
-_STEADY_SPREAD = 0.1
+_STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
 _LONG_PASS, _LONG_CALL, _FEWEST_REPEATED = 4.0, 1.0, 8  # seconds and images: no more is asked of a slow method
 _GAIN = 1.25  # times the rate: less is within what machines vary by
 _SHARES = (0.15, 0.5, 0.6)  # of `total_seconds`, by which warm-up, streaming and the look for caching have to end
@@ -128,9 +127,9 @@ class Stopwatch:
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
-            first, warmup, usual = self._warm_up(method, singles, first_query_seconds or 0.0)
-            few = max(self._protocol.minimum_queries, int(_LONG_PASS / max(usual, 1e-9)))
-            if warmup and few < count:
+            warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
+            if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
                 some = np.linspace(0, count - 1, few).astype(np.int64)
                 chosen, sample, singles = chosen[some], sample[some], [singles[i] for i in some]
             self._end_after(began, _SHARES[1])
@@ -139,8 +138,8 @@ class Stopwatch:
             self._end_after(began, _SHARES[2])
             repeated, unseen = self._caching(method, singles, float(np.median(streaming.total_seconds)))
             offline = self._offline(method, sample, streaming, began)
-        first = first if first_query_seconds is None else first_query_seconds
-        return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
+        first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
+        return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
         """Return the seconds of encode and match, and the scores."""
@@ -154,8 +153,8 @@ class Stopwatch:
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, int, float]:
-        """Return the seconds of the first call, the number of calls and the last's; `usual` is what one may take."""
+    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> list[float]:
+        """Return the seconds of the calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
@@ -165,7 +164,7 @@ class Stopwatch:
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
-        return laps[0] if laps else float("nan"), len(laps), usual
+        return laps
 
     def _stream(self, method: Method, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         encodes: list[float] = []
