@@ -114,6 +114,28 @@ def test_weights_that_are_missing_for_one_seed_are_not_looked_for_again(
     assert len(children.asked) == 2
 
 
+def test_published_weights_are_looked_for_once_and_without_a_process_where_they_are_missing(
+    monkeypatch: pytest.MonkeyPatch, store: Store, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
+    children = with_children(monkeypatch, Ending(0))
+    row = Row("GCL", "gcl", arguments={"backbone": "vgg16"}, training="pretrained")
+    wishes = [a_wish(row), a_wish(row, title="Street", dataset={"name": "street", "places": 20})]
+    assert [(ending.code, ending.missing) for ending in missing_runs.fill(wishes, [], store, compose)] == [
+        (2, True)
+    ] * 2
+    assert children.asked == []
+    assert {(failure.dataset, failure.missing) for failure in store.failures()} == {
+        ("synthetic", True),
+        ("street", True),
+    }
+    assert all("MSLS_vgg16_GeM_480_GCL.pth" in failure.error for failure in store.failures())
+    (tmp_path / "MSLS_vgg16_GeM_480_GCL.pth").write_bytes(b"what is in it is for the process to see")
+    assert missing_runs.fill(wishes[:1], [], store, compose) == [Ending(0)]
+    assert len(children.asked) == 1
+
+
 def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_process_did(
     monkeypatch: pytest.MonkeyPatch, store: Store
 ) -> None:

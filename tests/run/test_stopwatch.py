@@ -132,6 +132,35 @@ def test_answers_are_the_best_places_of_the_sampled_queries() -> None:
     assert measured(short(sample=4), images=10)[0].sample.tolist() == [0, 3, 6, 9]
 
 
+# Slow methods
+
+
+@pytest.mark.parametrize(
+    ("milliseconds", "gain", "sample", "sizes", "at_most"),
+    [
+        (66, 1, 64, [1, 8], 15),  # VPRSNN on a laptop
+        (66, 4, 64, [1, 8, 32], 15),  # once they gain no more
+        (2, 1, 256, [1, 8, 32, 128], 10),
+        (25, 1, 160, [1, 8, 32], 18),
+    ],
+)
+def test_a_slow_method_is_asked_no_more_than_the_minima_take(
+    milliseconds: int, gain: int, sample: int, sizes: list[int], at_most: float
+) -> None:
+    clock = Clock()
+
+    def costs(numbers: list[int]) -> int:
+        return milliseconds * MS * len(numbers) // (gain if len(numbers) > 1 else 1)
+
+    method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), costs, lambda _: 0)
+    started = clock()
+    timing = Stopwatch(Protocol(), clock).measure(method, pictures(range(300)), 0.1)
+    assert len(timing.sample) == sample
+    assert [laps.images_per_call for laps in timing.offline] == sizes
+    assert all(laps.valid for laps in (timing.streaming, *timing.offline))
+    assert (clock() - started) / 1e9 < at_most
+
+
 # The real clock
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from vprbench.api.weights import Weights, find_weights
+from vprbench.errors import NotThere
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
 from vprbench.paper.shelf import Compose, Shelf
@@ -20,7 +22,7 @@ from vprbench.progress import marked, shown_by
 from vprbench.run import machine
 from vprbench.run.processes import Ending, run_apart
 from vprbench.run.rates import StageRates, best_batch
-from vprbench.run.record import Failure, Run
+from vprbench.run.record import Failure, Run, content_key
 from vprbench.run.store import Store
 from vprbench.terminal.live import LiveTable
 
@@ -81,18 +83,50 @@ def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 def fill(wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose) -> list[Ending]:
     """Make the runs that are not stored yet, one after the other; returns how each ended.
 
-    `options` of the command line are those of all runs. For a run that is stored no process is started. What is missing
-    for the first seed of a row is missing for the others, which are not tried. A failure is stored, never raised.
+    `options` of the command line are those of all runs. For a run that is stored no process is started, nor for one
+    whose published weights cannot be had. What is missing for the first seed of a row is missing for the others, which
+    are not tried. A failure is stored, never raised.
     """
     shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
+    shelf, weights = Shelf(store, options, compose), _Weights(options, compose)
     if shown is None:
-        return list(_endings(wanted, options, store, Shelf(store, options, compose), None))
+        return list(_endings(wanted, options, store, shelf, weights, None))
     with shown.table, shown_by(shown.progress):
-        return list(_endings(wanted, options, store, Shelf(store, options, compose), shown))
+        return list(_endings(wanted, options, store, shelf, weights, shown))
+
+
+class _Weights:
+    """The published weights that rows need, looked for once, and fetched if that is possible."""
+
+    def __init__(self, options: Sequence[str], compose: Compose) -> None:
+        """Look for those of runs with these options."""
+        self._options, self._compose = options, compose
+        self._errors: dict[tuple[str, str], str] = {}
+
+    def lacking(self, run: MissingRun) -> str:
+        """Return why those of a run cannot be had; nothing if they are there, or if its process has to tell."""
+        known = (run.row.method, content_key(run.arguments))
+        if known not in self._errors:
+            self._errors[known] = ""
+            try:
+                config = self._compose([*run.options(), *self._options])["method"]
+                wanted = registry.checked("method.weights", config["weights"], Weights)
+                find_weights(wanted, config["_target_"].rpartition(".")[2])
+            except NotThere as error:
+                logger.warning("%s: %s", run.row.name, error)
+                self._errors[known] = str(error)
+            except (Exception, SystemExit) as error:  # whatever a plug-in raises, or an option that does not fit
+                logger.debug("the weights of %s are left to a process: %s", run.row.name, error)
+        return self._errors[known]
 
 
 def _endings(
-    wanted: Sequence[MissingRun], options: Sequence[str], store: Store, shelf: Shelf, shown: _Shown | None
+    wanted: Sequence[MissingRun],
+    options: Sequence[str],
+    store: Store,
+    shelf: Shelf,
+    weights: _Weights,
+    shown: _Shown | None,
 ) -> Iterator[Ending]:
     missing: dict[tuple[str, str, str], Ending] = {}
     for number, run in enumerate(wanted, 1):
@@ -107,7 +141,7 @@ def _endings(
             if shown is None:
                 on = f"{run.row.name} on {run.title}, seed {run.seed}, {run.device}"
                 logger.info("[%d/%d] %s", number, len(wanted), on)
-            ending = _made(run, options, store, shown)
+            ending = _made(run, options, store, weights, shown)
             found = store.find(str(run.dataset["name"]), run.row.method, ending.key) if shown and ending.key else None
         if ending.missing:
             missing[known] = ending
@@ -116,7 +150,7 @@ def _endings(
         yield ending
 
 
-def _made(run: MissingRun, options: Sequence[str], store: Store, shown: _Shown | None) -> Ending:
+def _made(run: MissingRun, options: Sequence[str], store: Store, weights: _Weights, shown: _Shown | None) -> Ending:
     """Make one run in a process of its own."""
     known = registry.entries("method")
     if run.row.method not in known:
@@ -124,10 +158,13 @@ def _made(run: MissingRun, options: Sequence[str], store: Store, shown: _Shown |
     if run.device != "cpu" and "device" not in known[run.row.method].options:
         return Ending(0)
     asked = [*run.options(), *options, f"results={store.root}"]
+    if shown is not None:
+        shown.start(run)
+    if known[run.row.method].needs_weights and (lacking := weights.lacking(run)):
+        return _stored(run, lacking, True, store)
     if shown is None:
         ending = run_apart(asked, stdout=subprocess.DEVNULL)
     else:
-        shown.start(run)
         ending = run_apart(asked, stdout=subprocess.DEVNULL, heard=shown.heard)
     if ending.code and not ending.recorded:
         return _stored(run, ending.error, ending.missing, store, ending.code)

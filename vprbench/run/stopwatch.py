@@ -24,8 +24,9 @@ Seconds = npt.NDArray[np.float64]
 _SAMPLE_BYTES = 1 << 29  # of decoded images held at once
 _LATE = 10  # times the median, beyond which a first query is no usual one
 _BRIEF_SECONDS = 0.05  # libraries need as much for what they do once in a process
-_STEADY_QUERIES = 10
-_STEADY_SPREAD = 0.1
+_STEADY_QUERIES, _STEADY_SPREAD = 10, 0.1
+_LONG_PASS, _LONG_CALL, _FEWEST_REPEATED = 4.0, 1.0, 8  # seconds and images: no more is asked of a slow method
+_GAIN = 1.25  # times the rate: less is within what machines vary by
 _SHARES = (0.15, 0.5, 0.6)  # of `total_seconds`, by which warm-up, streaming and the look for caching have to end
 
 
@@ -46,6 +47,10 @@ class Laps:
     def total_seconds(self) -> Seconds:
         """Encode and match together, (n_calls,)."""
         return self.encode_seconds + self.match_seconds
+
+    def per_image(self) -> float:
+        """Return the median seconds."""
+        return float(np.median(self.total_seconds)) / self.images_per_call
 
     @property
     def by_stage(self) -> tuple[Seconds, Seconds, Seconds]:
@@ -112,6 +117,7 @@ class Stopwatch:
     def measure(self, method: Method, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
+        A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
         If the method was asked before, `first_query_seconds` is what its first query took.
         """
         chosen = _sample(images, self._protocol.sample)
@@ -121,15 +127,19 @@ class Stopwatch:
             progress.report("timing", 0.0)
             began = self._clock()
             self._end_after(began, _SHARES[0])
-            first, warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            warmup = self._warm_up(method, singles, first_query_seconds or 0.0)
+            usual = float(np.median(warmup[-_STEADY_QUERIES:])) if warmup else 0.0
+            if usual and (few := max(self._protocol.minimum_queries, int(_LONG_PASS / usual))) < count:
+                some = np.linspace(0, count - 1, few).astype(np.int64)
+                chosen, sample, singles = chosen[some], sample[some], [singles[i] for i in some]
             self._end_after(began, _SHARES[1])
             streaming, answers = self._stream(method, singles)
             progress.report("timing", 0.2)
             self._end_after(began, _SHARES[2])
             repeated, unseen = self._caching(method, singles, float(np.median(streaming.total_seconds)))
             offline = self._offline(method, sample, streaming, began)
-        first = first if first_query_seconds is None else first_query_seconds
-        return Timing(first, warmup, streaming, offline, chosen, answers, repeated, unseen)
+        first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
+        return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
 
     def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
         """Return the seconds of encode and match, and the scores."""
@@ -143,8 +153,8 @@ class Stopwatch:
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, int]:
-        """Return the seconds of the first call and the number of calls; `usual` is what one may take."""
+    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> list[float]:
+        """Return the seconds of the calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
@@ -154,7 +164,7 @@ class Stopwatch:
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
-        return laps[0] if laps else float("nan"), len(laps)
+        return laps
 
     def _stream(self, method: Method, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         encodes: list[float] = []
@@ -175,12 +185,13 @@ class Stopwatch:
     def _caching(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, float]:
         """Return the median seconds of images asked twice in a row, and of new ones asked in between.
 
-        Both are 0 if there is no time for one image; `usual` is what a call takes.
+        Of slow ones 8 suffice. Both are 0 if there is no time for one image; `usual` is what a call takes.
         """
-        repeated: list[float] = []
-        unseen: list[float] = []
-        started = self._clock()
+        repeated, unseen = list[float](), list[float]()
+        started, least = self._clock(), self._protocol.minimum_seconds
         while len(unseen) < self._protocol.minimum_queries and not self._late(started, 3 * usual):
+            if len(unseen) >= _FEWEST_REPEATED and (self._clock() - started) / 1e9 >= least:
+                break
             single = singles[len(unseen) % len(singles)]
             for laps, image in ((None, single), (repeated, single), (unseen, self._changed(single))):
                 encode, match, _ = self._call(method, image)
@@ -194,16 +205,21 @@ class Stopwatch:
         return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
 
     def _offline(self, method: Method, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
-        """Return the laps of each batch size whose calls fit into the time left; at least those of single queries."""
+        """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
+
+        Batches whose call is long are left out once larger ones no longer gain.
+        """
         sizes = sorted({held_together(method, min(size, len(sample))) for size in self._protocol.batch_sizes})
-        offline: list[Laps] = []
-        last = streaming
+        offline, last, gains = list[Laps](), streaming, True
         for done, size in enumerate(sizes):
             progress.report("timing", 0.3 + 0.7 * done / len(sizes))
             self._end_after(began, _SHARES[2] + (1 - _SHARES[2]) * (done + 1) / len(sizes))
-            call = float(np.median(last.total_seconds)) * size / last.images_per_call  # at most
-            if not self._over(2 * call):  # one is not timed
-                last = self._batches(method, sample, size)
+            call = last.per_image() * size  # at most
+            if size == 1:
+                offline.append(streaming)
+            elif not self._over(2 * call) and (gains or call <= _LONG_CALL):  # one is not timed
+                before, last = last, self._batches(method, sample, size)
+                gains = before.per_image() >= _GAIN * last.per_image()
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 

@@ -20,7 +20,7 @@ class Protocol:
     minimum_queries: int = 64  # enough for a 90th percentile; 662 are for a 99th
     minimum_passes: int = 1  # over the sample of images
     maximum_seconds: float = 120.0
-    sample: int = 256  # query images held decoded in memory
+    sample: int = 256  # query images held decoded in memory, at most
     warmup_queries: int = 50  # at most; fewer once the last ten differ by less than 10 %
     batch_sizes: list[int] = field(default_factory=lambda: [1, 8, 32, 128])
     total_seconds: float | None = None  # of all measurements together; None: no limit
