@@ -55,6 +55,10 @@ class _Room(ModuleType):
         return _home(self.__name__)(*given, **named)
 
     @property
+    def __doc__(self) -> str:  # type: ignore[override]  # of the function, for help()
+        return str(_home(self.__name__).__doc__)
+
+    @property
     def __signature__(self) -> Any:  # for an editor or a notebook
         from inspect import signature
 

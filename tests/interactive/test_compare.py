@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,11 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence() -> None:
     assert "not timed" in given.to_latex()
     assert len(given.plot_pr().axes) == 1
     assert repr(given).count("\n") == 0
+    assert len(repr(given)) <= 100
+    row = replace(given.ranking.rows[0], low=None, high=None, fit_seconds=0.0312)
+    slow = replace(row, fit_seconds=312.0)
+    shown = replace(given, ranking=replace(given.ranking, rows=(row, slow))).to_markdown()
+    assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "310"]
 
 
 def test_each_seed_runs_where_there_is_one() -> None:
@@ -53,16 +59,39 @@ def test_each_seed_runs_where_there_is_one() -> None:
     assert row["recall_at_1"].item() == pytest.approx(np.mean(recalls))
 
 
+def test_a_method_without_weights_stands_last_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
+    given = vprbench.compare(["netvlad", Prototypes()], journey(4, 4), timing="none")
+    assert given.table["method"].tolist() == ["Prototypes", "netvlad"]
+    assert given.table["seeds"].tolist() == [1, 0]
+    with pytest.raises(NotThere) as alone:
+        vprbench.run("netvlad", journey(4, 4), timing="none")
+    assert given.table["left_out"].tolist() == ["", str(alone.value)]
+    assert "netvlad" in given.to_markdown().splitlines()[-1]
+    assert [record.levelname for record in caplog.records if str(alone.value) in record.getMessage()] == ["WARNING"]
+
+
+def test_all_errors_are_told_at_once() -> None:
+    methods = ["nobody", Prototypes(), vprbench.method("sad", patch="wide"), "netvlad", Prototypes()]
+    with pytest.raises(BadInput) as raised:
+        vprbench.compare(methods, journey(4, 4), timing="none")
+    lines = str(raised.value).splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["nobody", "method('sad', patch='wide')", "Prototypes"]
+    with pytest.raises(BadInput, match=r"^sad, hog: .*quik"):
+        vprbench.compare(["sad", "hog"], journey(4, 4), timing="quik")
+
+
 @pytest.mark.parametrize(
     ("methods", "more", "error"),
     [
-        ([Prototypes(), "netvlad"], {}, NotThere),
+        (["netvlad"], {}, NotThere),
         ([Prototypes(), "nobody"], {}, BadInput),
         ([Prototypes(), Prototypes()], {}, BadInput),
         ([], {}, BadInput),
         ("sad", {}, BadInput),
         ([Prototypes()], {"metrics": ["r200p"]}, BadInput),
         ([Prototypes()], {"seeds": 0}, BadInput),
+        ([Prototypes()], {"seeds": [0, 0]}, BadInput),
+        ([Prototypes()], {"seeds": [0, -1]}, BadInput),
         ([Prototypes()], {"seed": 3}, BadInput),
     ],
 )

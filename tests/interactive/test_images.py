@@ -59,6 +59,12 @@ def test_grey_frames_in_one_array_and_in_a_list_are_images() -> None:
         assert [image.shape for image in made.references] == [(5, 6, 3)] * 2
 
 
+def test_it_shows_itself_in_one_line() -> None:
+    shown = repr(vprbench.dataset_of(stack(*range(40)), stack(*range(40)), name="n" * 300))
+    assert (shown.count("\n"), len(shown)) == (0, 100)
+    assert "2 places, 4 images, 2 queries" in repr(vprbench.dataset_of([stack(0, 1), stack(2, 3)], stack(0, 1)))
+
+
 def test_right_places_are_those_within_the_tolerance_or_those_that_are_given() -> None:
     def right(*queries: int, **given: Any) -> list[list[int]]:
         return [places.tolist() for places in vprbench.dataset_of(stack(0, 1, 2), stack(*queries), **given).positives]

@@ -19,6 +19,7 @@ def test_the_first_steps_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     stored = [_shown(cell) for cell in book.cells]
     NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert [_shown(cell) for cell in book.cells] == stored
+    assert "R@1 95.0 [76.4, 99.1] %" in book.cells[1].outputs[-1]["data"]["text/plain"]
     assert len(list(tmp_path.rglob("run.json"))) == 5
     assert NOTEBOOK.stat().st_size < 200_000
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import inspect
+import pydoc
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 from checkout import ROOT
@@ -28,15 +30,17 @@ def test_type_checkers_see_the_names_that_programs_find() -> None:
     assert sorted(alias.name for node in imports for alias in node.names) == sorted(vprbench.__all__)
     for node in imports:
         for alias in node.names:
-            found = getattr(vprbench, alias.name)
-            home = sys.modules.get(str(node.module))
-            assert inspect.ismodule(found) or found is getattr(home, alias.name)
+            found, home = getattr(vprbench, alias.name), import_module(str(node.module))
+            wanted = getattr(home, alias.name)
+            assert (found.__doc__, inspect.signature(found)) == (wanted.__doc__, inspect.signature(wanted))
+            assert inspect.ismodule(found) or found is wanted
 
 
 def test_a_room_that_has_the_name_of_a_function_is_both() -> None:
     assert vprbench.run.rates is by_its_name
     assert list(inspect.signature(vprbench.run).parameters) == ["method", "dataset", "options"]
     assert "sad" in set(vprbench.methods()["name"])
+    assert "NotThere" in pydoc.render_doc(vprbench.run)
 
 
 def test_an_unknown_name_raises_with_the_near_names() -> None:

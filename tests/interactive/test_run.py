@@ -99,7 +99,10 @@ def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path: Path) -> None
 
 def test_results_is_a_row_for_each_stored_run() -> None:
     data = journey(6, 6)
-    assert vprbench.results("there").empty
+    with pytest.raises(BadInput, match="there"):
+        vprbench.results("there")
+    Path("there").mkdir()
+    empty = vprbench.results("there")
     for noise in (0.0, 0.25):
         vprbench.run(Prototypes(noise), data, timing="none", results="there", seed=1)
     table = vprbench.results("there").sort_values("arguments")
@@ -107,6 +110,24 @@ def test_results_is_a_row_for_each_stored_run() -> None:
     assert table["arguments"].tolist() == ["noise=0.0", "noise=0.25"]
     assert table["recall_at_1"].iloc[0] == 1.0
     assert table["hz"].isna().all()
+    assert (len(empty), [*empty]) == (0, [*table])
+
+
+def test_results_tell_data_of_one_name_apart() -> None:
+    given = [SMALL, {**SMALL, "places": 14}, {**SMALL, "tolerance": 1}]
+    for data in [*(vprbench.dataset("synthetic", **options) for options in given), journey(4, 6)]:
+        vprbench.run("sad", data, timing="none")
+    table = vprbench.results().set_index("dataset")
+    assert table.loc["journey", ["places", "queries", "dataset_arguments"]].tolist() == [6, 4, ""]
+    assert "queries=dusk" in table.loc["journey", "protocol"]
+    of_name = table.loc["synthetic"].set_index("dataset_arguments")
+    first = "places=12 first_query_place=0"
+    assert of_name["places"].to_dict() == {
+        first: 12,
+        "places=14 first_query_place=0": 14,
+        f"{first} tolerance=1": 12,
+    }
+    assert of_name["fingerprint"].nunique() == of_name["protocol"].nunique() == 3
 
 
 @pytest.mark.parametrize(
@@ -118,6 +139,8 @@ def test_results_is_a_row_for_each_stored_run() -> None:
         ("sad", 3, {}, BadInput, "int"),
         ("sad", "synthetic", {"sed": 1}, BadInput, "seed"),
         ("sad", "synthetic", {"seed": -1}, BadInput, "seed"),
+        ("sad", "synthetic", {"limit_minutes": 1}, BadInput, "limit_minutes is the command line's"),
+        ("sad", "synthetic", {"threads": 10_000}, BadInput, "threads"),
         ("sad", "synthetic", {"timing": "quik"}, BadInput, "quik"),
         ("sad", "synthetic", {"timing": {"minimum_second": 1}}, BadInput, "minimum_second"),
         ("sad", "folders", {}, NotThere, "references"),
@@ -137,6 +160,8 @@ def test_options_of_methods_and_datasets_are_checked_and_build_what_they_say() -
     with pytest.raises(BadInput, match=r"dataset\.places"):
         vprbench.dataset("synthetic", places="ten").build()
     assert repr(vprbench.dataset("synthetic", **SMALL)) == "dataset('synthetic', places=12, first_query_place=0)"
+    many = vprbench.dataset("synthetic", references=["spring"] * 99, name="line\nbreak")
+    assert (len(repr(many)), repr(many).count("\n")) == (100, 0)
     data = vprbench.dataset("synthetic", references=("spring",), name="it's [a, b]=\\c", **SMALL)
     with pytest.raises(BadInput, match="name"):
         data.build()

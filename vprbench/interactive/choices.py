@@ -13,6 +13,7 @@ from typing import Any
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
+from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Group, entries, insist_on_one
 from vprbench.run.compose import composed_in_python
@@ -224,4 +225,4 @@ def _text(value: Any) -> str:
 
 
 def _as_call(group: Group, name: str, options: Mapping[str, Any]) -> str:
-    return f"{group}({', '.join([repr(name), *(f'{option}={value!r}' for option, value in options.items())])})"
+    return short(f"{group}({', '.join([repr(name), *(f'{option}={value!r}' for option, value in options.items())])})")

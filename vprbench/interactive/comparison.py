@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 import pandas as pd
 
-from vprbench.errors import BadInput
-from vprbench.interactive.choices import AnyDataset, AnyMethod, place
-from vprbench.interactive.result import NAN, Result
+from vprbench.errors import BadInput, NotThere
+from vprbench.interactive import short
+from vprbench.interactive.choices import AnyDataset, AnyMethod, Place, place, recipe
+from vprbench.interactive.result import Result
 from vprbench.interactive.running import Options, Prepared, finished, prepared
-from vprbench.metrics.registry import METRICS, Metric
+from vprbench.metrics.registry import METRICS
 from vprbench.paper.ranking import Ranked, Ranking, ranked
 from vprbench.paper.selection import Series
+from vprbench.paper.table.quantities import RATES
+from vprbench.run import rows
+from vprbench.run.record import Failure
 from vprbench.run.settings import insist_on_metrics
+from vprbench.text import plural
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Figure
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -29,11 +37,17 @@ class Comparison:
     results: tuple[Result, ...]  # of all methods and seeds, as they were asked for
     ranking: Ranking
     metrics: tuple[str, ...] = ()  # more columns of the table
+    left_out: tuple[Failure, ...] = ()  # methods whose weights are not there
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each method, the best first: mean R@1, 0 to 1, its 95 % interval, queries per second, seconds."""
-        return pd.DataFrame([self._row(row) for row in self.ranking.rows])
+        """A row for each method, the best first: mean R@1, 0 to 1, its 95 % interval, queries per second, seconds.
+
+        Those that were left out stand last, with the reason.
+        """
+        last = [{"method": rows.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
+        numbers = dict.fromkeys(("recall_at_1", "low", "high", "hz", "fit_seconds"), float)  # NaN, where one is None
+        return pd.DataFrame([*map(self._row, self.ranking.rows), *last]).astype(numbers)
 
     @property
     def sentence(self) -> str:
@@ -56,42 +70,44 @@ class Comparison:
         return str(self._text().to_latex(index=False, escape=True))
 
     def __repr__(self) -> str:
-        names = ", ".join(row.name for row in self.ranking.rows)
-        return f"<{names} on {self.results[0].run.dataset}: {self.sentence}>"
+        methods = plural(len(self.ranking.rows), "method")
+        return short(f"<{methods} on {self.results[0].run.dataset}: {self.sentence}>")
 
     def _repr_html_(self) -> str:
         sentences = pd.DataFrame({self.results[0].run.dataset: self.ranking.sentences})
         return "".join(table.to_html(index=False, border=0) for table in (self._text(), sentences))
 
-    def _row(self, row: Ranked) -> dict[str, str | float | int]:
-        of_seeds = {name: [METRICS[name].of(run) for run in row.runs] for name in self.metrics}
-        more = {name: [value for value in values if value is not None] for name, values in of_seeds.items()}
+    def _row(self, row: Ranked) -> dict[str, str | float | None]:
+        of_seeds = {name: pd.Series([METRICS[name].of(run) for run in row.runs], dtype=float) for name in self.metrics}
         return {
             "method": row.name,
-            "recall_at_1": _known(row.recall),
-            "low": _known(row.low),
-            "high": _known(row.high),
-            **{name: float(np.mean(values)) if values else NAN for name, values in more.items()},
-            "hz": _known(row.hz),
-            "fit_seconds": _known(row.fit_seconds),
+            "recall_at_1": row.recall,
+            "low": row.low,
+            "high": row.high,
+            **{name: values.mean() for name, values in of_seeds.items()},
+            "hz": row.hz,
+            "fit_seconds": row.fit_seconds,
             "seeds": len(row.runs),
+            "left_out": "",
         }
 
     def _text(self) -> pd.DataFrame:
         """Return the table as text for people: percent, and a dash for what there is not."""
         table = self.table
 
-        def told(name: str, metric: Metric) -> pd.Series[str]:
-            return table[name].map(metric.text, na_action="ignore").fillna("-")
+        def told(name: str, text: Callable[[float], str], absent: str = rows.NOTHING) -> list[str]:
+            return [absent if np.isnan(value) else text(value) for value in table[name]]
 
         recall = METRICS["recall_at_1"]
+        ends = zip(told("low", recall.text), told("high", recall.text), strict=True)
         shown = {
             "Method": table["method"],
-            recall.head: told("recall_at_1", recall),
-            "95 %": "[" + told("low", recall) + ", " + told("high", recall) + "]",
-            **{METRICS[name].head: told(name, METRICS[name]) for name in self.metrics},
-            "Queries/s": table["hz"].map("{:,.0f}".format).where(table["hz"].notna(), "not timed"),
-            "Fit s": table["fit_seconds"].map("{:,.1f}".format).where(table["fit_seconds"].notna(), "-"),
+            recall.head: told("recall_at_1", recall.text),
+            "95 %": [rows.NOTHING if low == rows.NOTHING else f"[{low}, {high}]" for low, high in ends],
+            **{METRICS[name].head: told(name, METRICS[name].text) for name in self.metrics},
+            "Queries/s": told("hz", RATES[0].text, rows.UNTIMED),
+            "Fit s": told("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),
+            **({"Left out": table["left_out"].map(short)} if self.left_out else {}),
         }
         return pd.DataFrame(shown)
 
@@ -106,32 +122,56 @@ def compare(
     """Run methods on a dataset, as `run` does, or find their stored runs, and rank them by R@1.
 
     `seeds` is how many there are, from 0 on, or which; a method that takes no seed runs once. `metrics` are more
-    columns of the table. All methods are built and checked before the first runs. Raises what `run` raises, and
-    BadInput for no methods and for one that is asked for twice.
+    columns of the table. All methods are built and checked before the first runs; one whose weights are not there is
+    left out, with a warning. Raises what `run` raises, and BadInput, a line for each thing that is wrong.
     """
     insist_on_metrics(metrics)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
-    if not len(methods) or isinstance(methods, str) or not numbers or "seed" in options:
-        raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and at least one seed with seeds=")
+    unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)
+    if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
+        raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and different seeds with seeds=")
     where = place(dataset)
-    first = [prepared(method, where, {**options, "seed": numbers[0]}) for method in methods]
-    names = [_asked(ready) for ready in first]
-    for name in names:
-        if names.count(name) > 1:
-            raise BadInput(f"methods: {' '.join(name)} is asked for twice")
+    there, left_out = _checked(methods, where, {**options, "seed": numbers[0]})
     of_methods: list[list[Result]] = []
-    for method, ready in zip(methods, first, strict=True):
+    for method, ready in there:
         more = numbers[1:] if "seed" in ready.request.config["method"] else []
         others = (prepared(method, where, {**options, "seed": seed}) for seed in more)
         of_methods.append([finished(each) for each in (ready, *others)])
     series = [Series(each[0].name, each[0].run.spikes is not None, tuple(r.run for r in each)) for each in of_methods]
-    return Comparison(tuple(result for each in of_methods for result in each), ranked(series), tuple(metrics))
+    results = tuple(result for each in of_methods for result in each)
+    return Comparison(results, ranked(series), tuple(metrics), tuple(left_out))
 
 
-def _asked(ready: Prepared) -> tuple[str, ...]:
-    asked = ready.request.config["overrides"]
-    return (ready.request.name, *(text for text in asked if text.startswith("method.")))
+def _checked(
+    methods: Sequence[AnyMethod], where: Place, options: Options
+) -> tuple[list[tuple[AnyMethod, Prepared]], list[Failure]]:
+    """Return the methods that can run, and those whose weights are not there; raises BadInput, a line for each error.
 
-
-def _known(value: float | None) -> float:
-    return NAN if value is None else value
+    Raises NotThere if no method can run.
+    """
+    there: list[tuple[AnyMethod, Prepared]] = []
+    left_out: list[Failure] = []
+    wrong: dict[str, list[str]] = {}  # the methods of each error
+    names: list[str] = []
+    for method in methods:
+        try:
+            there.append((method, prepared(method, where, options)))
+            request = there[-1][1].request
+            names.append(rows.label(Failure(request.name, request.dataset.name, request.config, "")))
+        except NotThere as error:
+            chosen = recipe(method, None, None)
+            asked = {"overrides": chosen.overrides}
+            left_out.append(Failure(chosen.name, where.dataset.name, asked, str(error), missing=True))
+            names.append(rows.label(left_out[-1]))
+        except Exception as error:  # whatever a plug-in raises
+            told = str(error) if isinstance(error, BadInput) else f"{type(error).__name__}: {error}"
+            wrong.setdefault(told, []).append(short(method if isinstance(method, str) else repr(method)))
+    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        wrong["asked for twice"] = twice
+    if wrong:
+        raise BadInput("\n".join(f"{', '.join(of)}: {error}" for error, of in wrong.items()))
+    if not there:
+        raise NotThere("\n".join(f"{rows.label(one)}: {one.error}" for one in left_out))
+    for one in left_out:
+        logger.warning("%s is left out: %s", rows.label(one), one.error)
+    return there, left_out

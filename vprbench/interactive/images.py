@@ -14,12 +14,21 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.decoding import as_rgb, read_image
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
+from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.text import plural
 
 #: One traverse: a folder, a list of image files, a list of arrays (height, width) or (height, width, 3), or one array
 #: of images (n, height, width) or (n, height, width, 3); uint8.
 Traverse = str | Path | Sequence[str | Path] | Sequence[npt.NDArray[Any]] | npt.NDArray[Any]
+
+
+class OwnImages(Dataset):
+    """A dataset of images in hand, which shows itself in one line."""
+
+    def __repr__(self) -> str:
+        sizes = zip((self.n_places, len(self.references), len(self.queries)), ("place", "image", "query"), strict=True)
+        return short(f"<dataset {self.name}: {', '.join(plural(*size) for size in sizes)}>")
 
 
 def dataset_of(
@@ -56,7 +65,7 @@ def dataset_of(
         )
     notes = (f"{without} of {plural(n_queries, 'query')} have no right place: they count as misses",) * bool(without)
     truth = {"ground_truth": "given"} if given else {"ground_truth": "index", "tolerance_places": tolerance}
-    return Dataset(
+    return OwnImages(
         name=name,
         references=_images([image for images in several for image in images]),
         places=np.tile(np.arange(n_places), len(several)),

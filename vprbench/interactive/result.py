@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vprbench.errors import BadInput
+from vprbench.interactive import short
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.registry import METRICS
@@ -127,7 +128,7 @@ class Result:
 
     def __repr__(self) -> str:
         row = rows.readable_row(self.run)
-        return f"<{self.name} on {self.run.dataset}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>"
+        return short(f"<{self.name} on {self.run.dataset}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:
         row = {"dataset": self.run.dataset, **rows.readable_row(self.run)}

@@ -16,7 +16,7 @@ from vprbench.plugins import registry
 from vprbench.run.compose import composed_in_python
 from vprbench.run.find_or_make import made, requested
 from vprbench.run.identity import Request
-from vprbench.run.settings import Settings, checked_settings
+from vprbench.run.settings import KNOWN, Settings, checked_settings
 from vprbench.run.store import Store
 from vprbench.text import near
 
@@ -62,6 +62,8 @@ class Prepared:
 def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
     """Build and check what a run needs; raises BadInput, NotThere."""
     for name in options:
+        if name in KNOWN and name not in Options.__annotations__:
+            raise BadInput(f"option {name} is the command line's, where each run has a process: leave it out")
         if name not in Options.__annotations__:
             raise BadInput(f"option {name} is unknown: {near(name, Options.__annotations__)}")
     chosen = recipe(method, options.get("seed"), options.get("device"))
