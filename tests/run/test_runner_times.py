@@ -92,7 +92,7 @@ def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
     assert (shown["training_seconds"], shown["training_compute_seconds"]) == pytest.approx(
         (0.22 + excess, 0.06 + excess)
     )
-    assert rows.readable_row(run)["fit s"] == f"{0.22 + excess:.1f}"
+    assert rows.readable_row(run)["fit s"] == f"{0.22 + excess:.2g}"
     assert ("late" in kinds(run)) is bool(excess)
     assert run.harness_seconds == pytest.approx(0)
 
