@@ -64,7 +64,7 @@ COMMANDS = sorted(
         " ".join(shlex.split(command, comments=True))
         for document in DOCUMENTS
         for command in shown(document)
-        if not re.search(r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check)", command)
+        if not re.search(r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check|bench|gpu)", command)
     }
 )
 

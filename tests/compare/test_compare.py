@@ -90,7 +90,7 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
     shown = capsys.readouterr().out
     first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "pca", "cosplace"))
     assert max(first, second) < third
-    assert " points above " in shown
+    assert " level with " in shown
 
 
 def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart: Apart, capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,7 +83,7 @@ def every_kind() -> Iterator[tuple[str, Drawn]]:
     for bars in (training_time, query_rate):
         yield f"{bars.__name__} on two devices", bars(ten, on_gpu, planned, plan.columns["nordland"], {})
         words = dict.fromkeys(((name, "query_cpu") for name in NAMES), "not applicable")
-        yield f"{bars.__name__} of one row", bars(ten[:1], (), planned, plan.columns["railway_225"], words)
+        yield f"{bars.__name__} of one row", bars(ten[:1], (), planned, plan.columns["railway_vprsnn"], words)
     yield "metric", of_rows(ten, METRICS["recall_at_5"])
     grown = [
         samples(Row(name, "vprtempo"), [sized(n, 0.4 + n / 250, 1e-6 * n * i) for n in (100, 900, 9000, 27000)], ())
