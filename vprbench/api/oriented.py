@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from vprbench.api import oriented_compiled
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine
@@ -78,8 +79,13 @@ class OrientedEdges:
         return codes
 
     def _write(self, images: Sequence[Image], codes: npt.NDArray[np.float32]) -> None:
-        for image, code in zip(images, codes, strict=True):
-            code[:] = self.of_grey(self.shrink(image)).ravel()
+        cells = codes.reshape(-1, self.rows, self.columns, self.orientations)
+        for image, code in zip(images, cells, strict=True):
+            if self.engine == "readable":
+                code[:] = self.of_grey(self.shrink(image))
+            else:
+                pixels = np.ascontiguousarray(image)
+                oriented_compiled.encode(pixels, self.height, self.width, self.block, self.epsilon, code)
 
     def shrink(self, image: Image) -> npt.NDArray[np.float64]:
         """Return the grey levels, (height, width), of an RGB image: means over areas, of pixels that it cuts too."""
