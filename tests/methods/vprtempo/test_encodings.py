@@ -19,14 +19,19 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import QueryRule
 from vprbench.plugins.conformance import check
-from vprbench.plugins.registry import entries
+from vprbench.plugins.registry import make_method
 from vprbench.plugins.rules import N_PLACES, Journey
+from vprbench.run import compose
 
 WORLD = Journey.draw(0)
 REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
 SMALL: dict[str, Any] = {
     "oriented": {"encoding": "oriented", "height": 16, "width": 20, "rows": 4, "columns": 5, "max_module": 8},
-    "gabor": {"encoding": "gabor", "height": 12, "width": 12, "features_per_pixel": 0.5, "max_module": 8},
+    # At the paper's fan-in so many inputs that are active at once leave nearly all features silent.
+    "gabor": {
+        **{"encoding": "gabor", "height": 12, "width": 12, "features_per_pixel": 0.5, "max_module": 8},
+        **{"p_excitatory": 0.02, "p_inhibitory": 0.02},
+    },
 }
 ENCODINGS = pytest.mark.parametrize("encoding", SMALL)
 
@@ -105,9 +110,7 @@ def test_a_restored_network_answers_as_before_and_one_of_another_input_is_refuse
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "other", [{"rows": 3}, {"columns": 4}, {"orientations": 6}, {"height": 12}, {"encoding": "patches"}], ids=str
-)
+@pytest.mark.parametrize("other", [{"rows": 3}, {"columns": 4}, {"orientations": 6}, {"height": 12}], ids=str)
 def test_every_argument_of_oriented_edges_changes_the_scores(other: dict[str, Any]) -> None:
     assert not np.allclose(fitted("oriented").query(QUERIES), fitted("oriented", **other).query(QUERIES), rtol=1e-3)
 
@@ -149,6 +152,5 @@ def test_without_adapted_thresholds_most_features_of_gabor_maps_are_dead(monkeyp
 
 @pytest.mark.parametrize("name", ["vprtempo_oriented", "vprtempo_oriented_ensemble"])
 def test_the_methods_of_oriented_edges_read_1024_of_them(name: str) -> None:
-    options = entries("method")[name].options
-    given = {each: options[each] for each in ("encoding", "height", "width", "rows", "columns", "orientations")}
-    assert VPRTempo(**given).encoder().n_inputs == 1024
+    method = make_method(compose.composed([f"method={name}"])["method"])
+    assert method.encode(QUERIES).shape == (len(QUERIES), 1024)
