@@ -37,6 +37,13 @@ class Group:
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1: what failed has no images
+    view: str = ""  # in the names of files, where runs are shown in a view
+
+    @property
+    def name(self) -> str:
+        """What it is called in the names of columns and files."""
+        number = str(self.number) if self.number > 1 else ""
+        return "-".join(filter(None, [self.asked.planned.name, self.view, number]))
 
 
 @dataclass(frozen=True)

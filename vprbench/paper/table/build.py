@@ -64,10 +64,9 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     if not group.runs:
         return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
     run = group.runs[0]
-    name = planned.name if group.number == 1 else f"{planned.name}-{group.number}"
     n_queries = len(run.outcome)
     return Column(
-        name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+        group.name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
     )
 
 
@@ -161,8 +160,7 @@ class _Sheet:
         found = entry.found[device]
         if found.runs and not found.failures:  # which are of these runs, while they were timed
             return quantity.lacking(found.runs)
-        of_view = any(run.view is not None for run in entry.group.runs)
-        if entry.group.number > 1 and not of_view and not found.failures:
+        if entry.group.number > 1:
             return reason("protocol without runs")
         elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
         place = (entry.group.asked.planned.name, entry.row.name)
