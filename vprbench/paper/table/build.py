@@ -64,10 +64,9 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     if not group.runs:
         return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
     run = group.runs[0]
-    name = planned.name if group.number == 1 else f"{planned.name}-{group.number}"
     n_queries = len(run.outcome)
     return Column(
-        name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+        group.name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
     )
 
 
