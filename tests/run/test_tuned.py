@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pytest import approx
 from small_plan import RUN, install
 
 from vprbench.cli import main
@@ -18,10 +22,11 @@ from vprbench.run.record import Run
 from vprbench.run.store import Store
 
 NOT_TUNED = "# Mine\n_target_: vprbench.methods.sad.SAD\npatch: 5\n"
-MINE = f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: every second place}}\n"
+MINE = f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: 5-11}}\n"
 UPPER = "# On mine\ndefaults: [mine, _self_]\nwidth: 14\n"
-NOTE = "tuned on every second place of synthetic, so in no contest on synthetic"
-QUICK = ["dataset.places=12", "dataset.first_query_place=0", *RUN]
+NOTE = "tuned on places 5-11 of synthetic"
+QUICK = ["dataset.places=30", "dataset.first_query_place=2", *RUN]
+QUERIES = 21  # 2 to 4 and 12 to 29
 Print = Callable[[list[str]], str]
 
 
@@ -56,16 +61,45 @@ def only_run() -> Run:
     return run
 
 
+def hits(run: Run, numbers: Sequence[int], tuned: Collection[int]) -> list[float]:
+    """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
+    assert run.scores is not None
+    found = []
+    for number, scores, right in zip(numbers, np.asarray(run.scores), run.positives, strict=True):
+        best = [place for place, score in enumerate(scores) if score == scores.max()]
+        found += [] if number in tuned else [len({*best} & {*right.tolist()}) / len(best)]
+    return found
+
+
+def wilson(share: float, n: int) -> tuple[float, float]:
+    z = 1.959963984540054
+    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return (share + z * z / (2 * n) - half) / (1 + z * z / n), (share + z * z / (2 * n) + half) / (1 + z * z / n)
+
+
+def told_elsewhere(text: str) -> list[float]:
+    """Return R@1, the ends of its interval and how many queries a note names."""
+    found = re.search(r"([\d.]+) \[([\d.]+), ([\d.]+)\] on the (\d+) queries", text)
+    return [] if found is None else [*map(float, found.groups())]
+
+
 @pytest.mark.parametrize("asked", [["method=mine", "method.patch=7"], ["method=upper"]])
 def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, asked: list[str]) -> None:
-    assert f"note: {NOTE}" in printed(asked).splitlines()
+    line = next(line for line in printed(asked).splitlines() if line.startswith(f"note: {NOTE}"))
     told = json.loads(printed([*asked, "output=json"]))
-    assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": NOTE}, True)
-    declared = {"dataset": "synthetic", "places": "every second place", "also_in": []}
+    assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
+    declared = {"dataset": "synthetic", "places": "5-11", "also_in": {}}
     assert told["tuned_on"] == only_run().tuned_on == declared
     assert "tuned_on" not in only_run().config["method"]
+    there = hits(only_run(), range(2, 30), range(5, 12))
+    numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
+    assert (numbers[0], told["queries_elsewhere"]) == (approx(np.mean(there)), len(there))
+    assert told_elsewhere(line) == approx([*(100 * number for number in numbers), QUERIES], abs=0.051)
+    if told["recall_at_1_interval"] == "independent":
+        assert numbers[1:] == approx(wilson(numbers[0], QUERIES))
     told = json.loads(printed(["method=sad", "output=json"]))
     assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
+    assert {told[name] for name in told if "elsewhere" in name} == {None}
 
 
 def test_a_run_that_was_stored_before_its_yaml_declared_it_is_told_when_it_is_asked_for(
