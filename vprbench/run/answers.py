@@ -16,13 +16,12 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method, held_together
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
+from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, ranked_places
 from vprbench.run.descriptors import Described
 from vprbench.run.stopwatch import Stopwatch
 
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
-_RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 
@@ -33,7 +32,7 @@ class Answers:
     def __init__(self, dataset: Dataset, depth: int) -> None:
         """Keep the best `depth` places of each query, and all scores if they are few."""
         self._positives = dataset.positives
-        self._depth = min(depth, dataset.n_places)
+        self._depth = depth
         self._shape = (len(dataset.queries), dataset.n_places)
         self.done = 0
         self.method_seconds = 0.0
@@ -49,13 +48,9 @@ class Answers:
             raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
         scores = checked_scores(scores, self.done)
         self._outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
-        rows = max(1, _RANKED_CELLS // scores.shape[1])
-        parts = [best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
-        best = np.concatenate(parts)
-        values = np.take_along_axis(scores, best, axis=1)
-        order = np.argsort(-values, axis=1, kind="stable")
-        self._top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
-        self._top_scores.append(np.take_along_axis(values, order, axis=1))
+        places, values = ranked_places(scores, self._depth)
+        self._top_places.append(places)
+        self._top_scores.append(values)
         if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
             self._kept.append(scores.copy())  # a method may use its array again
         self.done += len(scores)

@@ -20,6 +20,7 @@ from vprbench.run.note import Note
 from vprbench.run.record_rules import check_arrays, check_failure, check_summary
 from vprbench.run.stopwatch import Laps, Timing, plain
 from vprbench.run.timing_protocol import Protocol
+from vprbench.run.views import View
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +72,7 @@ class Run:
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset)
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
+    view: View | None = None  # None: the run as it is stored
 
     @property
     def training_seconds(self) -> float | None:
@@ -164,15 +166,27 @@ def _summary(content: bytes) -> dict[str, Any]:
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
-_OF_THEIR_OWN = {"notes", "timing", "outcome", "positives", "top_places", "top_scores", "scores", "place_numbers"}
+_OF_THEIR_OWN = {
+    "notes",
+    "timing",
+    "outcome",
+    "positives",
+    "top_places",
+    "top_scores",
+    "scores",
+    "place_numbers",
+    "view",
+}
 _PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN]
 
 
 def write(run: Run, folder: Path) -> None:
     """Write a run into an empty folder, its summary last.
 
-    Raises OSError if the disk refuses, ValueError for a run that `load` would not take.
+    Raises OSError if the disk refuses, ValueError for a run that `load` would not take, and for a view of a run.
     """
+    if run.view is not None:
+        raise ValueError("a view of a run is never stored")
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
     arrays |= {
         **({} if run.timing is None else _timed_arrays(run.timing)),
