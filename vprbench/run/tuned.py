@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from statistics import mean
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins.entries import entries
 from vprbench.plugins.tuned_places import UNKNOWN, stretches
 from vprbench.run.note import Note, noted
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Run
+from vprbench.run.views import queries_shown, restricted, window_of
 
 #: Arguments of a dataset that choose among its places, or say where its frames lie: the places keep their numbers.
 _CHOOSING = {
@@ -26,7 +26,10 @@ _CHOOSING = {
 
 
 def tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
-    """Return which queries have a right place that the method was tuned on, (n_queries,); None: that is not known."""
+    """Return which queries have a right place that the method was tuned on, (n_queries,); None: that is not known.
+
+    In a view of sequences those near such a query are among them: their answers may rest on its scores.
+    """
     declared = _here(run)
     if declared == "":
         return np.zeros(len(run.outcome), np.bool_)
@@ -37,9 +40,11 @@ def tuned_queries(run: Run) -> npt.NDArray[np.bool_] | None:
     tuned = np.zeros(len(numbers), np.bool_)
     for first, last in known:
         tuned |= (numbers >= first) & (numbers <= last)
-    queries = np.repeat(np.arange(len(run.outcome)), [len(right) for right in run.positives])
+    queries = np.repeat(queries_shown(run), [len(right) for right in run.positives])
     shown = tuned[np.concatenate([np.empty(0, np.int64), *run.positives])]
-    return np.bincount(queries[shown], minlength=len(run.outcome)) > 0
+    of_stored = np.bincount(queries[shown], minlength=int(queries_shown(run).max(initial=0)) + 1) > 0
+    reach = window_of(run) - 1  # to either side: whose scores the answer may rest on
+    return np.convolve(of_stored, np.ones(2 * reach + 1))[reach:][: len(of_stored)][queries_shown(run)] > 0
 
 
 def tuned_here(run: Run) -> bool:
@@ -56,18 +61,7 @@ def other_places(run: Run) -> Run | None:
     found = tuned_queries(run)
     if found is None or found.all() or not found.any():
         return None
-    asked = np.flatnonzero(~found)
-    rows = {field.name: getattr(run.outcome, field.name) for field in fields(Outcome)}
-    return replace(
-        run,
-        outcome=Outcome(**{name: rows[name] if name == "n_places" else rows[name][asked] for name in rows}),
-        positives=tuple(run.positives[query] for query in asked),
-        top_places=run.top_places[asked],
-        top_scores=run.top_scores[asked],
-        scores=None,
-        timing=None,
-        spikes=None,
-    )
+    return restricted(replace(run, scores=None, timing=None), np.flatnonzero(~found), {"tuned_places": "left out"})
 
 
 def others_of(runs: Sequence[Run]) -> tuple[Run, ...]:
