@@ -29,8 +29,8 @@ _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 class Answers:
     """Collects a method's answers block by block, in bounded memory."""
 
-    def __init__(self, dataset: Dataset, depth: int) -> None:
-        """Keep the best `depth` places of each query, and all scores if they are few."""
+    def __init__(self, dataset: Dataset, depth: int, whole: bool = False) -> None:
+        """Keep the best `depth` places of each query, and all scores if they are few or if `whole`."""
         self._positives = dataset.positives
         self._depth = depth
         self._shape = (len(dataset.queries), dataset.n_places)
@@ -39,7 +39,8 @@ class Answers:
         self._outcomes: list[Outcome] = []
         self._top_places: list[npt.NDArray[np.int32]] = []
         self._top_scores: list[Scores] = []
-        self._kept: list[Scores] = []
+        kept = whole or self._shape[0] * self._shape[1] <= _LARGEST_MATRIX
+        self._kept = np.empty(self._shape, np.float32) if kept else None  # the system gives memory as it is filled
 
     def add(self, n_queries: int, scores: Scores) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
@@ -51,8 +52,8 @@ class Answers:
         places, values = ranked_places(scores, self._depth)
         self._top_places.append(places)
         self._top_scores.append(values)
-        if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
-            self._kept.append(scores.copy())  # a method may use its array again
+        if self._kept is not None:
+            self._kept[self.done : self.done + len(scores)] = scores
         self.done += len(scores)
 
     @property
@@ -73,7 +74,7 @@ class Answers:
     @property
     def scores(self) -> Scores | None:
         """All scores, (n_queries, n_places); None if they are too many to keep."""
-        return np.concatenate(self._kept) if self._kept else None
+        return self._kept
 
 
 class Audited:
@@ -106,13 +107,13 @@ class Audited:
 class Scoring:
     """Scores the queries of a dataset by a fitted method, encode and match timed."""
 
-    def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int) -> None:
-        """Keep the best `depth` places of each query; nothing is asked yet."""
+    def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int, whole: bool = False) -> None:
+        """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
         self._method = method
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
-        self.answers = Answers(dataset, depth)
+        self.answers = Answers(dataset, depth, whole)
         self.audited = Audited(method, len(dataset.queries))
 
     def score(self, described: Described | None) -> bool:

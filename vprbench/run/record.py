@@ -72,6 +72,8 @@ class Run:
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset)
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
+    query_breaks: npt.NDArray[np.int64] | None = None  # Dataset's
+    place_breaks: npt.NDArray[np.int64] | None = None
     view: View | None = None  # None: the run as it is stored
 
     @property
@@ -166,17 +168,9 @@ def _summary(content: bytes) -> dict[str, Any]:
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
-_OF_THEIR_OWN = {
-    "notes",
-    "timing",
-    "outcome",
-    "positives",
-    "top_places",
-    "top_scores",
-    "scores",
-    "place_numbers",
-    "view",
-}
+_IF_KNOWN = ("place_numbers", "query_breaks", "place_breaks")
+_RANKED = ("outcome", "positives", "top_places", "top_scores", "scores")
+_OF_THEIR_OWN = {"notes", "timing", "view", *_RANKED, *_IF_KNOWN}
 _PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN]
 
 
@@ -190,13 +184,12 @@ def write(run: Run, folder: Path) -> None:
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
     arrays |= {
         **({} if run.timing is None else _timed_arrays(run.timing)),
+        **{name: known for name in _IF_KNOWN if (known := getattr(run, name)) is not None},
         "top_places": run.top_places,
         "top_scores": run.top_scores,
         "positives": np.concatenate([np.empty(0, np.int64), *run.positives]),
         "positives_per_query": np.array([len(right) for right in run.positives]),
     }
-    if run.place_numbers is not None:
-        arrays["place_numbers"] = run.place_numbers
     np.savez_compressed(folder / _ARRAYS, allow_pickle=False, **arrays)
     if run.scores is not None:
         np.save(folder / _SCORES, run.scores, allow_pickle=False)
@@ -214,9 +207,8 @@ def write(run: Run, folder: Path) -> None:
 
 def _timed_arrays(timing: Timing) -> dict[str, npt.NDArray[Any]]:
     arrays: dict[str, npt.NDArray[Any]] = {"sample": timing.sample, "answers": timing.answers}
-    laps = {"streaming": timing.streaming}
-    laps |= {f"offline_{number}": laps for number, laps in enumerate(timing.offline)}
-    for name, lap in laps.items():
+    offline = {f"offline_{number}": laps for number, laps in enumerate(timing.offline)}
+    for name, lap in {"streaming": timing.streaming, **offline}.items():
         arrays |= {f"{name}_encode_seconds": lap.encode_seconds, f"{name}_match_seconds": lap.match_seconds}
     return arrays
 
@@ -246,7 +238,7 @@ def _timing(plain: Mapping[str, Any] | None, arrays: Mapping[str, npt.NDArray[An
 def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
     ends = np.cumsum(arrays["positives_per_query"])[:-1]
     return Run(
-        **{name: summary[name] for name in _PLAIN},
+        **{name: summary[name] for name in _PLAIN} | {name: arrays.get(name) for name in _IF_KNOWN},
         notes=tuple(Note(**note) for note in summary["notes"]),
         timing=_timing(summary["timing"], arrays),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
@@ -254,7 +246,6 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
         top_places=arrays["top_places"],
         top_scores=arrays["top_scores"],
         scores=arrays.get("scores"),
-        place_numbers=arrays.get("place_numbers"),
     )
 
 
