@@ -1,0 +1,94 @@
+"""Hyperdimensional computing: the cells of a frame, each bound to where it is, summed to one long vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant
+
+from .parts.vectors import unit
+
+Hypervectors = npt.NDArray[np.float32]  # (n, components), 1 and -1
+
+_GREY = 127  # the level of a pixel at its window's mean
+
+
+@dataclass
+class HyperDimensional(DescriptorMethod):
+    """Describes a frame by a bundle of its cells, each bound to its position; a score is a cosine, -1 to 1.
+
+    A cell's pixels are projected to `components` numbers by random signs, multiplied number by number (bound) with
+    the hypervector of its row and that of its column, and all cells are added (bundled). Positions `reach` cells or
+    more apart, along either axis, have hypervectors that are unlike one another; in between the similarity falls
+    evenly, so that a frame that is shifted a little stays alike. Everything random is drawn by `seed`, nothing is
+    learnt. A frame without contrast scores 0 everywhere.
+    Source: Neubert and Schubert, "Hyperdimensional computing as a framework for systematic aggregation of image
+    descriptors" (CVPR 2021): their binding, bundling and graded positions, with patch-normalised cells in place of
+    descriptors of a network. Here each number of a vector goes from one anchor to the next at a point of its own.
+    """
+
+    preprocessing: Variant = "C"
+    height: int = 32  # pixels
+    width: int = 64
+    patch: int = 7
+    cell: int = 8  # pixels
+    stride: int = 4  # pixels from one cell to the next
+    reach: float = 2.0  # cells
+    components: int = 4096
+    seed: int = 0
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return unit vectors, (n_images, components).
+
+        Raises BadInput if a frame has no cell and for other sizes that make no vector.
+        """
+        self._check_arguments()
+        levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        frames = levels.reshape(-1, self.height, self.width).astype(np.float32) - _GREY
+        cells = np.lib.stride_tricks.sliding_window_view(frames, (self.cell, self.cell), axis=(1, 2))
+        cells = cells[:, :: self.stride, :: self.stride]  # (n_images, rows, columns, cell, cell)
+        n_images, rows, columns = cells.shape[:3]
+        signs, positions = _drawn(rows, columns, self.cell**2, self.components, self.reach, self.seed)
+        bundles = np.zeros((n_images, self.components), np.float32)
+        for number, sign in enumerate(signs):  # of all cells one pixel: the sum over cells comes before its projection
+            down, right = divmod(number, self.cell)
+            bundles += (cells[..., down, right].reshape(n_images, -1) @ positions) * sign
+        return unit(bundles)
+
+    def _check_arguments(self) -> None:
+        wanted = {
+            "cell": (1 <= self.cell <= min(self.height, self.width), "1 pixel to the frame's smaller side"),
+            "stride": (self.stride >= 1, "at least 1 pixel"),
+            "reach": (self.reach > 0, "more than 0 cells"),
+            "components": (self.components >= 1, "at least 1"),
+        }
+        for name, (fits, what) in wanted.items():
+            if not fits:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+
+
+@lru_cache(maxsize=4)
+def _drawn(
+    rows: int, columns: int, n_features: int, n_components: int, reach: float, seed: int
+) -> tuple[Hypervectors, Hypervectors]:
+    """Draw the signs that project a cell, (n_features, n_components), and the positions, (cells, n_components)."""
+    generator = np.random.default_rng(seed)
+    signs = _signs(generator, n_features, n_components)
+    down, right = (_graded(generator, n, n_components, reach) for n in (rows, columns))
+    return signs, (down[:, None] * right).reshape(rows * columns, n_components)
+
+
+def _graded(generator: np.random.Generator, n: int, n_components: int, reach: float) -> Hypervectors:
+    """Draw hypervectors of positions 0 to n - 1 whose similarity is 1 - distance / reach, 0 from `reach` on."""
+    scaled = np.arange(n)[:, None] / reach
+    anchors = _signs(generator, int(scaled.max()) + 2, n_components)
+    passed = scaled + generator.random(n_components)  # which anchor each component has reached
+    return anchors[passed.astype(np.int64), np.arange(n_components)]
+
+
+def _signs(generator: np.random.Generator, n: int, n_components: int) -> Hypervectors:
+    return np.where(generator.random((n, n_components)) < 0.5, np.float32(-1), np.float32(1))
