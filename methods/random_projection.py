@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from sklearn import random_projection
 
 from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant
 
@@ -48,11 +47,8 @@ class RandomProjection(DescriptorMethod):
 @lru_cache(maxsize=4)
 def _directions(kind: Directions, n_pixels: int, n_components: int, seed: int) -> npt.NDArray[np.float32]:
     """Draw the directions, (n_pixels, n_components)."""
+    generator = np.random.default_rng(seed)
     if kind == "gaussian":
-        drawn = random_projection.GaussianRandomProjection(n_components, random_state=seed)
-    else:
-        density = 1 if kind == "signs" else 1 / 3
-        drawn = random_projection.SparseRandomProjection(n_components, density=density, random_state=seed)
-    drawn.fit(np.zeros((1, n_pixels), np.float32))
-    components = drawn.components_ if isinstance(drawn.components_, np.ndarray) else drawn.components_.toarray()
-    return np.ascontiguousarray(components.T, np.float32)
+        return generator.standard_normal((n_pixels, n_components), np.float32)
+    shares = (1 / 2, 0, 1 / 2) if kind == "signs" else (1 / 6, 2 / 3, 1 / 6)
+    return generator.choice(np.array((-1, 0, 1), np.float32), (n_pixels, n_components), p=shares)
