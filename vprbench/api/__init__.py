@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench.api.frame_cache import frames_kept as frames_kept, kept_frames as kept_frames
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method
     from vprbench.api.neural import NeuralDescriptor as NeuralDescriptor
+    from vprbench.api.oriented import OrientedEdges as OrientedEdges
     from vprbench.api.preprocess import PatchNormalisation as PatchNormalisation, Variant as Variant
     from vprbench.api.resize import Interpolation as Interpolation, Resize as Resize
     from vprbench.api.search import Audit as Audit, Search as Search
