@@ -102,6 +102,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = replace(run, tuned_on=tuned_on)
+        if run.readouts is None and stored is not None:
+            run = replace(run, readouts=stored.readouts)
         try:
             folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
         except BadInput as error:
@@ -149,7 +151,7 @@ def requested(
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
     cache = store.root.absolute() / "descriptors" if settings.cache else None
-    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache)
+    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache, settings.readouts)
 
 
 def _refused(store: Store) -> BadInput | None:
@@ -174,6 +176,9 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
         timed = f"timed by less than asked for ({', '.join(less)})" if run.timed_by.rates else "not timed"
         logging.info("%s on %s is stored, %s: running again", run.method, run.dataset, timed)
         return None
+    if settings.readouts and run.readouts is None:
+        logging.info("%s is stored without its readouts: running again for readouts=true", run.method)
+        return None
     if not settings.cache and run.fit_seconds is None and run.network is None:
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
@@ -196,7 +201,7 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 
 def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
-    from vprbench.run import rows  # what it imports does not count as the run's memory
+    from vprbench.run import readout_rows, rows  # what they import does not count as the run's memory
     from vprbench.run.tuned import all_notes
 
     if settings.output == "json":
@@ -207,6 +212,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
                 **rows.numbers(run, settings.metrics),
+                "readouts": readout_rows.readout_numbers(run),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -223,5 +229,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
         below.append(f"stored in {folder}")
-    table = table_text([*row], [[*row.values()]], settings.wide, rows.LEAST)
-    return "\n".join([*(told(*each) for each in said), table, *map(told, below)])
+    tables = [table_text([*row], [[*row.values()]], settings.wide, rows.LEAST)]
+    if settings.readouts:
+        tables.append(readout_rows.readout_text(run))
+    return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])

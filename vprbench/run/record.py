@@ -7,7 +7,7 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,7 @@ class Run:
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset)
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
+    readouts: Sequence[Mapping[str, Any]] | None = None  # name, neurons, hits of each query; None: not asked for
 
     @property
     def training_seconds(self) -> float | None:
@@ -165,6 +166,7 @@ def _summary(content: bytes) -> dict[str, Any]:
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
 _OF_THEIR_OWN = {"notes", "timing", "outcome", "positives", "top_places", "top_scores", "scores", "place_numbers"}
+_OF_THEIR_OWN |= {"readouts"}  # which runs of earlier versions lack
 _PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN]
 
 
@@ -194,6 +196,8 @@ def write(run: Run, folder: Path) -> None:
         "timing": None if run.timing is None else plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
+    if run.readouts is not None:
+        summary["readouts"] = list(run.readouts)
     check_summary(json.loads(json.dumps(summary)))
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
@@ -241,6 +245,7 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
         top_scores=arrays["top_scores"],
         scores=arrays.get("scores"),
         place_numbers=arrays.get("place_numbers"),
+        readouts=summary.get("readouts"),
     )
 
 
