@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant
+from vprbench.api import BadInput, DescriptorMethod, Images, OrientedEdges, PatchNormalisation, Variant
 
 from .parts.vectors import unit
 
 Hypervectors = npt.NDArray[np.float32]  # (n, components), 1 and -1
+Cells = npt.NDArray[np.float32]  # (n_images, rows, columns, n_features)
 
 _GREY = 127  # the level of a pixel at its window's mean
 
@@ -21,20 +23,22 @@ _GREY = 127  # the level of a pixel at its window's mean
 class HyperDimensional(DescriptorMethod):
     """Describes a frame by a bundle of its cells, each bound to its position; a score is a cosine, -1 to 1.
 
-    A cell's pixels are projected to `components` numbers by random signs, multiplied number by number (bound) with
+    What a cell holds is projected to `components` numbers by random signs, multiplied number by number (bound) with
     the hypervector of its row and that of its column, and all cells are added (bundled). Positions `reach` cells or
     more apart, along either axis, have hypervectors that are unlike one another; in between the similarity falls
     evenly, so that a frame that is shifted a little stays alike. Everything random is drawn by `seed`, nothing is
     learnt. A frame without contrast scores 0 everywhere.
     Source: Neubert and Schubert, "Hyperdimensional computing as a framework for systematic aggregation of image
-    descriptors" (CVPR 2021): their binding, bundling and graded positions, with patch-normalised cells in place of
-    descriptors of a network. Here each number of a vector goes from one anchor to the next at a point of its own.
+    descriptors" (CVPR 2021): their binding, bundling and graded positions. In place of descriptors of a network stand
+    the patch-normalised pixels of a cell, or how strong its edges of eight orientations are (`OrientedEdges`). Here
+    each number of a vector goes from one anchor to the next at a point of its own.
     """
 
-    preprocessing: Variant = "C"
+    features: Literal["patches", "oriented"] = "patches"
+    preprocessing: Variant = "C"  # of patches
     height: int = 32  # pixels
     width: int = 64
-    patch: int = 7
+    patch: int = 7  # of patches, as is `cell`
     cell: int = 8  # pixels
     stride: int = 4  # pixels from one cell to the next
     reach: float = 2.0  # cells
@@ -47,22 +51,29 @@ class HyperDimensional(DescriptorMethod):
         Raises BadInput if a frame has no cell and for other sizes that make no vector.
         """
         self._check_arguments()
+        cells = self._oriented(images) if self.features == "oriented" else self._patches(images)
+        n_images, rows, columns, n_features = cells.shape
+        signs, positions = _drawn(rows, columns, n_features, self.components, self.reach, self.seed)
+        bundles = np.zeros((n_images, self.components), np.float32)
+        for number, sign in enumerate(signs):  # one feature of all cells: their sum comes before its projection
+            bundles += (cells[..., number].reshape(n_images, rows * columns) @ positions) * sign
+        return unit(bundles)
+
+    def _patches(self, images: Images) -> Cells:
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
         frames = levels.reshape(-1, self.height, self.width).astype(np.float32) - _GREY
-        cells = np.lib.stride_tricks.sliding_window_view(frames, (self.cell, self.cell), axis=(1, 2))
-        cells = cells[:, :: self.stride, :: self.stride]  # (n_images, rows, columns, cell, cell)
-        n_images, rows, columns = cells.shape[:3]
-        signs, positions = _drawn(rows, columns, self.cell**2, self.components, self.reach, self.seed)
-        bundles = np.zeros((n_images, self.components), np.float32)
-        for number, sign in enumerate(signs):  # of all cells one pixel: the sum over cells comes before its projection
-            down, right = divmod(number, self.cell)
-            bundles += (cells[..., down, right].reshape(n_images, -1) @ positions) * sign
-        return unit(bundles)
+        windows = np.lib.stride_tricks.sliding_window_view(frames, (self.cell, self.cell), axis=(1, 2))
+        cells = windows[:, :: self.stride, :: self.stride]
+        return cells.reshape(*cells.shape[:3], self.cell**2)
+
+    def _oriented(self, images: Images) -> Cells:
+        edges = OrientedEdges(self.height, self.width, self.height // self.stride, self.width // self.stride)
+        return edges(images).reshape(len(images), edges.rows, edges.columns, edges.orientations)
 
     def _check_arguments(self) -> None:
         wanted = {
             "cell": (1 <= self.cell <= min(self.height, self.width), "1 pixel to the frame's smaller side"),
-            "stride": (self.stride >= 1, "at least 1 pixel"),
+            "stride": (1 <= self.stride <= min(self.height, self.width), "1 pixel to the frame's smaller side"),
             "reach": (self.reach > 0, "more than 0 cells"),
             "components": (self.components >= 1, "at least 1"),
         }

@@ -60,6 +60,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("hog", {"sigma": 0.0}, ""),
     ("hyperdimensional", {"cell": 33}, "smaller side"),
     ("hyperdimensional", {"stride": 0}, ""),
+    ("hyperdimensional", {"stride": 33, "features": "oriented"}, "smaller side"),
     ("hyperdimensional", {"reach": 0.0}, ""),
     ("hyperdimensional", {"components": 0}, ""),
     ("pca", {"components": 0}, ""),

@@ -6,6 +6,7 @@ from corridor import corridor, needs_corridor, right, scored
 from described_images import drawn_images
 
 from vprbench.api.images import Images
+from vprbench.api.oriented import OrientedEdges
 from vprbench.methods.flyhash import FlyHash
 from vprbench.methods.hyperdimensional import HyperDimensional
 from vprbench.methods.random_projection import RandomProjection
@@ -80,14 +81,24 @@ def slow_kernel(rows, columns, reach):
     return np.clip(1 - down, 0, None) * np.clip(1 - across, 0, None)
 
 
-@pytest.mark.parametrize("reach", [0.5, 3.0])
-def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(reach):
-    method = HyperDimensional(height=16, width=24, components=1 << 16, reach=reach)
-    frames = contrasts(FRAMES, height=16, width=24).reshape(12, 16, 24)
-    cells = np.array(
-        [[frame[y : y + 8, x : x + 8].ravel() for y in range(0, 9, 4) for x in range(0, 17, 4)] for frame in frames]
-    )  # (frames, cells, pixels)
-    products = np.einsum("acp,cd,bdp->ab", cells, slow_kernel(3, 5, reach), cells)
+def patches(frames):
+    """Windows of 8 x 8 pixels, 4 pixels apart, (frames, cells, pixels)."""
+    frames = frames.reshape(12, 16, 24)
+    corners = [(y, x) for y in range(0, 9, 4) for x in range(0, 17, 4)]
+    return np.array([[frame[y : y + 8, x : x + 8].ravel() for y, x in corners] for frame in frames])
+
+
+@pytest.mark.parametrize(
+    ("features", "reach", "rows", "columns"),
+    [("patches", 0.5, 3, 5), ("patches", 3.0, 3, 5), ("oriented", 2.0, 4, 6)],
+)
+def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(features, reach, rows, columns):
+    method = HyperDimensional(features, height=16, width=24, components=1 << 16, reach=reach)
+    if features == "patches":
+        cells = patches(contrasts(FRAMES, height=16, width=24))
+    else:
+        cells = OrientedEdges(16, 24, rows, columns)(FRAMES).reshape(12, rows * columns, 8)
+    products = np.einsum("acp,cd,bdp->ab", cells, slow_kernel(rows, columns, reach), cells)
     expected = products / np.sqrt(np.outer(np.diag(products), np.diag(products)))
     assert method.fit(FRAMES, np.arange(12)).query(FRAMES) == pytest.approx(expected, abs=0.02)
 

@@ -74,4 +74,4 @@ def _unit(values: npt.NDArray[Any]) -> Vectors:
     """Return unit vectors; what has no length stays so, and is as unlike one image as another."""
     rows = np.asarray(values, np.float32).reshape(len(values), -1)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return rows / np.where(lengths > 0, lengths, 1)
+    return np.asarray(rows / np.where(lengths > 0, lengths, 1), np.float32)
