@@ -78,6 +78,7 @@ class Nordland:
                 self.query,
                 lambda shown: Images.from_files([folders[season].path / names[place] for season, place in shown]),
                 [*folders.values()],
+                [int(name.removeprefix("images-").removesuffix(self.suffix)) for name in names],
             ),
             {
                 "protocol": self.protocol,

@@ -118,6 +118,12 @@ class Traverses:
     query: str
     frames: Callable[[Sequence[tuple[str, int]]], Images]  # of (traverse, place), numbered along the journey
     folders: Sequence[FrameFolder] = ()  # that the frames lie in
+    numbers: Sequence[int] | None = None  # of the frames of all places; None: no frames are missing between them
+
+    def breaks(self, places: Numbers) -> Numbers:
+        """Return which of some places, by their rank, come after missing frames: a step longer than the shortest."""
+        steps = np.diff(places if self.numbers is None else np.asarray(self.numbers)[places])
+        return np.flatnonzero(steps > steps.min(initial=np.iinfo(np.int64).max)) + 1
 
     def shown(self, traverses: Sequence[str], places: Numbers) -> Images:
         """Return the images of the places, one traverse after the other."""
@@ -149,6 +155,8 @@ def dataset_of(
         protocol=protocol,
         held_out=held_out,
         place_numbers=None if parts.held_out_in_map else parts.mapped,
+        query_breaks=traverses.breaks(parts.queried),
+        place_breaks=traverses.breaks(parts.mapped),
         folders=tuple(traverses.folders),
         notes=tuple(notes),
     )

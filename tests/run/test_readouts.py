@@ -25,7 +25,7 @@ from vprbench.plugins.rules import Journey
 from vprbench.run import runner
 from vprbench.run.note import Note
 from vprbench.run.readout_rows import readout_numbers, readout_text
-from vprbench.run.record import Run
+from vprbench.run.record import Run, content_key
 from vprbench.run.store import Store
 
 SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
@@ -81,15 +81,17 @@ def test_a_place_is_worth_its_most_similar_image_and_a_layer_its_direction() -> 
     assert run.readouts[1] == {"name": "turned", "neurons": 2, "hits": [1.0, 1.0, 1.0]}
 
 
-def test_readouts_are_stored_and_a_run_without_them_has_none(tmp_path: Path) -> None:
+def test_readouts_are_stored_and_runs_of_earlier_versions_have_none(tmp_path: Path) -> None:
     dataset, store = journey(4, 4), Store(tmp_path)
     method = Layered(np.eye(4, dtype=np.float32))
     read, plain = read_run(method, dataset), replace(run_of(method, dataset), key="other")
     for run in (read, plain):
         store.save(run)
-    back = {run.key: run.readouts for run in store.runs()}
-    assert back == {"key": read.readouts, "other": None}
-    assert "readouts" not in json.loads((store.folder("journey", "little", "other") / "run.json").read_text())
+    earlier = store.folder("journey", "little", "other") / "run.json"
+    summary = json.loads(earlier.read_text())
+    del summary["readouts"], summary["content_key"]  # as versions before wrote it
+    earlier.write_text(json.dumps({**summary, "content_key": content_key(summary)}))
+    assert {run.key: run.readouts for run in store.runs()} == {"key": read.readouts, "other": None}
 
 
 def test_a_method_without_layers_says_so_and_one_whose_layers_fail_keeps_its_run() -> None:

@@ -82,6 +82,8 @@ class Dataset:
     n_places: int = field(init=False)
     held_out: HeldOut | None = None  # None: there are no such places
     place_numbers: Places | None = None  # (n_places,), along the whole journey, if the map lacks some of its places
+    query_breaks: Places | None = None  # queries, ascending, before which frames of the journey are missing
+    place_breaks: Places | None = None  # the same of the map's places
     folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty if they are no files
     notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
 
@@ -92,6 +94,12 @@ class Dataset:
         object.__setattr__(self, "n_places", _number_of_places(f"dataset {self.name}", self.references, self.places))
         if self.place_numbers is not None and len(self.place_numbers) != self.n_places:
             raise BadInput(f"dataset {self.name}: {len(self.place_numbers)} numbers for {self.n_places} places")
+        for what, breaks, n in (
+            ("query", self.query_breaks, len(self.queries)),
+            ("place", self.place_breaks, self.n_places),
+        ):
+            if breaks is not None and not np.isin(breaks, np.arange(1, n)).all():
+                raise BadInput(f"dataset {self.name}: {what}_breaks must lie between 1 and {n - 1}, not {list(breaks)}")
         if not len(self.queries):
             raise BadInput(f"dataset {self.name} has no query images: ask for at least one")
         if len(self.positives) != len(self.queries):

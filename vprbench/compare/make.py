@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -14,17 +13,22 @@ from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.quantities import quantities
 from vprbench.compare.request import Asked
 from vprbench.paper.figures.make import draw_all, write_figures
-from vprbench.paper.gather import Chosen, Material, made, material, stored, wanted
+from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wanted
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
-from vprbench.paper.selection import accuracy_series, as_text, groups
+from vprbench.paper.selection import Group, accuracy_series, as_text, groups
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import words
+from vprbench.paper.table.cells import TableRow
 from vprbench.paper.table.make import exit_code, write
+from vprbench.paper.table.quantities import RECALL, Quantity
+from vprbench.paper.viewed import seen
 from vprbench.progress import progress_shown
+from vprbench.run import rows
 from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
+from vprbench.run.sequences import suffix, views
 from vprbench.run.settings import n_threads
 from vprbench.terminal.console import show_table, told
 from vprbench.text import printable
@@ -47,8 +51,8 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     endings = made(chosen, list(wanted(chosen, found.column, there)), asked.of_runs, compose)
     known, failures = stored(chosen)
-    compared, ranking = ranked_material(chosen, found, known, failures, endings)
-    show(compared, ranking, asked.request.wide)
+    compared, rankings = ranked_material(chosen, found, known, failures, endings)
+    show(compared, rankings, asked.request.wide)
     print("\nwritten to", *written(compared, asked.request.name is None), sep="\n  ")
     return exit_code(endings)
 
@@ -67,6 +71,7 @@ def chosen_of(found: Checked, asked: Asked) -> Chosen:
         stored=request.stored,
         title=found.column.planned.title,
         quantities=quantities(request.metrics, request.devices),
+        views=views(request.sequence, request.filter),
     )
 
 
@@ -76,10 +81,10 @@ def ranked_material(
     known: Sequence[Run],
     failures: Sequence[Failure],
     endings: Sequence[Ending] = (),
-) -> tuple[Material, Ranking]:
+) -> tuple[Material, list[Ranking]]:
     """Put the runs of a comparison into one table, best first, rows without runs last; other stored runs stay out.
 
-    Raises BadInput if there is none.
+    There is a ranking for each view that was asked for; the first orders the rows. Raises BadInput if there is no run.
     """
     runs = [run for run in known if _is_of(run, found)]
     runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
@@ -90,11 +95,12 @@ def ranked_material(
         if cell.missing is not None
         for run in wanted(chosen, found.column, [cell.row])
     ]
-    ranking = ranked(accuracy_series(newest, chosen.rows))
-    order = [row.name for row in ranking.rows]
-    rows = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    chosen = replace(chosen, rows=tuple(rows))
-    return material(chosen, newest.runs, [*failures, *left_out], tuple(endings)), ranking
+    shown = groups(newest.runs, [*failures, *left_out], [found.column], chosen.rows)
+    shown = seen(shown, chosen.rows, chosen.views)
+    rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
+    order = [row.name for row in rankings[0].rows]
+    ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
+    return assembled(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(endings)), rankings
 
 
 def _is_of(run: Run, found: Checked) -> bool:
@@ -112,32 +118,48 @@ def _as_asked(run: Run, cell: Cell, found: Checked) -> Run:
         for name, value in run.config.get("changed", {}).items()
         if name in cell.row.arguments or as_text(cell.adapted.get(name)) != as_text(value)
     }
-    dataset: Mapping[str, Any] = run.config["dataset"] if found.dataset is None else found.column.dataset
-    return replace(run, config={**run.config, "dataset": dataset, "changed": changed})
+    if found.dataset is None:
+        return replace(run, config={**run.config, "changed": changed})
+    config = {**run.config, "dataset": found.column.dataset, "changed": changed}
+    gaps = found.dataset.query_breaks, found.dataset.place_breaks  # a run may have been stored before they were told
+    return replace(run, config=config, query_breaks=gaps[0], place_breaks=gaps[1])
 
 
-def show(found: Material, ranking: Ranking, wide: bool = False) -> None:
-    """Print notes, the ranked table and what tests say of it."""
+def show(found: Material, rankings: Sequence[Ranking], wide: bool = False) -> None:
+    """Print notes, the ranked table and what tests say of it; of several views R@1 alone, side by side."""
     table = found.table
-    (column,) = table.columns
-    print(told(f"{table.title}: {words.data(column)}"))
+    if len(table.columns) == 1:
+        print(told(f"{table.title}: {words.data(table.columns[0])}"))
+    for column in table.columns if len(table.columns) > 1 else ():
+        print(told(f"{column.title}: {column.n_queries or 0:,} queries, {column.protocol}"))
     for row in table.rows:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:
             print(told(f"note: {row.name}: {table.notes[number - 1].text}", "yellow"))
-    heads = ["method", *(quantity.heading for quantity in table.quantities)]
     print()
-    show_table(heads, [[row.name, *_shown(found, row.name)] for row in table.rows], wide, _LEAST)
-    print(*["", *(told(sentence, "bold") for sentence in ranking.sentences)], sep="\n")
+    if len(table.columns) == 1:
+        heads = ["method", *(quantity.heading for quantity in table.quantities)]
+        show_table(heads, [[row.name, *_shown(found, row, table.quantities)] for row in table.rows], wide, _LEAST)
+    else:
+        heads = ["R@1 %", *map(_short, found.groups)]
+        show_table(heads, [[row.name, *_shown(found, row, [RECALL])] for row in table.rows], wide)
+    print()
+    for group, ranking in zip(found.groups, rankings, strict=True):
+        above = f"{_short(group)}: " if len(rankings) > 1 else ""
+        print(*(told(f"{above}{sentence}", "bold") for sentence in ranking.sentences), sep="\n")
 
 
-def _shown(found: Material, name: str) -> Iterator[str]:
-    (column,) = found.table.columns
-    row = next(row for row in found.table.rows if row.name == name)
-    cells = [words.of_cell(found.table, row, column, quantity) for quantity in found.table.quantities]
-    for number, cell in enumerate(cells):
-        told = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
-        yield " ".join(filter(None, [told, cell.value, cell.extent]))
+def _short(group: Group) -> str:
+    """Return what tells a group of a comparison from the others."""
+    return rows.view_words(group.runs[0]) if group.runs else "no run"
+
+
+def _shown(found: Material, row: TableRow, quantities: Sequence[Quantity]) -> Iterator[str]:
+    for column in found.table.columns:
+        cells = [words.of_cell(found.table, row, column, quantity) for quantity in quantities]
+        for number, cell in enumerate(cells):
+            told = cell.absence if number == 0 or cell.value or cell.absence != cells[0].absence else ""
+            yield " ".join(filter(None, [told, cell.value, cell.extent]))
 
 
 def written(found: Material, beside_others: bool) -> list[Path]:
@@ -146,6 +168,7 @@ def written(found: Material, beside_others: bool) -> list[Path]:
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
     """
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
+    name += suffix(found.chosen.views)
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest
@@ -23,6 +24,8 @@ class Request:
     stored: bool = False  # from the store alone: nothing is run
     stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
     name: str | None = None  # of the files that are written, and the title; None: the dataset's
+    sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
+    filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
     wide: bool = False  # all columns, however wide the terminal is
     results: str = "results"
 
@@ -31,7 +34,13 @@ class Request:
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
         TableRequest(
-            seeds=self.seeds, metrics=self.metrics, devices=self.devices, stores=self.stores, name=self.name
+            seeds=self.seeds,
+            metrics=self.metrics,
+            devices=self.devices,
+            stores=self.stores,
+            name=self.name,
+            sequence=self.sequence,
+            filter=self.filter,
         )  # which checks the same options
 
 

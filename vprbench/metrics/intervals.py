@@ -35,25 +35,27 @@ class WiderInterval(Interval):
     block: int  # length in queries
 
 
-def share_interval(hits: npt.ArrayLike, confidence: float = 0.95) -> WiderInterval | None:
+def share_interval(hits: npt.ArrayLike, confidence: float = 0.95, window: int = 1) -> WiderInterval | None:
     """Return the interval of the mean of hits (n_queries,), 0 to 1, given in the order of the journey.
 
     The wider one of Wilson's and that of a circular block bootstrap, whose length `block_length` finds in the hits and
-    which is expanded for few blocks; Wilson's where that length is 1. None without queries. Raises
-    ValueError for other values.
+    which is expanded for few blocks; Wilson's where that length is 1. Where a hit rests on a `window` of so many
+    neighbours, no block is shorter. None without queries. Raises ValueError for other values.
     """
     row = finite_row(hits)
     independent = wilson(float(row.sum()), len(row), confidence)
-    return None if independent is None else _wider(row, independent, block_length(row), confidence)
+    return None if independent is None else _wider(row, independent, max(block_length(row), window), confidence)
 
 
-def difference_interval(ours: npt.ArrayLike, theirs: npt.ArrayLike, confidence: float = 0.95) -> WiderInterval | None:
+def difference_interval(
+    ours: npt.ArrayLike, theirs: npt.ArrayLike, confidence: float = 0.95, window: int = 1
+) -> WiderInterval | None:
     """Return the interval of the mean of ours - theirs, hits 0 to 1 of two methods on the same queries in order.
 
     The wider one of Agresti and Min's (2005), which takes queries as independent, and that of the block bootstrap as
     in `share_interval`. Most differences are 0, which hides from the rule that the others come together: the block
-    length is the largest of those of both hits and of the differences. None for fewer than 20 queries, too few to see
-    whether neighbours are alike. Raises ValueError for hits on different queries.
+    length is the largest of those of both hits, of the differences and of the `window`. None for fewer than 20 queries,
+    too few to see whether neighbours are alike. Raises ValueError for hits on different queries.
     """
     first, second = finite_row(ours), finite_row(theirs)
     if first.shape != second.shape:
@@ -61,7 +63,8 @@ def difference_interval(ours: npt.ArrayLike, theirs: npt.ArrayLike, confidence: 
     row = first - second
     if len(row) < FEWEST:
         return None
-    return _wider(row, _agresti_min(row, confidence), max(map(block_length, (first, second, row))), confidence)
+    block = max(window, *map(block_length, (first, second, row)))
+    return _wider(row, _agresti_min(row, confidence), block, confidence)
 
 
 def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval | None:
@@ -179,12 +182,14 @@ class McNemar:
     p_value: float
 
 
-def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike) -> McNemar:
+def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike, window: int = 1) -> McNemar:
     """Return the exact McNemar test of two methods on the same queries: hits 0 or 1, each (n_queries,).
 
     p = min(1, 2 sum_{i <= min(b, c)} C(b + c, i) / 2^(b + c)); 1 if they never disagree. A chance to be
-    right is no trial: where scores tie, give the pessimistic hits. Raises ValueError for other values or
-    different lengths.
+    right is no trial: where scores tie, give the pessimistic hits. Where a hit rests on a `window` of so many
+    neighbours, in the order of the journey, only every so manieth query is a trial: p is twice the mean over the
+    ways to begin, which holds whatever these share (Vovk and Wang 2020), and b and c are of all queries. Raises
+    ValueError for other values or different lengths.
     """
     from scipy.special import bdtr  # takes long to import
 
@@ -193,8 +198,16 @@ def mcnemar_exact(hits_a: npt.ArrayLike, hits_b: npt.ArrayLike) -> McNemar:
         raise ValueError(f"a paired test needs hits on the same queries, not {first.shape} and {second.shape}")
     if not np.isin([first, second], (0, 1)).all():
         raise ValueError("a paired test needs hits of 0 or 1: where scores tie, give the pessimistic hits")
-    b, c = (int(np.count_nonzero(only)) for only in (first > second, second > first))
-    return McNemar(b, c, min(1.0, 2 * float(bdtr(min(b, c), b + c, 0.5))))
+
+    def p_value(b: int, c: int) -> float:
+        return min(1.0, 2 * float(bdtr(min(b, c), b + c, 0.5)))
+
+    ours, theirs = first > second, second > first
+    b, c = int(np.count_nonzero(ours)), int(np.count_nonzero(theirs))
+    if window == 1:
+        return McNemar(b, c, p_value(b, c))
+    ways = [p_value(int(ours[way::window].sum()), int(theirs[way::window].sum())) for way in range(window)]
+    return McNemar(b, c, min(1.0, 2 * sum(ways) / window))
 
 
 def _check_confidence(confidence: float) -> None:

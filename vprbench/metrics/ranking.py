@@ -15,6 +15,7 @@ PlacesPerQuery = Sequence[npt.NDArray[np.int64]]  # per query some places; empty
 Counts = npt.NDArray[np.int64]  # (n_queries,)
 
 _BLOCK_CELLS = 1 << 20  # scores compared at once: bounds the memory and stays near the processor's cache
+_RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,19 @@ def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
         chosen[crowded] = better | (equal & (np.cumsum(equal, axis=1) <= room))
         cells = np.flatnonzero(chosen)
     return np.asarray(cells.reshape(len(scores), depth) % scores.shape[1])
+
+
+def ranked_places(scores: Scores, depth: int) -> tuple[npt.NDArray[np.int32], Scores]:
+    """Return the `depth` best places of each query, or all if they are fewer, best first, and their scores.
+
+    Both are (n_queries, depth); of equals the lower places come first.
+    """
+    depth, rows = min(depth, scores.shape[1]), max(1, _RANKED_CELLS // scores.shape[1])
+    parts = [best_places(scores[first : first + rows], depth) for first in range(0, len(scores), rows)]
+    best = np.concatenate(parts) if parts else np.empty((0, depth), np.int64)
+    values = np.take_along_axis(scores, best, axis=1)
+    order = np.argsort(-values, axis=1, kind="stable")
+    return np.take_along_axis(best, order, axis=1).astype(np.int32), np.take_along_axis(values, order, axis=1)
 
 
 def checked_scores(scores: Scores, first_query: int = 0) -> Scores:

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from vprbench.errors import BadInput
 from vprbench.paper.left_out import why_left_out
@@ -20,9 +20,11 @@ from vprbench.paper.shelf import Compose
 from vprbench.paper.table.build import assemble
 from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import QUANTITIES, Quantity, quantities
+from vprbench.paper.viewed import seen
 from vprbench.plugins import registry
 from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
+from vprbench.run.sequences import Seen, views
 from vprbench.run.settings import insist_on_metrics
 from vprbench.run.store import Store
 
@@ -47,11 +49,14 @@ class TableRequest:
     nordland: str | None = None  # folder of the real frames
     robotcar: str | None = None
     name: str | None = None  # of the files that are written
+    sequence: Any = None  # 4, [1,4,10] or {length:4,window:centred}: answers of so many neighbouring queries
+    filter: Any = None  # true or {back:0,ahead:2,ratio:5}: answers of a Bayes filter over the places
     wide: bool = False  # all columns, however wide the terminal is
     results: str = "results"
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read."""
+        views(self.sequence, self.filter)
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
@@ -81,6 +86,7 @@ class Chosen:
     stored: bool = False  # nothing is run
     title: str | None = None  # of a table that is not the paper's
     quantities: tuple[Quantity, ...] = QUANTITIES
+    views: tuple[Seen, ...] = ()  # what is shown of the stored runs; none: the runs themselves
 
     def slow(self, column: ResolvedColumn, row: Row) -> bool:
         """Tell whether a row takes too long in a column for the time that a table has."""
@@ -125,6 +131,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
         tuple(asked.stores),
         asked.stored,
         quantities=quantities(asked.metrics),
+        views=views(asked.sequence, asked.filter),
     )
 
 
@@ -147,7 +154,14 @@ def material(
     chosen: Chosen, runs: Sequence[Run], failures: Sequence[Failure], endings: tuple[Ending, ...] = ()
 ) -> Material:
     """Put stored runs and failures into the rows and columns that were chosen; raises BadInput if no run is theirs."""
-    found = groups(runs, failures, chosen.columns, chosen.rows)
+    found = seen(groups(runs, failures, chosen.columns, chosen.rows), chosen.rows, chosen.views)
+    return assembled(chosen, found, runs, endings)
+
+
+def assembled(
+    chosen: Chosen, found: Sequence[Group], runs: Sequence[Run], endings: tuple[Ending, ...] = ()
+) -> Material:
+    """Put groups of runs, or of views of them, into the table; raises BadInput if they hold none."""
     left_out = {
         (column.planned.name, row.name): why_left_out(chosen.plan.in_full(row), column, found)
         for column, row in itertools.product(chosen.columns, chosen.rows)

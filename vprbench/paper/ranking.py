@@ -25,6 +25,7 @@ from vprbench.paper.templates import sentences
 from vprbench.run.recall_intervals import along_the_journey, recall_interval
 from vprbench.run.record import Run
 from vprbench.run.tuned import tuned_here
+from vprbench.run.views import window_of
 
 
 @dataclass(frozen=True)
@@ -89,4 +90,4 @@ def _difference(rows: Sequence[Ranked]) -> WiderInterval | None:
         return None
     order = along_the_journey(rows[0].runs[0])
     ours, theirs = (np.mean([hits_at(run.outcome, 1) for run in row.runs], axis=0)[order] for row in rows[:2])
-    return difference_interval(ours, theirs)
+    return difference_interval(ours, theirs, window=window_of(rows[0].runs[0]))

@@ -16,13 +16,12 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method, held_together
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Outcome, best_places, checked_scores, concatenate, outcome
+from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, ranked_places
 from vprbench.run.descriptors import Described
 from vprbench.run.stopwatch import Stopwatch
 
 _BLOCK = 128  # queries scored together
 _BLOCK_CELLS = 1 << 25  # scores of such a block
-_RANKED_CELLS = 1 << 22  # scores whose best are looked for together: bounds the memory
 _AUDITED = 256  # queries by which an approximate index is compared with exact search, at most
 _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 
@@ -30,17 +29,18 @@ _LARGEST_MATRIX = 10_000_000  # scores kept whole up to this number
 class Answers:
     """Collects a method's answers block by block, in bounded memory."""
 
-    def __init__(self, dataset: Dataset, depth: int) -> None:
-        """Keep the best `depth` places of each query, and all scores if they are few."""
+    def __init__(self, dataset: Dataset, depth: int, whole: bool = False) -> None:
+        """Keep the best `depth` places of each query, and all scores if they are few or if `whole`."""
         self._positives = dataset.positives
-        self._depth = min(depth, dataset.n_places)
+        self._depth = depth
         self._shape = (len(dataset.queries), dataset.n_places)
         self.done = 0
         self.method_seconds = 0.0
         self._outcomes: list[Outcome] = []
         self._top_places: list[npt.NDArray[np.int32]] = []
         self._top_scores: list[Scores] = []
-        self._kept: list[Scores] = []
+        kept = whole or self._shape[0] * self._shape[1] <= _LARGEST_MATRIX
+        self._kept = np.empty(self._shape, np.float32) if kept else None  # the system gives memory as it is filled
 
     def add(self, n_queries: int, scores: Scores) -> None:
         """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
@@ -49,15 +49,11 @@ class Answers:
             raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
         scores = checked_scores(scores, self.done)
         self._outcomes.append(outcome(scores, self._positives[self.done : self.done + len(scores)]))
-        rows = max(1, _RANKED_CELLS // scores.shape[1])
-        parts = [best_places(scores[first : first + rows], self._depth) for first in range(0, len(scores), rows)]
-        best = np.concatenate(parts)
-        values = np.take_along_axis(scores, best, axis=1)
-        order = np.argsort(-values, axis=1, kind="stable")
-        self._top_places.append(np.take_along_axis(best, order, axis=1).astype(np.int32))
-        self._top_scores.append(np.take_along_axis(values, order, axis=1))
-        if self._shape[0] * self._shape[1] <= _LARGEST_MATRIX:
-            self._kept.append(scores.copy())  # a method may use its array again
+        places, values = ranked_places(scores, self._depth)
+        self._top_places.append(places)
+        self._top_scores.append(values)
+        if self._kept is not None:
+            self._kept[self.done : self.done + len(scores)] = scores
         self.done += len(scores)
 
     @property
@@ -78,7 +74,7 @@ class Answers:
     @property
     def scores(self) -> Scores | None:
         """All scores, (n_queries, n_places); None if they are too many to keep."""
-        return np.concatenate(self._kept) if self._kept else None
+        return self._kept
 
 
 class Audited:
@@ -111,13 +107,13 @@ class Audited:
 class Scoring:
     """Scores the queries of a dataset by a fitted method, encode and match timed."""
 
-    def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int) -> None:
-        """Keep the best `depth` places of each query; nothing is asked yet."""
+    def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int, whole: bool = False) -> None:
+        """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
         self._method = method
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
-        self.answers = Answers(dataset, depth)
+        self.answers = Answers(dataset, depth, whole)
         self.audited = Audited(method, len(dataset.queries))
 
     def score(self, described: Described | None) -> bool:

@@ -84,6 +84,9 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     if found is None and refused is not None:
         raise refused
 
+    whole = settings.scores or (stored is not None and stored.scores is not None)  # which is not lost
+    request = replace(request, scores=whole)
+
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
         ending.leave_if_forked(process)
         logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
@@ -94,6 +97,9 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     with ledger():  # what was trained is kept until the run is stored
         if found is not None:  # whoever stored it may have asked in other words
             run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
+            run = replace(
+                run, query_breaks=dataset.query_breaks, place_breaks=dataset.place_breaks
+            )  # of older ones too
         else:
             for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
                 insist_on_writing(place)
@@ -179,6 +185,9 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
     if settings.readouts and run.readouts is None:
         logging.info("%s is stored without its readouts: running again for readouts=true", run.method)
         return None
+    if settings.scores and run.scores is None:
+        logging.info("%s on %s is stored without its scores: running again for scores=true", run.method, run.dataset)
+        return None
     if not settings.cache and run.fit_seconds is None and run.network is None:
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
@@ -202,8 +211,10 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
     from vprbench.run import readout_rows, rows  # what they import does not count as the run's memory
+    from vprbench.run.sequences import views
     from vprbench.run.tuned import all_notes
 
+    seen = [view(run) for view in views(settings.sequence, settings.filter)]
     if settings.output == "json":
         return json.dumps(
             {
@@ -216,20 +227,31 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
+                **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
                 "from_store": from_store,
                 "run_folder": None if folder is None else str(folder),
             },
             allow_nan=False,
         )
-    row = rows.readable_row(run, settings.metrics)
+    shown = seen or [run]
+    table = [rows.readable_row(one, settings.metrics) for one in shown]
+    if seen:
+        table = [{"answers": rows.view_words(one), **row} for one, row in zip(seen, table, strict=True)]
     notes = [(f"note: {note.text}", "yellow") for note in all_notes(run)]
     said = [*notes, (rows.protocol_line(run), "")]
-    below = [*filter(None, [rows.interval_line(run), rows.tolerance_line(run)])]
+    said += [(f"{rows.view_words(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
+    below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
     if from_store:
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
         below.append(f"stored in {folder}")
-    tables = [table_text([*row], [[*row.values()]], settings.wide, rows.LEAST)]
+    tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
     if settings.readouts:
         tables.append(readout_rows.readout_text(run))
     return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
+
+
+def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
+    from vprbench.run import rows
+
+    return {"protocol": dict(view.protocol), **rows.numbers(view, settings.metrics)}

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from vprbench.metrics.accuracy import Ties, hits_at
 from vprbench.metrics.intervals import Values, WiderInterval, difference_interval, share_interval
 from vprbench.run.record import Run
+from vprbench.run.views import window_of
 
 METHOD = (
     "the wider one of Wilson's, which takes queries as independent, and that of a bootstrap of blocks of neighbouring "
@@ -25,7 +26,7 @@ def recall_interval(runs: Sequence[Run], confidence: float = 0.95) -> WiderInter
     if not runs[0].outcome.answerable.any():
         return None
     hits = np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
-    return share_interval(hits[along_the_journey(runs[0])], confidence)
+    return share_interval(hits[along_the_journey(runs[0])], confidence, window_of(runs[0]))
 
 
 def interval_between(first: Run, second: Run, confidence: float = 0.95) -> WiderInterval | None:
@@ -38,7 +39,7 @@ def interval_between(first: Run, second: Run, confidence: float = 0.95) -> Wider
     def hits(run: Run, ties: Ties) -> Values:
         return hits_at(run.outcome, 1, ties)[order]
 
-    return difference_interval(hits(first, "pessimistic"), hits(second, "optimistic"), confidence)
+    return difference_interval(hits(first, "pessimistic"), hits(second, "optimistic"), confidence, window_of(first))
 
 
 def along_the_journey(run: Run) -> npt.NDArray[np.int64]:

@@ -20,6 +20,7 @@ from vprbench.run.note import Note
 from vprbench.run.record_rules import check_arrays, check_failure, check_summary
 from vprbench.run.stopwatch import Laps, Timing, plain
 from vprbench.run.timing_protocol import Protocol
+from vprbench.run.views import View
 
 logger = logging.getLogger(__name__)
 
@@ -71,7 +72,10 @@ class Run:
     place_numbers: npt.NDArray[np.int64] | None = None  # (n_places,), along the journey; None: 0, 1, 2 ...
     data: Mapping[str, Any] = field(default_factory=dict)  # data_record(dataset)
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
+    query_breaks: npt.NDArray[np.int64] | None = None  # Dataset's
+    place_breaks: npt.NDArray[np.int64] | None = None
     readouts: Sequence[Mapping[str, Any]] | None = None  # name, neurons, hits of each query; None: not asked for
+    view: View | None = None  # None: the run as it is stored
 
     @property
     def training_seconds(self) -> float | None:
@@ -161,30 +165,32 @@ def _summary(content: bytes) -> dict[str, Any]:
     if summary.pop("content_key") != content_key(summary):
         raise DamagedRunError(f"{SUMMARY} is not what was written")
     check_summary(summary)
-    return summary
+    return {"readouts": None, **summary}  # runs of earlier versions have no word of them
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]
-_OF_THEIR_OWN = {"notes", "timing", "outcome", "positives", "top_places", "top_scores", "scores", "place_numbers"}
-_OF_THEIR_OWN |= {"readouts"}  # which runs of earlier versions lack
+_IF_KNOWN = ("place_numbers", "query_breaks", "place_breaks")
+_RANKED = ("outcome", "positives", "top_places", "top_scores", "scores")
+_OF_THEIR_OWN = {"notes", "timing", "view", *_RANKED, *_IF_KNOWN}
 _PLAIN = [field.name for field in fields(Run) if field.name not in _OF_THEIR_OWN]
 
 
 def write(run: Run, folder: Path) -> None:
     """Write a run into an empty folder, its summary last.
 
-    Raises OSError if the disk refuses, ValueError for a run that `load` would not take.
+    Raises OSError if the disk refuses, ValueError for a run that `load` would not take, and for a view of a run.
     """
+    if run.view is not None:
+        raise ValueError("a view of a run is never stored")
     arrays = {name: getattr(run.outcome, name) for name in _OUTCOME}
     arrays |= {
         **({} if run.timing is None else _timed_arrays(run.timing)),
+        **{name: known for name in _IF_KNOWN if (known := getattr(run, name)) is not None},
         "top_places": run.top_places,
         "top_scores": run.top_scores,
         "positives": np.concatenate([np.empty(0, np.int64), *run.positives]),
         "positives_per_query": np.array([len(right) for right in run.positives]),
     }
-    if run.place_numbers is not None:
-        arrays["place_numbers"] = run.place_numbers
     np.savez_compressed(folder / _ARRAYS, allow_pickle=False, **arrays)
     if run.scores is not None:
         np.save(folder / _SCORES, run.scores, allow_pickle=False)
@@ -196,17 +202,14 @@ def write(run: Run, folder: Path) -> None:
         "timing": None if run.timing is None else plain(run.timing),
         "sha256": {path.name: _digest(path) for path in sorted(folder.iterdir())},
     }
-    if run.readouts is not None:
-        summary["readouts"] = list(run.readouts)
     check_summary(json.loads(json.dumps(summary)))
     _write_json(folder / SUMMARY, {**summary, "content_key": content_key(summary)})
 
 
 def _timed_arrays(timing: Timing) -> dict[str, npt.NDArray[Any]]:
     arrays: dict[str, npt.NDArray[Any]] = {"sample": timing.sample, "answers": timing.answers}
-    laps = {"streaming": timing.streaming}
-    laps |= {f"offline_{number}": laps for number, laps in enumerate(timing.offline)}
-    for name, lap in laps.items():
+    offline = {f"offline_{number}": laps for number, laps in enumerate(timing.offline)}
+    for name, lap in {"streaming": timing.streaming, **offline}.items():
         arrays |= {f"{name}_encode_seconds": lap.encode_seconds, f"{name}_match_seconds": lap.match_seconds}
     return arrays
 
@@ -236,7 +239,7 @@ def _timing(plain: Mapping[str, Any] | None, arrays: Mapping[str, npt.NDArray[An
 def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Run:
     ends = np.cumsum(arrays["positives_per_query"])[:-1]
     return Run(
-        **{name: summary[name] for name in _PLAIN},
+        **{name: summary[name] for name in _PLAIN} | {name: arrays.get(name) for name in _IF_KNOWN},
         notes=tuple(Note(**note) for note in summary["notes"]),
         timing=_timing(summary["timing"], arrays),
         outcome=Outcome(**{name: arrays[name] for name in _OUTCOME}, n_places=summary["n_places"]),
@@ -244,8 +247,6 @@ def _from_parts(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any
         top_places=arrays["top_places"],
         top_scores=arrays["top_scores"],
         scores=arrays.get("scores"),
-        place_numbers=arrays.get("place_numbers"),
-        readouts=summary.get("readouts"),
     )
 
 

@@ -221,8 +221,10 @@ _ARRAYS: Mapping[str, tuple[Sequence[str], tuple[str, ...], float, str | float]]
     "sample": (_INTEGERS, ("sample",), 0, "last query"),
     "answers": (_INTEGERS, ("sample",), -1, "last place"),
     "place_numbers": (_INTEGERS, ("places",), -(1 << 53), 1 << 53),
+    "query_breaks": (_INTEGERS, ("query breaks",), 1, "last query"),
+    "place_breaks": (_INTEGERS, ("place breaks",), 1, "last place"),
 }
-_OPTIONAL = ("scores", "place_numbers")
+_OPTIONAL = ("scores", "place_numbers", "query_breaks", "place_breaks")
 _TIMED = ("sample", "answers")
 _NEVER_MORE = (("top_tied_correct", "top_tied"), ("tied_correct", "tied"))  # the first than the second
 

@@ -17,6 +17,7 @@ from vprbench.run.stopwatch import Timing
 from vprbench.run.tuned import tuned_note
 
 NOTHING, UNTIMED = "-", "not timed"
+VIEWS = ("sequence", "filter")  # what a protocol calls them
 LEAST = ("R@25 %", "R@10 %", "peak MB", "streaming Hz enc/match/total")  # left out first where a row is too wide
 _DIGITS = 12  # of a hash that people compare by eye
 
@@ -117,6 +118,12 @@ def protocol_line(run: Run) -> str:
     chosen = ", ".join(f"{name} {_plain(value)}" for name, value in run.protocol.items())
     frames = f", data {run.data['names_sha256'][:_DIGITS]}" if run.data else ""
     return f"{run.dataset}: {len(run.outcome)} queries, {run.outcome.n_places} places ({chosen}){frames}"
+
+
+def view_words(run: Run, whole: bool = False) -> str:
+    """Return in a few words, or in all, what a view of a run shows; empty for the run itself."""
+    names = [name for name in run.protocol if name.startswith(VIEWS) and (whole or name in VIEWS)]
+    return ", ".join(f"{name.replace('_', ' ')} {run.protocol[name]}" for name in names)
 
 
 def interval_line(run: Run) -> str | None:

@@ -46,7 +46,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     with ledger() as resumed:
         learnt = learn(request, key, stopwatch, described, resumed)
         read = queries.reading.seconds
-        scoring = Scoring(stopwatch, method, dataset, request.config["depth"])
+        scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
         first_query = stopwatch.first_query(method, queries)
         answers.method_seconds += first_query
@@ -130,6 +130,8 @@ def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measur
         outcome=answers.outcome,
         positives=dataset.positives,
         place_numbers=dataset.place_numbers,
+        query_breaks=dataset.query_breaks,
+        place_breaks=dataset.place_breaks,
         top_places=answers.top_places,
         top_scores=answers.top_scores,
         scores=answers.scores,

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import registry
+from vprbench.run.sequences import views
 from vprbench.run.timing_protocol import Protocol
 from vprbench.storage.cores import core_count
 from vprbench.storage.folders import insist_on_homes
@@ -30,6 +31,9 @@ class Settings:
     wide: bool = False  # show all columns of the row
     metrics: list[str] = field(default_factory=list)  # more accuracies of row and JSON, by their names in METRICS
     depth: int = 100
+    scores: bool = False  # keep all scores, however many
+    sequence: Any = None
+    filter: Any = None
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
     save: str | None = None  # file for the trained network
@@ -54,6 +58,7 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
     settings = Settings(**plain, timing=timing)
     insist_on_metrics(settings.metrics)
+    views(settings.sequence, settings.filter)
     if settings.depth < 1:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:

@@ -21,6 +21,7 @@ from vprbench.paper.figures.style import SINGLE_MM, Drawn, legend_above, looks, 
 from vprbench.paper.selection import Series
 from vprbench.run.recall_intervals import along_the_journey
 from vprbench.run.record import Run
+from vprbench.run.views import window_of
 
 LARGEST_N = 25
 LARGEST_TOLERANCE = 10  # places to either side
@@ -137,7 +138,7 @@ def _resampled(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     random = np.random.default_rng(0)
     outcome = _of_queries(run.outcome, along_the_journey(run))
-    block = block_length(hits_at(outcome, 1))
+    block = max(block_length(hits_at(outcome, 1)), window_of(run))
     n_blocks = -(-len(outcome) // block)
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
@@ -173,7 +174,7 @@ def _draw_recalls(axes: Axes, series: Sequence[Series], xs: Sequence[int], hits:
         of_seeds = np.stack([hits(run)[:, order] for run in row.runs])  # (n_seeds, len(xs), n_queries)
         shares = of_seeds.mean(axis=2)
         mean = shares.mean(axis=0)
-        ends = [end for each in of_seeds.mean(axis=0) if (end := share_interval(each))]
+        ends = [end for each in of_seeds.mean(axis=0) if (end := share_interval(each, window=window_of(row.runs[0])))]
         low, high = 100 * np.array([[end.low for end in ends], [end.high for end in ends]])
         for seed in shares if len(row.runs) > 1 else ():
             axes.plot(xs, 100 * seed, color=look.colour, linewidth=0.4, alpha=0.6)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import Material, TableRequest, choose, gather
-from vprbench.paper.selection import accuracy_series, series, title
+from vprbench.paper.selection import Group, accuracy_series, series, title
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
 from vprbench.progress import progress_shown
+from vprbench.run.sequences import views
 from vprbench.run.store import Store
+from vprbench.run.thumbnails import Thumbnails
+from vprbench.run.views import queries_shown
 from vprbench.storage.atomic import replace_text
 
 if TYPE_CHECKING:
@@ -28,11 +32,20 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
     found = gather(choose(asked, compose), options, compose)
     absent: list[str] = []
     drawings = draw_all(found, found.runs, growth_columns(found, compose), absent.append)
-    default = asked.name is None and not asked.columns
+    default = asked.name is None and not asked.columns and not views(asked.sequence, asked.filter)
     name = "report.html" if default else f"report-{file_name(asked)}.html"
     path = write_page(found, drawings, Path(asked.results).expanduser() / name, absent)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, opens from disk")
     return exit_code(found.endings)
+
+
+def _frames_of(group: Group, found: Material) -> Thumbnails | None:
+    """Return the frames that were kept of the queries that a group's runs show."""
+    kept = thumbnails_of(group, found.chosen)
+    if kept is None:
+        return None
+    shown = queries_shown(group.runs[0]).tolist()
+    return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})
 
 
 def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Path, absent: Sequence[str] = ()) -> Path:
@@ -48,8 +61,7 @@ def write_page(found: Material, drawings: Iterable[tuple[str, Drawn]], path: Pat
     rows = found.chosen.rows
     groups = [(title(group, found.groups), group) for group in found.groups if group.runs]
     sections = [
-        Section(heading, tuple(accuracy_series(group, rows)), thumbnails_of(group, found.chosen))
-        for heading, group in groups
+        Section(heading, tuple(accuracy_series(group, rows)), _frames_of(group, found)) for heading, group in groups
     ]
     measured = [
         (heading, one) for heading, group in groups for one in (*series(group, rows), *series(group, rows, "cuda"))

@@ -14,9 +14,10 @@ from vprbench.metrics.intervals import mcnemar_exact
 from vprbench.paper.plan import Boundary
 from vprbench.run.machine import Machine
 from vprbench.run.note import DISTURBED, FAILED_AUDITS
-from vprbench.run.recall_intervals import interval_between
+from vprbench.run.recall_intervals import along_the_journey, interval_between
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import Seconds
+from vprbench.run.views import window_of
 
 CHANCE = 0.05  # of any false difference in R@1 among all comparisons of a column
 RATE_CHANCE = 0.01
@@ -114,8 +115,9 @@ def _more_accurate(one: Contestant, other: Contestant, chance: float) -> bool:
 
 
 def _separated(first: Run, second: Run, chance: float) -> bool:
-    ours, theirs = hits_at(first.outcome, 1, "pessimistic"), hits_at(second.outcome, 1, "optimistic")
-    test = mcnemar_exact(ours, theirs)
+    order = along_the_journey(first)
+    ours, theirs = hits_at(first.outcome, 1, "pessimistic")[order], hits_at(second.outcome, 1, "optimistic")[order]
+    test = mcnemar_exact(ours, theirs, window_of(first))
     if test.b <= test.c or test.p_value >= chance:
         return False
     interval = interval_between(first, second, 1 - chance)

@@ -161,7 +161,7 @@ class _Sheet:
         found = entry.found[device]
         if found.runs and not found.failures:  # which are of these runs, while they were timed
             return quantity.lacking(found.runs)
-        if entry.group.number > 1:
+        if entry.group.number > 1 and not found.failures:
             return reason("protocol without runs")
         elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
         place = (entry.group.asked.planned.name, entry.row.name)

@@ -10,6 +10,7 @@ from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.run import rows
 from vprbench.run.processes import Ending
+from vprbench.run.sequences import suffix, views
 from vprbench.run.store import Store
 from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import console
@@ -47,7 +48,8 @@ def write(found: Material, folder: Path, name: str) -> list[Path]:
 
 def file_name(asked: TableRequest) -> str:
     """Return what the files are called: the columns, where some were asked for."""
-    return asked.name or ("-".join(asked.columns) if asked.columns else "table")
+    default = "-".join(asked.columns) if asked.columns else "table"
+    return asked.name or default + suffix(views(asked.sequence, asked.filter))
 
 
 def exit_code(endings: Sequence[Ending]) -> int:
