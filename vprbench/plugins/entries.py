@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal, get_args
 import yaml
 
 from vprbench.errors import BadInput
+from vprbench.plugins.tuned_places import declared_places
 
 Group = Literal["method", "dataset"]
 
@@ -26,17 +27,6 @@ _NO_CHOICE = (*_NO_ARGUMENTS, "seed", "device")  # what every run sets for itsel
 
 
 _LOOSE: dict[Group, dict[str, Entry]] = {"method": {}, "dataset": {}}  # of loose files, by name
-
-
-@dataclass(frozen=True)
-class TunedOn:
-    """The places on which the settings of a method were chosen: the key `tuned_on` of its yaml."""
-
-    dataset: str  # its name, as runs hold it
-    places: str  # in words: the first 1000 places
-    also_in: tuple[str, ...] = ()  # datasets that show these places under other names
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)
@@ -176,16 +166,6 @@ def broken_plugins() -> Iterator[tuple[str, str]]:
             for entry in offers[len(offers) == 1 or offers[0].provider == "vprbench" :]:
                 others = " and ".join(other.provider for other in offers if other is not entry)
                 yield entry.provider, f"its {group} {name} is not used, for {others} has one of that name too"
-
-
-def declared_places(given: Any, where: object) -> dict[str, Any]:
-    """Return a declared `tuned_on` as plain values; raises BadInput that names the yaml or method."""
-    if given is None:
-        return {}
-    from vprbench.plugins.checked import checked
-
-    known: TunedOn = checked(f"{where}: tuned_on", given, TunedOn)
-    return {**asdict(known), "also_in": [*known.also_in]}
 
 
 def declared_tags(given: Any, where: object) -> tuple[str, ...]:

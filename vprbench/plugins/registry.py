@@ -30,6 +30,7 @@ from vprbench.plugins.entries import conf_folders as conf_folders
 from vprbench.plugins.entries import entries as entries
 from vprbench.plugins.entries import insist_on_one as insist_on_one
 from vprbench.plugins.returned_dataset import disk_errors_told, insist_on_dataset
+from vprbench.plugins.tuned_places import declared_places
 from vprbench.text import near as near  # for the commands too
 
 
@@ -39,7 +40,7 @@ def declared(name: str, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict
     Raises BadInput if a registered method was asked for with another `tuned_on` than its yaml has.
     """
     entry = entries("method").get(name)
-    asked = yamls.declared_places(config.get("tuned_on"), f"method {name}")
+    asked = declared_places(config.get("tuned_on"), f"method {name}")
     if entry is not None and asked != entry.tuned_on:
         raise BadInput(f"method.tuned_on={asked or None}: what {name} was tuned on is told by {entry.path} alone")
     return arguments(config), asked

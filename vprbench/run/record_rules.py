@@ -132,7 +132,7 @@ class _Frames(_Part):
 class _Tuned(_Part):
     dataset: str
     places: str
-    also_in: list[str] = []
+    also_in: dict[str, str] | list[str] = {}  # a list of names: of an earlier version
 
 
 class _Note(_Part):

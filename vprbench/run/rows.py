@@ -14,7 +14,7 @@ from vprbench.run.rates import StageRates, best_batch, percentile_bound
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
 from vprbench.run.stopwatch import Timing
-from vprbench.run.tuned import tuned_note
+from vprbench.run.tuned import other_places, tuned_note
 
 NOTHING, UNTIMED = "-", "not timed"
 VIEWS = ("sequence", "filter")  # what a protocol calls them
@@ -78,6 +78,7 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "recall_at_1_pessimistic": first.pessimistic if first else None,
         "recall_at_1_optimistic": first.optimistic if first else None,
         **{f"recall_at_1_within_{k}_places": share for k, share in recall_at_1_within(run).items()},
+        **_elsewhere(run),
         **_accuracies(run, ["auc_pr_a", "average_precision_a"]),
         "fit_seconds": run.fit_seconds,
         "fit_compute_seconds": run.fit_compute_seconds,
@@ -108,7 +109,12 @@ def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
         else:
             frames = {name: result.data.get(name) for name in ("names_sha256", "content_sha256")}
             line |= {"protocol": result.protocol.get("protocol"), **frames}
-            line |= {"error": "", **numbers(result, metrics), "network": result.network, "tuned_on": tuned_note(result)}
+            line |= {
+                "error": "",
+                **numbers(result, metrics),
+                "network": result.network,
+                "tuned_on": tuned_note([result]),
+            }
         lines.append(line)
     return str(pd.DataFrame(lines, dtype=object).to_csv(index=False))
 
@@ -158,6 +164,18 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
     more = [k - own for k in wider]
     hits = hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
+
+
+def _elsewhere(run: Run) -> dict[str, float | int | None]:
+    """Return R@1 of the queries that show no place the method was tuned on; None each if that is not known or all."""
+    other = other_places(run)
+    first, interval = (None, None) if other is None else (recall_at(other.outcome, 1), recall_interval([other]))
+    return {
+        "recall_at_1_elsewhere": first.expected if first else None,
+        "recall_at_1_elsewhere_low": interval.low if interval else None,
+        "recall_at_1_elsewhere_high": interval.high if interval else None,
+        "queries_elsewhere": None if other is None else len(other.outcome),
+    }
 
 
 def _accuracies(run: Run, metrics: Sequence[str]) -> dict[str, float | None]:

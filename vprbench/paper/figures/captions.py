@@ -21,7 +21,7 @@ from vprbench.text import plural
 def caption(figure: str, series: Sequence[Series | GrowthSamples], **values: Any) -> str:
     """Return the caption of a figure, a macro of captions.j2 by its name, that shows at least one run."""
     runs = [run for one in series for run in one.runs]
-    tuned = [f"{one.name}: {note}." for one in series for note in map(tuned_note, one.runs) if note]
+    tuned = [f"{one.name}: {note}." for one in series if isinstance(one, Series) and (note := tuned_note(one.runs))]
     told = {
         "datasets": [
             f"{r.dataset} ({plural(len(r.outcome), 'query')}, {plural(r.outcome.n_places, 'place')})" for r in runs

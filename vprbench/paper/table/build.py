@@ -13,10 +13,10 @@ from vprbench.paper.selection import title as title_of
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
-from vprbench.paper.table.quantities import QUANTITIES, Numbers, Quantity
-from vprbench.paper.table.reasons import MARKS, Reason, absent, reason, short
+from vprbench.paper.table.quantities import QUANTITIES, RECALL, Numbers, Quantity
+from vprbench.paper.table.reasons import MARKS, Reason, absent, reason
 from vprbench.run.record import Run
-from vprbench.run.tuned import tuned_here, tuned_note
+from vprbench.run.tuned import others_of, tuned_here, tuned_note
 
 
 def assemble(
@@ -129,7 +129,7 @@ class _Sheet:
         found = entry.found[entry.device(quantity)]
         told = [reason("seeds", row, found)] if found.missing_seeds else []
         told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []
-        told += [short("tuned", note) for note in map(tuned_note, runs) if note]
+        told += [Reason("tuned", note) for note in filter(None, [tuned_note(entry.runs(RECALL))])]
         told += quantity.remarks(row, runs)
         told += filter(None, [self.apart[column.name, quantity.name].get(row.name)])
         if value is not None:
@@ -169,6 +169,8 @@ class _Sheet:
 
     def _measured(self, entry: Entry, quantity: Quantity, runs: Sequence[Run], numbers: Numbers) -> Measured:
         interval = numbers.interval
+        others = others_of(runs) if quantity.of_answers else ()
+        elsewhere = quantity.numbers(entry.row, others) if others else None
         return Measured(
             value=numbers.value,
             low=100 * interval.low if interval else None,
@@ -182,6 +184,7 @@ class _Sheet:
             machine=self._machine(runs),
             interval=interval.kind if interval else None,
             block=interval.block if interval else None,
+            elsewhere=None if elsewhere is None else self._measured(entry, quantity, others, elsewhere),
         )
 
     def _machine(self, runs: Sequence[Run]) -> int:

@@ -30,6 +30,7 @@ class Measured:
     interval: IntervalKind | None = None  # of R@1: what low and high are of
     block: int | None = None  # of R@1: consecutive queries that were taken to be alike
     at_boundary: float | None = None  # of rates: Hz of the step that the paper timed
+    elsewhere: Measured | None = None  # of an accuracy: on the other queries, where some show what it was tuned on
 
 
 @dataclass(frozen=True)

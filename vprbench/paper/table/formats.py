@@ -59,8 +59,9 @@ def html(table: Table) -> str:
 def csv(table: Table) -> str:
     """Return a table as CSV: one line for each row, dataset and quantity, with unrounded numbers.
 
-    `value` is the quoted one where `mark` says so. `total`, of training, takes in the reading of the images,
-    `at_boundary`, of rates, is of the step alone that the paper timed. Seeds are separated by spaces, notes by "; ".
+    `value` is the quoted one where `mark` says so, `elsewhere` that on places that the row was not tuned on. `total`,
+    of training, takes in the reading of the images, `at_boundary`, of rates, is of the step alone that the paper timed.
+    Seeds are separated by spaces, notes by "; ".
     """
     lines = [
         _csv_line(table, row, column, quantity)
@@ -123,6 +124,7 @@ ENVIRONMENT.filters |= {"shown_as_it_is": shown_as_it_is, "tex": tex, "table_of"
 
 _CSV_COLUMNS = (
     *("row", "column", "title", "quantity", "unit", "mark", "value", "low", "high", "interval", "block"),
+    *("elsewhere", "elsewhere_low", "elsewhere_high"),
     *("spread", "seeds", "total", "at_boundary", "best", "disturbed", "machine"),
     *("published", "published_mark", "difference", "notes"),
 )
@@ -148,6 +150,8 @@ def _csv_line(table: Table, row: TableRow, column: Column, quantity: Quantity) -
     if cell.measured is not None:
         copied = ("value", "low", "high", "interval", "block", "spread", "total", "at_boundary", "best", "disturbed")
         line |= {name: getattr(cell.measured, name) for name in copied}
+        if (other := cell.measured.elsewhere) is not None:
+            line |= {"elsewhere": other.value, "elsewhere_low": other.low, "elsewhere_high": other.high}
         line["seeds"] = " ".join(map(str, cell.measured.seeds))
         line["machine"] = one_line(table.machines[cell.measured.machine])
     return line

@@ -65,6 +65,7 @@ class Quantity(ABC):
     device: Device | None = None  # whose runs it shows; None: those of the device with the most seeds
     undefined: ClassVar[Reason] = Reason("undefined", "no query has a right place")
     audited: ClassVar[bool] = False  # notes of failed audits are told here, and not elsewhere
+    of_answers: ClassVar[bool] = False  # some of the queries alone have a number too
 
     @property
     def heading(self) -> str:
@@ -121,6 +122,8 @@ class Quantity(ABC):
 @dataclass(frozen=True)
 class Recall(Quantity):
     """R@1, the expected value under ties, with its interval."""
+
+    of_answers: ClassVar[bool] = True
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
         """Return R@1 of the runs with its interval; None if no query has a right place."""

@@ -13,7 +13,13 @@ from vprbench.paper.templates import ENVIRONMENT, sentences
 PAPER = "paper"  # the line below a row
 INAPPLICABLE = "-"
 SPIKING = "spiking"
-ENVIRONMENT.globals |= {"TRAINING_TIME": TRAINING_TIME, "PAPER_LINE": PAPER, "INAPPLICABLE": INAPPLICABLE}
+ELSEWHERE = "elsewhere"
+ENVIRONMENT.globals |= {
+    "TRAINING_TIME": TRAINING_TIME,
+    "PAPER_LINE": PAPER,
+    "INAPPLICABLE": INAPPLICABLE,
+    "ELSEWHERE": ELSEWHERE,
+}
 
 
 @dataclass(frozen=True)
@@ -105,6 +111,8 @@ def _extent(measured: Measured, quantity: Quantity) -> str:
         parts.append(f"[{quantity.text(measured.low)}, {quantity.text(measured.high)}]")
     if measured.total is not None:
         parts.append(f"({quantity.text(measured.total)})")
+    if (other := measured.elsewhere) is not None:
+        parts.append(f"{ELSEWHERE} {quantity.text(other.value)} {_extent(other, quantity)}".rstrip())
     return " ".join(parts)
 
 
