@@ -1,27 +1,28 @@
-"""Your own frames: folders of reference and query images, matched by their order or by positions in their names."""
+"""Your own frames: folders of reference and query images, matched by order, by positions in names or by a matrix."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from vprbench.api import BadInput, Dataset, NotThere
 
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
+from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.image_files import images_in
+from .readers.matrix_files import matrix_in
 from .readers.positions import by_names
 from .readers.traverses import right_places
 
 _ADVICE = "give a folder of images"
+_MATRIX = "positives"
 
 
 def folders(
     name: str = "folders",
     references: list[str] | None = None,
     queries: str | None = None,
-    ground_truth: Literal["index", "utm"] = "index",
+    ground_truth: str = "index",
     tolerance: int = 0,
     radius_metres: float = 25.0,
     unmatched: Unmatched = "error",
@@ -31,8 +32,9 @@ def folders(
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
     `@UTM_east@UTM_north@...` in metres of one zone, and right is what lies within `radius_metres`, the radius
-    included. A query without a right place is an error, kept as a miss, or dropped. Raises NotThere for folders that
-    are missing or hold no images, BadInput for bad names and arguments.
+    included. With an .npz file every reference image is a place, and right is what its matrix `positives`,
+    (n_queries, n_references), says. A query without a right place is an error, kept as a miss, or dropped. Raises
+    NotThere for folders that are missing or hold no images, BadInput for bad names, arguments and matrices.
     """
     if not references or queries is None:
         raise NotThere(
@@ -42,11 +44,13 @@ def folders(
     traverses = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     mapped = [path for files in traverses for path in files]
     asked = images_in(queries, "dataset.queries", _ADVICE)
+    chosen: dict[str, float] = {}
     if ground_truth == "index":
-        truth = _by_index(traverses, references, len(asked), tolerance)
+        truth, chosen = _by_index(traverses, references, len(asked), tolerance), {"tolerance_places": tolerance}
+    elif ground_truth == "utm":
+        truth, chosen = by_names(mapped, asked, radius_metres), {"radius_metres": radius_metres}
     else:
-        truth = by_names(mapped, asked, radius_metres)
-    chosen = {"tolerance_places": tolerance} if ground_truth == "index" else {"radius_metres": radius_metres}
+        truth = _by_file(Path(ground_truth).expanduser(), len(asked), len(mapped))
     return dataset_of_files(
         name,
         mapped,
@@ -57,7 +61,7 @@ def folders(
             "protocol": "folders",
             "references": [Path(folder).resolve().name for folder in references],
             "queries": Path(queries).resolve().name,
-            "ground_truth": ground_truth,
+            "ground_truth": Path(ground_truth).name,
             **chosen,
         },
     )
@@ -75,3 +79,12 @@ def _by_index(traverses: list[list[Path]], names: list[str], n_queries: int, tol
     places = np.arange(counts.pop())
     positives = right_places(np.arange(n_queries), places, tolerance)
     return GroundTruth(np.tile(places, len(traverses)), positives, f"no reference within {tolerance} places")
+
+
+def _by_file(file: Path, n_queries: int, n_references: int) -> GroundTruth:
+    """Return the ground truth of a matrix of all images; raises BadInput for what is neither that nor a known word."""
+    if file.suffix != ".npz":
+        raise BadInput(f"dataset.ground_truth={file}: give index, utm or an .npz file with the matrix {_MATRIX}")
+    shape, axes = (n_queries, n_references), ("queries", "references")
+    right = matrix_in(file, _MATRIX, shape, axes, "give the file that dataset.ground_truth names")
+    return each_a_place(n_references, map(np.flatnonzero, right), f"no right reference in {file.name}")

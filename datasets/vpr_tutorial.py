@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import lzma
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api import BadInput, Dataset, NotThere
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
 from .readers.image_files import images_in
+from .readers.matrix_files import matrix_in
 from .readers.traverses import check_references, right_places
 
 Strictness = Literal["hard", "soft"]
 
 _SOFT_BAND = 8  # places to either side: 17 rows (stschubert/VPR_Tutorial 2278d7e)
-# RuntimeError of zipfile: encrypted, or compressed in a way that it does not know.
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 _MATRICES = {"hard": "GThard", "soft": "GTsoft"}
 
 
@@ -91,7 +86,8 @@ def with_matrix(
     mapped, asked = (
         images_in(top / folder, "dataset.root", layout, order="plain", deep=False) for folder in (reference, query)
     )
-    right = _matrix(top / "GT.npz", _MATRICES[ground_truth], (len(mapped), len(asked)), layout)
+    shape, axes = (len(mapped), len(asked)), ("references", "queries")
+    right = matrix_in(top / "GT.npz", _MATRICES[ground_truth], shape, axes, layout)
     return dataset_of_files(
         name,
         mapped,
@@ -111,34 +107,3 @@ def _first(folder: Path, count: int, layout: str) -> list[Path]:
             "for the first of them"
         )
     return files[:count]
-
-
-def _matrix(file: Path, key: str, shape: tuple[int, int], layout: str) -> npt.NDArray[np.bool_]:
-    """Return a matrix of yes and no of that shape from an .npz file, which may hold plain numbers alone."""
-    if not file.is_file():
-        raise NotThere(f"{file} is no file: {layout}")
-    try:
-        with zipfile.ZipFile(file) as members:
-            size = members.getinfo(f"{key}.npy").file_size
-        if size > 8 * shape[0] * shape[1] + (1 << 16):
-            raise BadInput(
-                f"{key} in {file} unpacks to {size} bytes, too many for {shape[0]} references and {shape[1]} queries: "
-                "check that no image is missing"
-            )
-        with np.load(file, allow_pickle=False) as stored:
-            matrix = stored[key]
-    except BadInput:
-        raise
-    except (KeyError, ValueError, OSError, EOFError, MemoryError, RuntimeError, *_ZIP_ERRORS) as error:
-        reason = (str(error).splitlines() or [""])[0]
-        told = f"holds no {key}" if isinstance(error, KeyError) else f"cannot be read ({reason})"
-        raise BadInput(f"{file} {told}: get it from its source again") from error
-    if matrix.shape != shape:
-        turned = " (it is transposed)" if matrix.shape == shape[::-1] else ""
-        raise BadInput(
-            f"{key} in {file} has the shape {matrix.shape}{turned}; wanted is {shape}, references by queries, for "
-            "the images that are there"
-        )
-    if matrix.dtype.kind not in "buif" or not np.isin(matrix, (0, 1)).all():
-        raise BadInput(f"{key} in {file} holds {matrix.dtype} values other than 0 and 1: yes and no are wanted")
-    return np.asarray(matrix, dtype=np.bool_)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from sklearn import decomposition
@@ -15,13 +14,12 @@ from vprbench.api import (
     Images,
     Method,
     NotFittedError,
-    PatchNormalisation,
     Places,
     Scores,
-    Variant,
     best_image_of_place,
 )
 
+from .parts.pixels import Preprocessing, pixels
 from .parts.stored import State, insist_on_map
 
 
@@ -46,7 +44,7 @@ class PCA(Method):
     The method of eigenfaces (Turk and Pentland 1991) on whole frames; the defaults are this project's own choice.
     """
 
-    preprocessing: Literal["grey"] | Variant = "C"  # grey: antialiased, not patch-normalised
+    preprocessing: Preprocessing = "C"
     height: int = 28  # pixels
     width: int = 28
     patch: int = 7  # not for grey
@@ -71,21 +69,18 @@ class PCA(Method):
 
         The projection is learnt from the map, so it belongs to `match`.
         """
-        if self.preprocessing != "grey":
-            return PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
-        if min(self.height, self.width) < 1:
-            raise BadInput(f"method.height={self.height}, method.width={self.width}: give sizes of at least 1 pixel")
-        levels = np.empty((len(images), self.height, self.width), np.uint8)
-        for level, image in zip(levels, images, strict=True):
-            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-            level[:] = cv2.resize(grey, (self.width, self.height), interpolation=cv2.INTER_AREA)
-        return levels.reshape(len(images), -1)
+        return pixels(images, self.preprocessing, self.height, self.width, self.patch)
 
     def match(self, codes: npt.NDArray[np.uint8]) -> Scores:
         """Project the pixels and return their cosines with the best reference image of each place."""
         known = self._fitted()
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
+
+    def layers(self, codes: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[np.float32]]:
+        """Return the principal components as unit vectors."""
+        known = self._fitted()
+        return {"components": _project(codes, known.mean, known.projection)}
 
     def state(self) -> State:
         """Return the projection and the projected references."""

@@ -1,4 +1,4 @@
-"""Sum of absolute differences: the pixels of two patch-normalised frames, subtracted."""
+"""Sum of absolute differences: the pixels of two small frames, patch-normalised or grey, subtracted."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from vprbench.api import (
     Images,
     Method,
     NotFittedError,
-    PatchNormalisation,
     Places,
     Scores,
-    Variant,
     best_image_of_place,
     compiled,
 )
+
+from .parts.pixels import Preprocessing, pixels
 
 Levels = npt.NDArray[np.uint8]  # (n_images, n_pixels)
 
@@ -41,7 +41,7 @@ class SAD(Method):
     Source: VPRTempo paper, section "Baseline methods"; preprocessing as the authors' own SAD (a41ba92).
     """
 
-    preprocessing: Variant = "C"
+    preprocessing: Preprocessing = "C"
     height: int = 28  # pixels
     width: int = 28
     patch: int = 7
@@ -59,7 +59,7 @@ class SAD(Method):
 
     def encode(self, images: Images) -> Levels:
         """Return the preprocessed pixels, (n_images, height * width), levels 0..255."""
-        return PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        return pixels(images, self.preprocessing, self.height, self.width, self.patch)
 
     def match(self, codes: Levels) -> Scores:
         """Return (n_queries, n_places) in grey levels, -255 to 0."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, ClassVar, Self
@@ -21,14 +21,13 @@ from vprbench.api import (
     NotFittedError,
     Places,
     Scores,
-    progress,
 )
 
 from . import fused, training
 from .arguments import Arguments
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, members_from_state, members_state
-from .query import LinearQuery, Query, SpikingQuery, asking, calibrated
+from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
 from .training import Schedule, Training, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
 
@@ -103,17 +102,17 @@ class VPRTempo(Arguments, Method):
         n_modules, n_features = features.thresholds.shape
         rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        learning = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
-            report = _reporting("training features", number, len(groups))
-            engine.train_features(features[group], order[group], training, report)
+            report = training.reporting("training features", number, len(groups))
+            engine.train_features(features[group], order[group], learning, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
-            report = _reporting("training places", number, len(groups))
-            engine.train_places(outputs[group], features[group], output_order[group], training, report)
+            report = training.reporting("training places", number, len(groups))
+            engine.train_places(outputs[group], features[group], output_order[group], learning, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]
@@ -166,6 +165,11 @@ class VPRTempo(Arguments, Method):
             layers["feature"], layers["output"] = query.layers(codes)
         return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
 
+    def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
+        """Return the feature neurons of all networks: their spikes, or the sums of a linear query."""
+        self._trained()
+        return {"feature": feature_layers(self._members, self.chosen_rules(), codes, self._spiking_query)}
+
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
@@ -211,9 +215,3 @@ class VPRTempo(Arguments, Method):
             logger.warning("no triton for %s (%s): the readable version trains, which is slower", self.device, error)
             return training
         return fused_cuda
-
-
-def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
-    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
-    progress.report(stage, group / groups)
-    return lambda done: progress.report(stage, (group + done) / groups)

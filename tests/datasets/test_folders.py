@@ -3,12 +3,14 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
-from image_folders import REAL, answer, needs_real_frames
+from image_folders import REAL, answer, needs_real_frames, rights
 
 from vprbench.datasets.folders import folders
 from vprbench.datasets.readers.image_files import images_in
 from vprbench.errors import BadInput, NotThere
+from vprbench.methods.sad import SAD
 
 
 @pytest.fixture
@@ -191,3 +193,69 @@ def test_the_protocol_of_an_index_says_everything_that_was_selected(fill):
         "unmatched": "error",
         "tolerance_places": 1,
     }
+
+
+RIGHT = np.array([[1, 0, 0], [0, 1, 1], [0, 0, 0], [1, 0, 1]], bool)  # of four queries, the third has no place
+
+
+@pytest.fixture
+def with_matrix(fill, tmp_path):
+    """A function that reads two folders with a matrix of these arrays."""
+
+    def read(**arrays):
+        np.savez_compressed(tmp_path / "truth.npz", **arrays)
+        references, queries = [fill("a", numbered(2)), fill("b", numbered(1))], fill("c", numbered(4))
+        return folders("mine", references, queries, str(tmp_path / "truth.npz"), unmatched="keep")
+
+    return read
+
+
+def test_rows_of_a_matrix_are_queries_and_its_columns_the_images_of_all_reference_folders(with_matrix):
+    dataset = with_matrix(positives=RIGHT.astype(np.float32))
+    assert rights(dataset) == [[0], [1, 2], [], [0, 2]]
+    assert dataset.places.tolist() == [0, 1, 2]
+    assert dataset.notes == (
+        "1 of 4 queries have no right reference in truth.npz; they count as misses (dataset.unmatched=keep)",
+    )
+    assert dict(dataset.protocol) == {
+        "protocol": "folders",
+        "references": ["a", "b"],
+        "queries": "c",
+        "ground_truth": "truth.npz",
+        "unmatched": "keep",
+    }
+
+
+@pytest.mark.parametrize(
+    ("arrays", "told"),
+    [
+        ({"positives": RIGHT.T}, "(3, 4) (it is transposed); wanted is (4, 3), queries by references"),
+        ({"truth": RIGHT}, "holds no positives"),
+    ],
+)
+def test_another_matrix_is_refused(with_matrix, arrays, told):
+    assert told in answer(with_matrix, **arrays)
+
+
+def test_a_ground_truth_that_is_no_word_and_no_matrix_is_refused_with_what_is_possible(fill, tmp_path):
+    given = {"references": [fill("a", numbered(2))], "queries": fill("b", numbered(2))}
+    assert "dataset.ground_truth=idx: give index, utm or an .npz" in answer(folders, **given, ground_truth="idx")
+    missing = str(tmp_path / "gone.npz")
+    assert f"{missing} is no file" in answer(folders, kind=NotThere, **given, ground_truth=missing)
+
+
+@needs_real_frames
+def test_sad_of_raw_event_counts_finds_the_share_of_brisbane_that_independent_code_found():
+    # Source: the README beside the frames, R@1 0.105 of all 724 queries, 4 of which have no right place.
+    root = REAL / "brisbane_events_7x7"
+    dataset = folders(
+        "brisbane",
+        [str(root / "sunset2")],
+        str(root / "sunset1"),
+        ground_truth=str(root / "ground_truth.npz"),
+        unmatched="keep",
+    )
+    sad = SAD("grey", height=7, width=7).fit(dataset.references, dataset.places)
+    found = sad.query(dataset.queries).argmax(1)
+    hits = [place in right for place, right in zip(found.tolist(), dataset.positives, strict=True)]
+    assert (len(hits), np.mean(hits)) == (724, pytest.approx(0.105, abs=0.0005))

@@ -15,8 +15,11 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.cohog import CoHOG
 from vprbench.methods.densevlad.method import DenseVLAD
+from vprbench.methods.flyhash import FlyHash
 from vprbench.methods.hog import HOG
+from vprbench.methods.hyperdimensional import HyperDimensional
 from vprbench.methods.pca import PCA
+from vprbench.methods.random_projection import RandomProjection
 from vprbench.methods.sad import SAD
 from vprbench.plugins import registry
 
@@ -24,8 +27,11 @@ IMAGES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
 METHODS = {
     "cohog": lambda: CoHOG(size=64, cell=8, entropy_size=20, entropy_radius=3),
     "densevlad": lambda: DenseVLAD(words=6, n_components=0),
+    "flyhash": FlyHash,
     "hog": lambda: HOG(height=32, width=40),
+    "hyperdimensional": HyperDimensional,
     "pca": PCA,
+    "random_projection": RandomProjection,
     "sad": SAD,
 }
 STORED = ["cohog", "densevlad", "pca"]
@@ -41,6 +47,9 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("cohog", {"entropy_threshold": float("nan")}, ""),
     ("densevlad", {"words": 0}, ""),
     ("densevlad", {"n_components": -1}, ""),
+    ("flyhash", {"units": 0}, ""),
+    ("flyhash", {"summed": 785}, "784 pixels"),
+    ("flyhash", {"winners": 7841}, "method.units=7840"),
     ("hog", {"height": 500}, "method.block=16"),
     ("hog", {"width": 8}, ""),
     ("hog", {"block": 16, "cell": 12}, "method.cell=12"),
@@ -49,8 +58,15 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("hog", {"stride": 0}, ""),
     ("hog", {"bins": 256}, "1 to 255"),
     ("hog", {"sigma": 0.0}, ""),
+    ("hyperdimensional", {"cell": 33}, "smaller side"),
+    ("hyperdimensional", {"stride": 0}, ""),
+    ("hyperdimensional", {"stride": 33, "features": "oriented"}, "smaller side"),
+    ("hyperdimensional", {"reach": 0.0}, ""),
+    ("hyperdimensional", {"components": 0}, ""),
     ("pca", {"components": 0}, ""),
     ("pca", {"height": 0, "preprocessing": "grey"}, "method.width=28"),
+    ("random_projection", {"components": 0}, ""),
+    ("sad", {"height": 0, "preprocessing": "grey"}, "method.width=28"),
 ]
 
 

@@ -119,6 +119,13 @@ class Method(ABC):
         """
         return ()
 
+    def layers(self, codes: npt.NDArray[Any]) -> Mapping[str, npt.NDArray[Any]]:
+        """Return what each layer that was learnt makes of codes, (n_queries, n_neurons), by its name; most have none.
+
+        Readouts compare them by their cosines. Raises NotFittedError before `fit`.
+        """
+        return {}
+
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Raise TypeError for a subclass that replaces `query`, which is encode and match."""
         super().__init_subclass__(**arguments)

@@ -108,6 +108,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
         run = replace(run, tuned_on=tuned_on)
+        if run.readouts is None and stored is not None:
+            run = replace(run, readouts=stored.readouts)
         try:
             folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
         except BadInput as error:
@@ -155,7 +157,7 @@ def requested(
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
     cache = store.root.absolute() / "descriptors" if settings.cache else None
-    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache)
+    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache, settings.readouts)
 
 
 def _refused(store: Store) -> BadInput | None:
@@ -179,6 +181,9 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
     if less := run.timed_by.shortfalls(request.protocol):
         timed = f"timed by less than asked for ({', '.join(less)})" if run.timed_by.rates else "not timed"
         logging.info("%s on %s is stored, %s: running again", run.method, run.dataset, timed)
+        return None
+    if settings.readouts and run.readouts is None:
+        logging.info("%s is stored without its readouts: running again for readouts=true", run.method)
         return None
     if settings.scores and run.scores is None:
         logging.info("%s on %s is stored without its scores: running again for scores=true", run.method, run.dataset)
@@ -205,7 +210,7 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 
 def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
-    from vprbench.run import rows  # what it imports does not count as the run's memory
+    from vprbench.run import readout_rows, rows  # what they import does not count as the run's memory
     from vprbench.run.sequences import views
     from vprbench.run.tuned import all_notes
 
@@ -218,6 +223,7 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
                 "protocol": dict(run.protocol),
                 "data": dict(run.data),
                 **rows.numbers(run, settings.metrics),
+                "readouts": readout_rows.readout_numbers(run),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -239,8 +245,10 @@ def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -
         below.append(f"from the store: {folder} (force=true runs again)")
     elif folder is not None:
         below.append(f"stored in {folder}")
-    text = table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)
-    return "\n".join([*(told(*each) for each in said), text, *map(told, below)])
+    tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
+    if settings.readouts:
+        tables.append(readout_rows.readout_text(run))
+    return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
 
 
 def _viewed(view: Run, settings: Settings) -> dict[str, Any]:

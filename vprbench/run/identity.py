@@ -68,6 +68,7 @@ class Request:
     files: networks.Files = _NO_FILES  # networks to load or to store
     cache: Path | None = None  # a folder for descriptors worth keeping
     scores: bool = False  # keep them all, however many
+    readouts: bool = False  # whether the layers are read too, which changes no answer
 
     def key(self) -> str:
         """Return the hash of its identity."""

@@ -22,6 +22,7 @@ NoteKind = Literal[
     "audit",  # other answers when it was timed
     "index",  # an approximate search
     "spikes",  # why no spikes were counted
+    "readouts",  # why no layer was read
 ]
 
 #: Kinds of notes on a machine that was disturbed, or timed too shortly.

@@ -7,7 +7,7 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -74,6 +74,7 @@ class Run:
     tuned_on: Mapping[str, Any] = field(default_factory=dict)  # TunedOn; empty: on nothing
     query_breaks: npt.NDArray[np.int64] | None = None  # Dataset's
     place_breaks: npt.NDArray[np.int64] | None = None
+    readouts: Sequence[Mapping[str, Any]] | None = None  # name, neurons, hits of each query; None: not asked for
     view: View | None = None  # None: the run as it is stored
 
     @property
@@ -164,7 +165,7 @@ def _summary(content: bytes) -> dict[str, Any]:
     if summary.pop("content_key") != content_key(summary):
         raise DamagedRunError(f"{SUMMARY} is not what was written")
     check_summary(summary)
-    return summary
+    return {"readouts": None, **summary}  # runs of earlier versions have no word of them
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]

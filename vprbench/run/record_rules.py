@@ -116,6 +116,12 @@ class _Spikes(_Part):
     layers: Annotated[list[_Layer], Field(min_length=1)]
 
 
+class _Readout(_Part):
+    name: str
+    neurons: _Count
+    hits: Annotated[list[_Share], Field(min_length=1)]
+
+
 class _Frames(_Part):
     names_sha256: str
     content_sha256: str | None
@@ -177,6 +183,7 @@ class _Summary(_Part):
     harness_seconds: _Number
     method_seconds: _Number
     spikes: _Spikes | None
+    readouts: list[_Readout] | None = None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
     tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
     timing: _Timing | None
@@ -255,6 +262,9 @@ def check_arrays(summary: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[An
     for fewer, more in _NEVER_MORE:
         if (arrays[fewer] > arrays[more]).any():
             raise ValueError(f"{fewer} is more than {more} somewhere")
+    for readout in summary.get("readouts") or ():
+        if len(readout["hits"]) != lengths["queries"]:
+            raise ValueError(f"readout {readout['name']} has {len(readout['hits'])} hits, not one a query")
     if arrays["positives_per_query"].sum() != len(arrays["positives"]):
         raise ValueError("positives_per_query does not add up to the positives")
 

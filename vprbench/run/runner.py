@@ -12,7 +12,7 @@ import numpy as np
 from vprbench import progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
-from vprbench.run import machine, spikes
+from vprbench.run import machine, readouts, spikes
 from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
@@ -57,6 +57,9 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     with stopwatch.lap() as auditing:
         measured["search"] = scoring.audited.search()
         measured["spikes"], spike_notes = spikes.counted(method, queries)
+        if request.readouts:
+            measured["readouts"], reading_notes = readouts.read(method, dataset)
+            spike_notes += reading_notes
     told = (
         *noted("dataset", dataset.notes),
         *noted("adapted", adaptation_words(request.config, dataset.n_places)),

@@ -38,6 +38,7 @@ class Settings:
     limit_minutes: float | None = None  # after which a run has failed; None: none
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
+    readouts: bool = False  # what the codes and the layers of a learnt method find on their own
     timing: Protocol = field(default_factory=Protocol)
 
 

@@ -1,0 +1,128 @@
+"""FlyHash: sparse binary codes of patch-normalised frames, made as a fly's olfactory circuit makes them of smells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from numba import types
+from scipy import sparse
+
+from vprbench.api import (
+    BadInput,
+    Images,
+    Method,
+    NotFittedError,
+    PatchNormalisation,
+    Places,
+    Scores,
+    Variant,
+    best_image_of_place,
+    compiled,
+)
+
+Winners = npt.NDArray[np.int32]  # (n_images, winners): numbers of units, ascending; -1 where fewer units fire
+
+
+@dataclass(frozen=True)
+class Map:
+    """The references by unit: those in which unit u wins are images[starts[u]:starts[u + 1]]."""
+
+    starts: npt.NDArray[np.int64]  # (units + 1,)
+    images: npt.NDArray[np.int32]  # ascending for each unit
+    places: Places  # (n_references,)
+
+
+@dataclass
+class FlyHash(Method):
+    """Scores a place by the share of winning units that its most similar image has in common with the query, 0 to 1.
+
+    Each unit sums a few pixels, drawn by `seed`; the frame's mean is subtracted from each of them; of the units above
+    0 the `winners` largest fire (of equal ones the first), the others are silent. So a frame without contrast scores 0.
+    Source: Dasgupta, Stevens and Navlakha, "A neural algorithm for a fundamental computing problem" (Science 2017):
+    10 units a pixel, each sums a tenth of the pixels, 5 % win. Smells there are patch-normalised pixels here.
+    """
+
+    preprocessing: Variant = "C"
+    height: int = 28  # pixels
+    width: int = 28
+    patch: int = 7
+    units: int = 7840
+    summed: int = 78  # pixels, by each unit
+    winners: int = 392
+    seed: int = 0
+
+    _map: Map | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(self, references: Images, places: Places) -> Self:
+        """List for every unit the references in which it wins."""
+        self._map = None
+        winners = self.encode(references)
+        images, ranks = np.nonzero(winners >= 0)
+        units = winners[images, ranks]
+        starts = np.concatenate(([0], np.cumsum(np.bincount(units, minlength=self.units))))
+        self._map = Map(starts, images[np.argsort(units, kind="stable")].astype(np.int32), places.copy())
+        return self
+
+    def encode(self, images: Images) -> Winners:
+        """Return the winners of each image, (n_images, winners), ascending, -1 in place of those that do not fire.
+
+        Raises BadInput for sizes that do not fit one another.
+        """
+        self._check_arguments()
+        levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        pixels = np.ascontiguousarray(levels.T, np.int64)  # whole numbers: no rounding decides between two units
+        sums = (_sampling(self.units, len(pixels), self.summed, self.seed) @ pixels).T  # (n_images, units)
+        above = sums * len(pixels) - self.summed * pixels.sum(0)[:, None]
+        ranked = above * self.units + np.arange(self.units)[::-1]  # all differ: of equal units the first is larger
+        best = np.argpartition(ranked, -self.winners, axis=1)[:, -self.winners :]
+        fires = np.take_along_axis(above, best, axis=1) > 0
+        return np.sort(np.where(fires, best, -1), axis=1).astype(np.int32)
+
+    def match(self, codes: Winners) -> Scores:
+        """Return the share of the `winners` that the best image of each place has too, (n_queries, n_places)."""
+        if self._map is None:
+            raise NotFittedError("FlyHash has no map yet: call fit(references, places) first")
+        common = np.zeros((len(codes), len(self._map.places)), np.float32)
+        _count_common(np.ascontiguousarray(codes), self._map.starts, self._map.images, common)
+        common /= self.winners
+        return best_image_of_place(common, self._map.places)
+
+    def _check_arguments(self) -> None:
+        n_pixels = self.height * self.width
+        for name, most, what in (
+            ("units", np.inf, "at least 1"),
+            ("summed", n_pixels, f"1 to the {n_pixels} pixels of a frame"),
+            ("winners", self.units, f"1 to method.units={self.units}"),
+        ):
+            if not 1 <= getattr(self, name) <= most:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
+
+
+@lru_cache(maxsize=4)
+def _sampling(n_units: int, n_pixels: int, n_summed: int, seed: int) -> sparse.csr_array:
+    """Draw which pixels each unit sums, (n_units, n_pixels): 1 for each of `n_summed` of them, else 0."""
+    generator = np.random.default_rng(seed)
+    chosen = [np.sort(generator.choice(n_pixels, n_summed, replace=False)) for _ in range(n_units)]
+    starts = np.arange(n_units + 1) * n_summed
+    return sparse.csr_array(
+        (np.ones(n_units * n_summed, np.int64), np.concatenate(chosen), starts), (n_units, n_pixels)
+    )
+
+
+@compiled(
+    types.Array(types.int32, 2, "C", readonly=True),
+    types.Array(types.int64, 1, "C", readonly=True),
+    types.Array(types.int32, 1, "C", readonly=True),
+    types.float32[:, ::1],
+)
+def _count_common(codes, starts, images, common):  # type: ignore[no-untyped-def]
+    """Add 1 to common[query, image] for each unit that wins in both: work for winners that meet, none for others."""
+    for query in range(len(codes)):
+        for unit in codes[query]:
+            if unit >= 0:
+                for at in range(starts[unit], starts[unit + 1]):
+                    common[query, images[at]] += np.float32(1)

@@ -1,0 +1,117 @@
+"""Random projections, FlyHash and hyperdimensional vectors against their formulas, written out, and on real frames."""
+
+import numpy as np
+import pytest
+from corridor import corridor, needs_corridor, right, scored
+from described_images import drawn_images
+
+from vprbench.api.images import Images
+from vprbench.api.oriented import OrientedEdges
+from vprbench.methods.flyhash import FlyHash
+from vprbench.methods.hyperdimensional import HyperDimensional
+from vprbench.methods.random_projection import RandomProjection
+from vprbench.methods.sad import SAD
+
+FRAMES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
+GREY = Images.from_arrays([np.full((40, 48, 3), 90, np.uint8)])
+
+
+def cosines(left, right):
+    return left @ right.T / np.linalg.norm(left, axis=1)[:, None] / np.linalg.norm(right, axis=1)
+
+
+def contrasts(images, **size):
+    return SAD(**size).encode(images).astype(float) - 127
+
+
+@pytest.mark.parametrize("directions", ["gaussian", "signs", "sparse_signs"])
+def test_cosines_of_random_projections_are_those_of_the_frames_but_for_what_chance_allows(directions):
+    expected = cosines(contrasts(FRAMES), contrasts(FRAMES))
+    for components in (256, 16384):
+        method = RandomProjection(components=components, directions=directions, seed=3).fit(FRAMES, np.arange(12))
+        errors = (method.query(FRAMES) - expected)[~np.eye(12, dtype=bool)]
+        # Johnson and Lindenstrauss: the deviation of a cosine near 0 is 1 / sqrt(components).
+        assert 0.5 < errors.std() * components**0.5 < 1.5
+
+
+@pytest.mark.parametrize(
+    ("directions", "shares"),
+    [("signs", {0: 1 / 2, 2: 1 / 2}), ("sparse_signs", {0: 1 / 2, 1: 4 / 9, 2: 1 / 18}), ("gaussian", {0: 0, 2: 0})],
+)
+def test_directions_are_signs_sparse_signs_or_gaussian(directions, shares):
+    # Of two pixels the contrasts are -90 and 90, so a component shows the difference of its two numbers.
+    two = Images.from_arrays([np.array([[0, 255]], np.uint8)])
+    code = RandomProjection(height=1, width=2, components=20000, directions=directions).encode(two)[0]
+    magnitudes = 2 * np.abs(code) / np.abs(code).max()
+    found = {size: np.mean(np.abs(magnitudes - size) < 1e-5) for size in shares}
+    assert found == pytest.approx(shares, abs=0.01)
+    assert abs(np.sign(code).mean()) < 0.03
+
+
+def slow_winners(levels, samples, n_winners):
+    """Dasgupta et al. 2017: mean-centred inputs, summed by each unit; the largest sums above 0 win."""
+    codes = []
+    for frame in levels.astype(float):
+        sums = np.array([(frame - frame.mean())[own].sum() for own in samples])
+        best = np.argsort(-np.round(sums, 6), kind="stable")[:n_winners]
+        codes.append({int(unit) for unit in best if sums[unit] > 1e-6})
+    return codes
+
+
+def test_winners_are_the_units_with_the_largest_sums_of_centred_pixels():
+    method = FlyHash(units=300, summed=20, winners=15, seed=4, height=12, width=12)
+    generator = np.random.default_rng(4)
+    samples = [generator.choice(144, 20, replace=False) for _ in range(300)]
+    levels = SAD(height=12, width=12).encode(FRAMES)
+    codes = method.encode(FRAMES)
+    assert [{*row[row >= 0].tolist()} for row in codes] == slow_winners(levels, samples, 15)
+    shared = [[len({*left} & {*right} - {-1}) / 15 for right in codes.tolist()] for left in codes[:5].tolist()]
+    assert method.fit(FRAMES, np.arange(12)).query(FRAMES[:5]) == pytest.approx(np.array(shared))
+
+
+@pytest.mark.parametrize("method", [FlyHash(), HyperDimensional(), RandomProjection()])
+def test_a_frame_without_contrast_scores_0(method):
+    assert not method.fit(FRAMES, np.arange(12)).query(GREY).any()
+
+
+def slow_kernel(rows, columns, reach):
+    """The similarity of every two positions: it falls evenly with the distance along each axis."""
+    y, x = (axis.ravel() for axis in np.mgrid[:rows, :columns])
+    down, across = (np.abs(axis[:, None] - axis) / reach for axis in (y, x))
+    return np.clip(1 - down, 0, None) * np.clip(1 - across, 0, None)
+
+
+def patches(frames):
+    """Windows of 8 x 8 pixels, 4 pixels apart, (frames, cells, pixels)."""
+    frames = frames.reshape(12, 16, 24)
+    corners = [(y, x) for y in range(0, 9, 4) for x in range(0, 17, 4)]
+    return np.array([[frame[y : y + 8, x : x + 8].ravel() for y, x in corners] for frame in frames])
+
+
+@pytest.mark.parametrize(
+    ("features", "reach", "rows", "columns"),
+    [("patches", 0.5, 3, 5), ("patches", 3.0, 3, 5), ("oriented", 2.0, 4, 6)],
+)
+def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(features, reach, rows, columns):
+    method = HyperDimensional(features, height=16, width=24, components=1 << 16, reach=reach)
+    if features == "patches":
+        cells = patches(contrasts(FRAMES, height=16, width=24))
+    else:
+        cells = OrientedEdges(16, 24, rows, columns)(FRAMES).reshape(12, rows * columns, 8)
+    products = np.einsum("acp,cd,bdp->ab", cells, slow_kernel(rows, columns, reach), cells)
+    expected = products / np.sqrt(np.outer(np.diag(products), np.diag(products)))
+    assert method.fit(FRAMES, np.arange(12)).query(FRAMES) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("make", [FlyHash, HyperDimensional, RandomProjection])
+def test_everything_random_is_drawn_by_the_seed(make):
+    first, again, other = (make(seed=seed).encode(FRAMES) for seed in (0, 0, 1))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@needs_corridor
+@pytest.mark.parametrize("method", [FlyHash(), HyperDimensional(), RandomProjection()])
+def test_on_corridor_random_codes_lose_little_of_what_the_pixels_find(method):
+    pixels = contrasts(corridor("query")), contrasts(corridor("ref"))
+    assert right(scored(method)) > 0.75 * right(cosines(*pixels))
