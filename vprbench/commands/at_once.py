@@ -47,7 +47,14 @@ COMMANDS: dict[str, Command] = {
     "gpu-check": Command("vprbench.commands.working:compare_gpu", f"{_SPEED}.gpu:Settings"),
     "completion": Command("vprbench.commands.at_once:show_completion", words="bash|zsh|fish"),
 }
-_NOT_THE_TABLES = ("device", "output", "save", "load", "wide")  # options of a run; rows and devices say what it holds
+_NOT_THE_TABLES = (
+    "device",
+    "output",
+    "save",
+    "load",
+    "wide",
+    "corruption",
+)  # options of a run; rows and devices say what it holds
 
 
 def answered(arguments: Sequence[str]) -> int | None:
