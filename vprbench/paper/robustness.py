@@ -14,6 +14,7 @@ from vprbench.metrics.intervals import difference_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.selection import Series
 from vprbench.paper.table.best import mean_recall
+from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.templates import document
 from vprbench.run import rows
 from vprbench.run.corruption import KINDS, STRENGTHS, Corruption
@@ -48,11 +49,16 @@ class Robustness:
     points: tuple[Point, ...]
 
     @property
-    def kinds(self) -> dict[str, list[Corruption]]:
-        """The corruptions that were asked, by their kind, in ascending strength."""
-        asked = {(point.kind, point.strength) for point in self.points if point.strength}
-        found = {kind: [Corruption(kind, each) for each in STRENGTHS if (kind, each) in asked] for kind in KINDS}
+    def kinds(self) -> dict[str, list[int]]:
+        """The kinds of corruption that were run, and their strengths, ascending."""
+        known = {(point.kind, point.strength) for point in self.points}
+        found = {kind: [each for each in STRENGTHS if (kind, each) in known] for kind in KINDS}
         return {kind: strengths for kind, strengths in found.items() if strengths}
+
+    @property
+    def words(self) -> dict[str, str]:
+        """What each of these kinds does to query frames."""
+        return {kind: KINDS[kind].told(strengths) for kind, strengths in self.kinds.items()}
 
     def of(self, method: str, kind: str) -> list[Point]:
         """Return the points of a row from clean to strong; those without a run are missing."""
@@ -104,13 +110,13 @@ def lines(found: Robustness) -> list[dict[str, str]]:
 
     A drop whose interval holds 0 stands in brackets.
     """
-    told = [{"R@1 %": "clean", **{row.name: _percent(found.of(row.name, "")[0].recall_at_1) for row in found.clean}}]
-    for kind, asked in found.kinds.items():
-        amounts = " / ".join(one.short for one in asked)
-        told.append({"R@1 %": f"less by {kind} {amounts}", **{row.name: "" for row in found.clean}})
+    head = "R@1 %, less by"
+    told = [{head: "clean", **{row.name: _percent(found.of(row.name, "")[0].recall_at_1) for row in found.clean}}]
+    for kind, strengths in found.kinds.items():
+        told.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
         for row in found.clean:
             there = {point.strength: point for point in found.of(row.name, kind)}
-            told[-1][row.name] = " / ".join(_drop(there.get(one.strength)) for one in asked)
+            told[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
     return told
 
 
@@ -127,10 +133,8 @@ def _percent(share: float) -> str:
 
 def markdown(found: Robustness, title: str) -> str:
     """Return the table as a document that says what each corruption is."""
-    asked = {
-        kind: KINDS[kind].words.format(" / ".join(one.short for one in each)) for kind, each in found.kinds.items()
-    }
-    return document("robustness.md.j2", title=title, table=rows.markdown(lines(found)), kinds=asked)
+    shown = {"title": shown_as_it_is(title), "table": rows.markdown(lines(found)), "kinds": found.words}
+    return document("robustness.md.j2", **shown)
 
 
 def csv(found: Robustness) -> str:

@@ -17,18 +17,26 @@ class Kind:
     """One way to spoil a frame, in three strengths."""
 
     amounts: tuple[float, float, float]
-    short: str  # an amount with its unit
-    words: str  # what is done to each query frame
+    unit: str  # around an amount
+    words: str  # what is done to query frames, around amounts with their unit
+
+    def short(self, strengths: Sequence[int]) -> str:
+        """Return the amounts of these strengths with their unit."""
+        return self.unit.format("/".join(f"{self.amounts[each - 1]:g}" for each in strengths))
+
+    def told(self, strengths: Sequence[int]) -> str:
+        """Return what these strengths do to query frames."""
+        return self.words.format(self.short(strengths).replace("/", ", "))
 
 
 KINDS = {
-    "shift": Kind((1, 4, 8), "{:g} px", "moved left or right by {}, borders repeated"),
-    "rotation": Kind((2, 5, 10), "{:g}°", "turned left or right by {}, borders repeated"),
-    "brightness": Kind((0.5, 1, 2), "{:g} EV", "brighter or darker by {} (grey levels times 2 to that power)"),
-    "blur": Kind((1, 2, 4), "{:g} %", "blurred by a Gaussian whose standard deviation is {} of the frame's width"),
-    "noise": Kind((10, 25, 50), "±{:g}", "with Gaussian noise of {} grey levels in each pixel and channel"),
-    "occlusion": Kind((10, 25, 50), "{:g} %", "with {} of the area hidden by a grey rectangle anywhere"),
-    "resolution": Kind((2, 4, 8), "1/{:g}", "reduced to {} of the resolution and enlarged again"),
+    "shift": Kind((1, 4, 8), "{} px", "moved left or right by {}, borders repeated"),
+    "rotation": Kind((2, 5, 10), "{}°", "turned left or right by {}, borders repeated"),
+    "brightness": Kind((0.5, 1, 2), "{} EV", "brighter or darker by {}: levels times 2 to that power"),
+    "blur": Kind((1, 2, 4), "{} %", "blurred by a Gaussian whose deviation is {} of their width"),
+    "noise": Kind((5, 10, 20), "±{}", "with Gaussian noise of {} levels in each pixel and channel"),
+    "occlusion": Kind((10, 25, 50), "{} %", "with {} of their area hidden by a grey rectangle anywhere"),
+    "resolution": Kind((2, 4, 8), "1:{}", "reduced {} and enlarged again"),
 }
 
 
@@ -53,11 +61,11 @@ class Corruption:
     @property
     def short(self) -> str:
         """The amount with its unit."""
-        return KINDS[self.kind].short.format(self.amount)
+        return KINDS[self.kind].short([self.strength])
 
     def protocol(self) -> str:
         """Return what stands of it in the protocol of a run."""
-        return f"{self.name} (queries {KINDS[self.kind].words.format(self.short)}; seed {self.seed})"
+        return f"{self.name} (queries {KINDS[self.kind].told([self.strength])}; seed {self.seed})"
 
 
 def corruption(name: str) -> Corruption:
