@@ -1,0 +1,119 @@
+"""Oriented edges of frames, normalised by their neighbourhood: an input of spiking networks beside patches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench.api import oriented_compiled
+from vprbench.api.arrays import Image
+from vprbench.api.images import Images
+from vprbench.api.preprocess import Engine
+from vprbench.errors import BadInput
+
+GREY = (299, 587, 114)  # thousandths of red, green and blue
+
+_BLOCK = 128  # images a thread
+_BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
+
+
+@dataclass(frozen=True)
+class OrientedEdges:
+    """How strong edges of each orientation are in every cell of a frame, 0 to 1.
+
+    A frame becomes grey, then `height` x `width` pixels by means over areas. Central differences, borders
+    replicated, give each pixel a magnitude, which it shares between the two nearest of `orientations` bins of half a
+    turn. Each bin is averaged over the pixels of a cell, `rows` x `columns` of them, and divided by the root of the
+    cells' energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon` grey levels. A frame of
+    one level gives zeros. As histograms of oriented gradients (Dalal and Triggs 2005), but with energies of blocks
+    around each cell and without gamma.
+    The fused engine is compiled and takes all threads that PyTorch may use; the readable one is what it is judged by.
+    Raises BadInput for sizes under which there is no code.
+    """
+
+    height: int = 32  # pixels
+    width: int = 64
+    rows: int = 8  # cells
+    columns: int = 16
+    orientations: int = 8
+    block: int = 3  # cells
+    epsilon: float = 16.0  # grey levels
+    engine: Engine = "fused"
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        for name, least in {"height": 1, "width": 1, "rows": 1, "columns": 1, "orientations": 2, "block": 1}.items():
+            if getattr(self, name) < least:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give at least {least}")
+        if self.block % 2 == 0:
+            raise BadInput(f"method.block={self.block}: a block needs a cell in its centre, give an odd number")
+        if not 0 < self.epsilon < math.inf:
+            raise BadInput(f"method.epsilon={self.epsilon}: give grey levels, more than 0")
+
+    @property
+    def n_inputs(self) -> int:
+        """The length of a code."""
+        return self.rows * self.columns * self.orientations
+
+    def __call__(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return (n_images, rows * columns * orientations): the orientations of a cell side by side."""
+        codes = np.empty((len(images), self.n_inputs), np.float32)
+        threads = torch.get_num_threads() if self.engine == "fused" and len(images) > 1 else 1
+        if threads == 1:
+            for image, code in zip(images, codes, strict=True):
+                self._write([image], code[None])
+            return codes
+        done = 0
+        with ThreadPoolExecutor(threads) as pool:
+            for block in images.blocks(_BLOCK * threads, _BLOCKS_BYTES):
+                own, held = codes[done : done + len(block)], list(block)
+                shares = [slice(first, None, threads) for first in range(threads)]
+                list(pool.map(self._write, [held[share] for share in shares], [own[share] for share in shares]))
+                done += len(block)
+        return codes
+
+    def _write(self, images: Sequence[Image], codes: npt.NDArray[np.float32]) -> None:
+        cells = codes.reshape(-1, self.rows, self.columns, self.orientations)
+        for image, code in zip(images, cells, strict=True):
+            if self.engine == "readable":
+                code[:] = self.of_grey(self.shrink(image))
+            else:
+                pixels = np.ascontiguousarray(image)
+                oriented_compiled.encode(pixels, self.height, self.width, self.block, self.epsilon, code)
+
+    def shrink(self, image: Image) -> npt.NDArray[np.float64]:
+        """Return the grey levels, (height, width), of an RGB image: means over areas, of pixels that it cuts too."""
+        grey = image.astype(np.int64) @ np.array(GREY)
+        # Whole numbers up to the last step, so that a frame of one level stays one.
+        return _areas(grey, self.height, self.width) / (grey.size * sum(GREY))
+
+    def of_grey(self, grey: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the code (rows, columns, orientations) of grey levels (height, width)."""
+        padded = np.pad(grey, 1, mode="edge")
+        across, down = padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]
+        position = np.arctan2(down, across) % np.pi * self.orientations / np.pi - 0.5  # in bins, 0: the first's centre
+        away = np.abs(position - np.arange(self.orientations)[:, None, None])
+        shares = np.maximum(0, 1 - np.minimum(away, self.orientations - away))
+        votes = shares * np.hypot(across, down)
+        cells = np.stack([_areas(bins, self.rows, self.columns) for bins in votes], 2) / grey.size
+        energy = np.pad(np.square(cells).sum(2), self.block // 2, mode="symmetric")
+        windows = np.lib.stride_tricks.sliding_window_view(energy, (self.block, self.block))
+        spread = np.sqrt(windows.mean((2, 3))) + self.epsilon
+        return np.clip(cells / spread[:, :, None], 0, 1)
+
+
+def _areas(values: npt.NDArray[np.generic], rows: int, columns: int) -> npt.NDArray[np.generic]:
+    """Return the sums over equal areas, (rows, columns), times rows * columns; cut values count by their share."""
+    return _shares(rows, values.shape[0]) @ values @ _shares(columns, values.shape[1]).T
+
+
+def _shares(parts: int, size: int) -> npt.NDArray[np.int64]:
+    """Return how much of each of `size` pixels lies in each of equal `parts`, (parts, size), in parts of a pixel."""
+    first, pixel = np.arange(parts)[:, None] * size, np.arange(size) * parts
+    return np.maximum(0, np.minimum(first + size, pixel + parts) - np.maximum(first, pixel))
