@@ -10,7 +10,7 @@ import pandas as pd
 
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.intervals import difference_interval
+from vprbench.metrics.intervals import Values, difference_interval
 from vprbench.metrics.registry import METRICS
 from vprbench.paper.selection import Series
 from vprbench.paper.table.best import mean_recall
@@ -101,8 +101,8 @@ def _point(row: Series, clean: Series, one: Corruption | None) -> Point:
     )
 
 
-def _hits(runs: Sequence[Run]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.mean([hits_at(run.outcome, 1) for run in runs], axis=0)
+def _hits(runs: Sequence[Run]) -> Values:
+    return np.asarray(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0))
 
 
 def lines(found: Robustness) -> list[dict[str, str]]:

@@ -41,7 +41,7 @@ def corrupted_frame(image: Image, wanted: Corruption, frame: str) -> Image:
 
 def _shifted(image: Image, pixels: float, random: np.random.Generator) -> Image:
     last = image.shape[1] - 1
-    return np.take(image, np.clip(np.arange(last + 1) + _either(random) * int(pixels), 0, last), axis=1)
+    return np.ascontiguousarray(image[:, np.clip(np.arange(last + 1) + _either(random) * int(pixels), 0, last)])
 
 
 def _turned(image: Image, degrees: float, random: np.random.Generator) -> Image:
