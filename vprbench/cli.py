@@ -114,7 +114,8 @@ def _run(config: DictConfig) -> int:
     choices = HydraConfig.get().runtime.choices
     registry.insist_on_one("method", choices["method"])
     registry.insist_on_one("dataset", choices["dataset"])
-    asked = {name: plain[name] for name in ("method", "dataset", "seed", "device", "depth", "load", "limit_minutes")}
+    named = ("method", "dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+    asked = {name: plain[name] for name in named}
     asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
     from vprbench.run import machine
     from vprbench.run.find_or_make import answer

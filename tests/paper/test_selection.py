@@ -67,6 +67,14 @@ def test_options_that_a_dataset_gained_or_lost_keep_no_run_from_its_column() -> 
     assert options_apart(both) == ()
 
 
+def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corruptions() -> None:
+    shift, noise = (replace(RAIL, corruption=name) for name in ("shift-1", "noise-2"))
+    clean, moved = run(config={"corruption": None}), run(config={"corruption": "shift-1"}, day="2025-09-09")
+    failed = failure("vprtempo", config={"corruption": "noise-2"})
+    found = groups([clean, moved], [failed], [RAIL, shift, noise], ROWS)
+    assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
+
+
 def test_another_dataset_is_none_of_a_column_whatever_options_they_share() -> None:
     asked = [run(dataset={"name": "riverside"}), run(dataset={**RAILWAY, "name": "riverside"})]
     failed = replace(failure(), config={**failure().config, "dataset": {}})

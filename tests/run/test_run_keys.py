@@ -20,6 +20,7 @@ from vprbench.api.images import Images
 from vprbench.methods.hog import HOG
 from vprbench.plugins.networks import Files
 from vprbench.run import harness, machine
+from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.sources import meaning
 from vprbench.run.stopwatch import Protocol
@@ -51,6 +52,7 @@ def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int
         {"dataset": replace(journey(6, 4), queries=pictures([1, 0, 2, 3, 4, 5]))},
         {"dataset": replace(journey(6, 4), references=pictures([0, 1, 2, 4]))},
         {"dataset": replace(journey(6, 4), places=np.array([0, 1, 3, 2]))},
+        {"dataset": corrupted(journey(6, 4), "shift-1")},
     ],
 )
 def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any]) -> None:

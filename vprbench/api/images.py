@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import overload
 
@@ -180,6 +181,25 @@ class Images(Sequence[Image]):
         view = self[:]
         view._report = report
         return view
+
+    def changed(self, change: Callable[[Image, str], Image], how: str) -> Images:
+        """Return images that `change(image, name)` makes of these when they are read; `how` is all it depends on.
+
+        Hashes tell them from these images, and from what another change makes of these.
+        """
+        names, in_files = self.names, self._files is not None
+        whole = cache(lambda: self.fingerprint().encode())
+        stamp = self._stamp or (lambda i: b"" if in_files else whole())
+        content = self._content or (lambda i: b"" if in_files else repr(self._read(i).tolist()).encode())
+        images = Images(
+            lambda i: change(self._read(i), names[i]),
+            names,
+            files=self._files,
+            stamp=lambda i: how.encode() + stamp(i),
+            content=lambda i: f"{how} {names[i]} ".encode(errors="surrogateescape") + content(i),
+        )
+        images.reading = self.reading
+        return images
 
     def in_memory(self) -> Images:
         """Return the same images, all decoded now."""

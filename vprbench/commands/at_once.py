@@ -54,6 +54,7 @@ _NOT_THE_TABLES = (
     "load",
     "wide",
     "readouts",
+    "corruption",
 )  # options of a run; rows and devices say what it holds
 
 

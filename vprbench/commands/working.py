@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from vprbench.paper.gather import TableRequest
     from vprbench.paper.shelf import Compose
 
+_NOT_OF_TABLES = ("method", "dataset", "corruption", "seed", "device", "output", "save", "load")
+
 
 def table(options: list[str]) -> int:
     """Make what Table II lacks, and write it."""
@@ -59,10 +61,10 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
     rest = readable([option for option in options if option not in own])
     own = [*own, *readable([option for option in own if option.startswith("methods=")])]  # loose files get their names
     for option in rest:
-        if option.split("=")[0].split(".")[0] in ("method", "dataset", "seed", "device", "output", "save", "load"):
+        if option.split("=")[0].split(".")[0] in _NOT_OF_TABLES:
             raise BadInput(
                 f"{option}: rows, methods, columns, seeds and devices say what the table holds; "
-                "conf/table.yaml has what they are"
+                "conf/table.yaml has what they are, and all of it is of clean frames"
             )
     asked = chosen(TableRequest, own, {})
     checked_settings(composed(readable([*rest, f"results={asked.results}"])))

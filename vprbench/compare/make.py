@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from vprbench.compare.checks import Cell, Checked, checked
+from vprbench.compare.corruptions import make_missing, under
 from vprbench.compare.quantities import quantities
 from vprbench.compare.request import Asked
 from vprbench.paper.figures.make import draw_all, write_figures
@@ -17,6 +18,7 @@ from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wan
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
+from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
 from vprbench.paper.selection import Group, accuracy_series, as_text, groups, protocol_words
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import words
@@ -30,6 +32,7 @@ from vprbench.run.processes import Ending
 from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import suffix, views
 from vprbench.run.settings import n_threads
+from vprbench.storage.atomic import replace_text
 from vprbench.terminal.console import show_table, told
 from vprbench.text import printable
 
@@ -50,10 +53,19 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     endings = made(chosen, list(wanted(chosen, found.column, there)), asked.of_runs, compose)
+    spoilt = under(found, asked.request.corruptions)
+    endings += make_missing(chosen, there, spoilt, asked, compose)
     known, failures = stored(chosen)
     compared, rankings = ranked_material(chosen, found, known, failures, endings)
     show(compared, rankings, asked.request.wide)
-    print("\nwritten to", *written(compared, asked.request.name is None), sep="\n  ")
+    robust = None
+    if spoilt:
+        of_each = {one: accuracy_series(newest(chosen, of, known), chosen.rows) for one, of in spoilt.items()}
+        robust = robustness(accuracy_series(newest(chosen, found, known), compared.chosen.rows), of_each)
+        table = lines(robust)
+        print()
+        show_table([*table[0]], [[*line.values()] for line in table], asked.request.wide)
+    print("\nwritten to", *written(compared, asked.request.name is None, robust), sep="\n  ")
     return exit_code(endings)
 
 
@@ -86,21 +98,26 @@ def ranked_material(
 
     There is a ranking for each view that was asked for; the first orders the rows. Raises BadInput if there is no run.
     """
-    runs = [run for run in known if _is_of(run, found)]
-    runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
-    (newest, *_) = groups(runs, (), [found.column], chosen.rows)
+    there = newest(chosen, found, known)
     left_out = [
         run.failed(cell.missing, missing=True)
         for cell in found.cells
         if cell.missing is not None
         for run in wanted(chosen, found.column, [cell.row])
     ]
-    shown = groups(newest.runs, [*failures, *left_out], [found.column], chosen.rows)
+    shown = groups(there.runs, [*failures, *left_out], [found.column], chosen.rows)
     shown = seen(shown, chosen.rows, chosen.views)
     rankings = [ranked(accuracy_series(group, chosen.rows)) for group in shown]
     order = [row.name for row in rankings[0].rows]
     ordered = sorted(chosen.rows, key=lambda row: order.index(row.name) if row.name in order else len(order))
-    return assembled(replace(chosen, rows=tuple(ordered)), shown, newest.runs, tuple(endings)), rankings
+    return assembled(replace(chosen, rows=tuple(ordered)), shown, there.runs, tuple(endings)), rankings
+
+
+def newest(chosen: Chosen, found: Checked, known: Sequence[Run]) -> Group:
+    """Return the stored runs of a comparison, of several protocols those with the newest run."""
+    runs = [run for run in known if _is_of(run, found)]
+    runs = [_as_asked(run, cell, found) for run in runs for cell in found.cells if cell.row.method == run.method]
+    return groups(runs, (), [found.column], chosen.rows)[0]
 
 
 def _is_of(run: Run, found: Checked) -> bool:
@@ -164,19 +181,28 @@ def _shown(found: Material, row: TableRow, quantities: Sequence[Quantity]) -> It
             yield " ".join(filter(None, [told, cell.value, cell.extent]))
 
 
-def written(found: Material, beside_others: bool) -> list[Path]:
+def written(found: Material, beside_others: bool, robust: Robustness | None = None) -> list[Path]:
     """Write the table, its runs, figures and page of a comparison into the results folder; returns the files.
 
     If `beside_others`, files of this name that are of other frames stay: the new ones get the frames' hash.
     """
+    from vprbench.paper.figures.robustness import robustness as drawn_robustness
+
     folder, name = Path(found.chosen.results).expanduser(), found.chosen.columns[0].planned.name
     name += suffix(found.chosen.views)
     if beside_others and _of_other_frames(folder / f"{name}-runs.csv", found.runs):
         name = f"{name}-{found.runs[0].fingerprint[:6]}"
     files = write(found, folder, name)
+    if robust is not None:
+        title = str(found.table.title)
+        for ending, text in (("md", markdown(robust, title)), ("csv", csv(robust))):
+            files.append(folder / f"{name}-robustness.{ending}")
+            replace_text(files[-1], text)
     absent: list[str] = []
     with progress_shown("compare, figures"):
         drawings = list(draw_all(found, found.runs, report=absent.append))
+        if robust is not None:
+            drawings.append((f"robustness-{found.chosen.columns[0].planned.name}", drawn_robustness(robust)))
         *_, captions = write_figures(drawings, folder / "figures" / name)
         for path in captions.parent.glob("*.p[dn][fg]"):  # of an earlier comparison of this name
             if path.stem not in dict(drawings):

@@ -9,6 +9,7 @@ from typing import Any
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins.options import chosen
+from vprbench.run.corruption import corruptions
 from vprbench.run.settings import KNOWN
 from vprbench.text import near
 
@@ -20,6 +21,7 @@ class Request:
     methods: list[str]  # names; NAME.option=value sets an option of one of them
     seeds: int = 1  # of each method that learns from a seed
     metrics: list[str] = field(default_factory=list)  # more columns, by their names in METRICS
+    corruptions: list[str] = field(default_factory=list)  # of query frames: all, kinds, or as in shift-1
     devices: list[str] = field(default_factory=lambda: ["cpu"])  # or device=cuda, for one
     stored: bool = False  # from the store alone: nothing is run
     stores: list[str] = field(default_factory=list)  # results folders of other machines, read too
@@ -33,6 +35,7 @@ class Request:
         """Check what can be checked before a method or the dataset is built."""
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
+        corruptions(self.corruptions)
         TableRequest(
             seeds=self.seeds,
             metrics=self.metrics,
@@ -64,6 +67,10 @@ def asked(options: Sequence[str]) -> Asked:
         name = option.partition("=")[0]
         if "." not in name and name not in known:
             raise BadInput(f"option {name} is unknown: {near(name, known)}")
+        if name == "corruption":
+            raise BadInput(
+                f"{option}: give corruptions{option.removeprefix(name)}, beside which clean frames are asked"
+            )
         if name.partition(".")[0] in ("method", "seed", "output", "save", "load"):
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "

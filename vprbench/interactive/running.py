@@ -35,6 +35,7 @@ class Options(TypedDict, total=False):
     cache: bool  # keep descriptors of networks, and take those of an earlier run
     depth: int  # best places kept for each query, 100
     scores: bool  # keep all scores, however many; those of small runs are kept anyway
+    corruption: str | None  # of the query frames, as in "shift-1"; None: they are clean
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then
 
@@ -75,9 +76,11 @@ def prepared(method: AnyMethod, where: Place, options: Options) -> Prepared:
     settings, config = _settings(chosen, where, options, stored)
     store = Store(Path(settings.results).expanduser())
     method_config, tuned_on = registry.declared(chosen.name, config["method"])
-    asked = {name: config[name] for name in ("dataset", "seed", "device", "depth", "load", "limit_minutes")}
+    named = ("dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+    asked = {name: config[name] for name in named}
     asked |= {"method": method_config, "changed": dict(chosen.changed)}
-    asked |= {"overrides": [*chosen.overrides, *where.overrides, f"seed={settings.seed}"]}
+    corrupted = [f"corruption={settings.corruption}"] * (settings.corruption is not None)
+    asked |= {"overrides": [*chosen.overrides, *where.overrides, *corrupted, f"seed={settings.seed}"]}
     request = requested(chosen.name, chosen.build, where.dataset, asked, settings, store)
     return Prepared(request, settings, store if stored else None, tuned_on)
 

@@ -188,7 +188,8 @@ def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Itera
     planned = column.planned
     for row in rows:
         for device, seed in itertools.product(chosen.devices, row.seeds):
-            yield MissingRun(row, planned.title, planned.options, column.dataset, planned.arguments(row), seed, device)
+            arguments, of = planned.arguments(row), column.corruption
+            yield MissingRun(row, planned.title, planned.options, column.dataset, arguments, seed, device, of)
 
 
 def _all(chosen: Chosen) -> list[MissingRun]:

@@ -40,6 +40,7 @@ class MissingRun:
     arguments: Mapping[str, Any]  # of the row's method
     seed: int
     device: str
+    corruption: str | None = None  # of the query frames
 
     def options(self) -> list[str]:
         """Return the options of the command line that make it."""
@@ -49,6 +50,7 @@ class MissingRun:
             *(f"method.{name}={json.dumps(value)}" for name, value in _flat(self.arguments)),
             f"seed={self.seed}",
             f"device={self.device}",
+            *([] if self.corruption is None else [f"corruption={self.corruption}"]),
         ]
 
     def failed(self, error: str, missing: bool) -> Failure:
@@ -59,6 +61,7 @@ class MissingRun:
             {
                 "method": dict(self.arguments),
                 "dataset": dict(self.dataset),
+                "corruption": self.corruption,
                 "seed": self.seed,
                 "device": self.device,
                 "load": None,

@@ -27,6 +27,7 @@ class ResolvedColumn:
 
     planned: PlannedColumn
     dataset: Mapping[str, Any]  # the resolved arguments of the dataset, as a run's configuration holds them
+    corruption: str | None = None  # of the query frames; None: they are clean
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,12 @@ def _word(value: Any) -> str:
 
 
 def _in_column(result: Run | Failure, column: ResolvedColumn) -> bool:
-    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay."""
+    """Tell whether a run was asked for the same dataset, by the options that both have, wherever its frames lay.
+
+    Frames that were corrupted in the same way, or not at all, are the same.
+    """
+    if result.config.get("corruption") != column.corruption:
+        return False
     wanted, given = column.dataset, result.config.get("dataset", {})
     both = wanted.keys() & given.keys() - _WHERE
     return "name" in both and all(as_text(wanted[name]) == as_text(given[name]) for name in both)

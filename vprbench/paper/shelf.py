@@ -15,6 +15,7 @@ from vprbench.plugins import registry
 from vprbench.progress import progress_shown
 from vprbench.run import thumbnails
 from vprbench.run.adaptation import adapted_as
+from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import Identity, code_hash_of, fingerprint
 from vprbench.run.record import Run, content_key
 from vprbench.run.settings import checked_settings, n_threads
@@ -72,7 +73,7 @@ class Shelf:
         if settings.force or not alike or code is None:
             return None
         config["files"] = _files(config["method"], alike)
-        dataset, images = self._dataset(config["dataset"])
+        dataset, images = self._dataset(config["dataset"], settings.corruption)
         held_out = [None, *([dataset.held_out.fingerprint()] if dataset.held_out else [])]
         of_class = config["method"]["_target_"].rpartition(".")[2]
         threads = n_threads(settings)
@@ -88,12 +89,12 @@ class Shelf:
             return None
         return next((run for run in found if settings.cache or run.fit_seconds is not None), None)
 
-    def _dataset(self, config: Mapping[str, Any]) -> tuple[Dataset, str]:
+    def _dataset(self, config: Mapping[str, Any], corruption: str | None) -> tuple[Dataset, str]:
         """Return a dataset and the fingerprint of its frames, which may have to be hashed."""
-        key = content_key(config)
+        key = content_key({"dataset": config, "corruption": corruption})
         if key not in self._datasets:
             with progress_shown(str(config["name"])):
-                dataset = registry.make_dataset(config)
+                dataset = corrupted(registry.make_dataset(config), corruption)
                 self._datasets[key] = dataset, fingerprint(dataset)
         return self._datasets[key]
 

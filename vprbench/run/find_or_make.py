@@ -24,6 +24,7 @@ from vprbench.plugins import networks, registry
 from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
+from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, n_threads
@@ -148,7 +149,7 @@ def requested(
     with chdir("."):
         method = build(asked["method"])
         # what the cheap checks warn of is among the dataset's notes
-        dataset = replace(dataset, notes=(*dataset.notes, *insist(dataset)))
+        dataset = corrupted(replace(dataset, notes=(*dataset.notes, *insist(dataset))), settings.corruption)
         if needed := adaptation(method, dataset.n_places, asked):
             asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
             method = build(asked["method"])

@@ -11,4 +11,5 @@ MODULES = (
     "vprbench.api.png",
     *("vprbench.metrics.ranking", "vprbench.plugins.networks", "vprbench.run.stopwatch", "vprbench.run.fitting"),
     *("vprbench.run.runner", "vprbench.run.answers", "vprbench.run.descriptors", "vprbench.run.machine"),
+    *("vprbench.run.corruption", "vprbench.run.corrupted_frames"),
 )

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_type_hints
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import registry
+from vprbench.run.corruption import corruption
 from vprbench.run.sequences import views
 from vprbench.run.timing_protocol import Protocol
 from vprbench.storage.cores import core_count
@@ -36,6 +37,7 @@ class Settings:
     filter: Any = None
     frames: bool = True  # keep small pictures of the dataset, for figures and report
     limit_minutes: float | None = None  # after which a run has failed; None: none
+    corruption: str | None = None  # of the query frames, as in shift-1; None: they are clean
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     readouts: bool = False  # what the codes and the layers of a learnt method find on their own
@@ -59,6 +61,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     settings = Settings(**plain, timing=timing)
     insist_on_metrics(settings.metrics)
     views(settings.sequence, settings.filter)
+    if settings.corruption is not None:
+        corruption(settings.corruption)
     if settings.depth < 1:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:

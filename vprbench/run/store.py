@@ -145,6 +145,8 @@ class Store:
 
     def _failure_folder(self, method: str, dataset: str, config: Mapping[str, Any]) -> Path:
         asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
+        if config.get("corruption"):
+            asked["corruption"] = config["corruption"]
         return self.root / dataset / f"{method}-failed-{content_key({'schema': _FAILURE_KEYS, **asked})}"
 
     def _place(self, folder: Path, fill: Callable[[Path], None]) -> None:

@@ -1,0 +1,137 @@
+"""A comparison under corruptions: runs of their own, which stand beside clean ones and never among them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from small_plan import Apart, install
+
+import vprbench
+from vprbench.cli import main
+from vprbench.compare import make
+from vprbench.metrics.accuracy import recall_at
+from vprbench.paper.gather import Material
+from vprbench.run.record import Run
+from vprbench.run.store import Store
+
+ROUTE = {"places": 20, "first_query_place": 4}
+ASKED = [
+    *("compare", "methods=sad", "timing=none", "threads=1", "name=mine", "dataset=synthetic"),
+    *(f"dataset.{name}={value}" for name, value in ROUTE.items()),
+]
+UNDER = "corruptions=[noise,shift-3]"
+NAMES = {"noise-1", "noise-2", "noise-3", "shift-3"}
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
+    """A folder with a comparison on clean frames and under corruptions, and what was run for it."""
+    folder = tmp_path_factory.mktemp("compared")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        apart = install(monkeypatch, folder)
+        assert main([*ASKED, UNDER]) == 0
+    return folder, apart
+
+
+@pytest.fixture
+def apart(compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch) -> Apart:
+    """Stand in the folder of the comparison; returns what stands in for processes."""
+    return install(monkeypatch, compared[0])
+
+
+def lines(path: str) -> list[dict[str, str]]:
+    with Path("results", path).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def runs() -> dict[str | None, Run]:
+    """Return the stored runs by their corruption."""
+    return {run.config["corruption"]: run for run in Store(Path("results"), read_only=True).runs()}
+
+
+def recall(run: Run) -> float:
+    found = recall_at(run.outcome, 1)
+    assert found is not None
+    return found.expected
+
+
+def test_a_run_is_made_of_clean_frames_and_of_each_corruption_untimed(compared: tuple[Path, Apart]) -> None:
+    asked = [{option.partition("=")[0]: option.partition("=")[2] for option in each} for each in compared[1].asked]
+    assert [each.get("corruption") for each in asked] == [None, "shift-3", "noise-1", "noise-2", "noise-3"]
+    assert {each["timing"] for each in asked[1:]} == {"none"}
+
+
+def test_the_files_set_each_corruption_beside_clean_frames(apart: Apart) -> None:
+    found = runs()
+    assert found.keys() == {None, *NAMES}
+    assert len({run.key for run in found.values()}) == len({run.fingerprint for run in found.values()}) == 5
+    clean = recall(found[None])
+    told = {f"{line['kind']}-{line['strength']}": line for line in lines("mine-robustness.csv")}
+    assert {name: float(line["recall_at_1"]) for name, line in told.items()} == {
+        str(name or "clean-0"): pytest.approx(recall(run)) for name, run in found.items()
+    }
+    assert {name: float(line["drop"]) for name, line in told.items()} == {
+        str(name or "clean-0"): pytest.approx(clean - recall(run)) for name, run in found.items()
+    }
+    assert "| shift 8 px" in Path("results/mine-robustness.md").read_text(encoding="utf-8")
+    assert Path("results/figures/mine/robustness-mine.pdf").is_file()
+    assert "robustness-mine" in Path("results/mine.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> list[Material]:
+    """What comparisons would write."""
+    found: list[Material] = []
+    monkeypatch.setattr(make, "written", lambda one, *_: found.append(one) or [])
+    return found
+
+
+def test_what_is_stored_is_not_run_again(
+    apart: Apart, shown: list[Material], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more in ([], ["stored=true"]):
+        assert main([*ASKED, UNDER, *more]) == 0
+        assert "noise ±5/10/20" in capsys.readouterr().out
+    assert apart.asked == []
+
+
+def test_a_comparison_of_clean_frames_shows_the_clean_run_alone(apart: Apart, shown: list[Material]) -> None:
+    assert main(ASKED) == 0
+    assert apart.asked == []
+    assert [run.key for group in shown[0].groups for run in group.runs] == [runs()[None].key]
+
+
+def test_a_table_shows_the_clean_run_alone(apart: Apart) -> None:
+    assert main(["table", "rows=[SAD]", "columns=[route]", "name=table", "timing=none", "threads=1"]) == 0
+    assert apart.asked == []
+    (cell,) = (line for line in lines("table.csv") if line["quantity"] == "recall_at_1")
+    assert float(cell["value"]) == pytest.approx(100 * recall(runs()[None]))
+    assert len(lines("table-runs.csv")) == 1
+
+
+def test_a_program_finds_the_runs_of_the_command_line(apart: Apart) -> None:
+    data = vprbench.dataset("synthetic", **ROUTE)
+    for name in (None, "shift-3"):
+        run = runs()[name]
+        result = vprbench.run("sad", data, timing="none", threads=1, corruption=name)
+        assert (result.from_store, result.run.key) == (True, run.key)
+        assert ("corruption" in result.run.protocol) == (name is not None)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ([*ASKED, "corruptions=[shfit]"], "shift"),
+        ([*ASKED, "corruption=shift-1"], "corruptions=shift-1"),
+        (["table", "corruption=shift-1"], "clean"),
+        (["corruption=shift-9"], "1 to 3"),
+    ],
+)
+def test_an_unknown_corruption_and_one_that_is_out_of_place_are_named(
+    apart: Apart, capsys: pytest.CaptureFixture[str], options: list[str], word: str
+) -> None:
+    assert main(options) == 2
+    assert word in capsys.readouterr().err
+    assert apart.asked == []

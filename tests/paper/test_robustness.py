@@ -1,0 +1,105 @@
+"""R@1 under corruptions beside clean frames: numbers, text and figure."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from io import StringIO
+
+import numpy as np
+import pytest
+from figure_runs import run, series
+from little import unanswerable_run
+
+from vprbench.errors import BadInput
+from vprbench.paper import robustness as text
+from vprbench.paper.figures.robustness import robustness as drawn
+from vprbench.paper.robustness import Robustness, robustness
+from vprbench.paper.selection import Series
+from vprbench.run.corruption import Corruption
+
+WEAK, STRONG, BLUR = Corruption("shift", 1), Corruption("shift", 3), Corruption("blur", 2)
+
+
+def row(name: str, *shares: float) -> Series:
+    """Return a row of 40 queries with a share of hits for each of its seeds."""
+    return series(name, *(run(name, share, seed=seed) for seed, share in enumerate(shares)))
+
+
+@pytest.fixture(scope="module")
+def found() -> Robustness:
+    clean = [row("sad", 0.5), row("tempo", 0.8, 0.9)]
+    return robustness(
+        clean,
+        {
+            WEAK: [row("sad", 0.475), row("tempo", 0.7, 0.9)],
+            STRONG: [row("sad", 0.1), row("tempo", 0.2, 0.3)],
+            BLUR: [row("tempo", 0.8, 0.9), row("other", 0.3)],
+        },
+    )
+
+
+def test_a_drop_is_the_clean_mean_over_the_seeds_less_that_under_the_corruption(found: Robustness) -> None:
+    drops = {(p.method, p.kind, p.strength): (p.seeds, p.recall_at_1, p.drop) for p in found.points}
+    assert drops == {
+        key: pytest.approx(wanted)
+        for key, wanted in {
+            ("sad", "clean", 0): (1, 0.5, 0),
+            ("tempo", "clean", 0): (2, 0.85, 0),
+            ("sad", "shift", 1): (1, 0.475, 0.025),
+            ("tempo", "shift", 1): (2, 0.8, 0.05),
+            ("sad", "shift", 3): (1, 0.1, 0.4),
+            ("tempo", "shift", 3): (2, 0.25, 0.6),
+            ("tempo", "blur", 2): (2, 0.85, 0),
+        }.items()
+    }
+    strong = next(p for p in found.points if (p.method, p.kind, p.strength) == ("sad", "shift", 3))
+    assert strong.low < 0.1 < strong.high
+    assert strong.drop_low is not None
+    assert strong.drop_high is not None
+    assert 0 < strong.drop_low < 0.4 < strong.drop_high
+
+
+def test_the_table_brackets_what_no_test_separates_from_clean_frames_and_dashes_what_was_not_run(
+    found: Robustness,
+) -> None:
+    lines = [[*line.values()] for line in text.lines(found)]
+    assert lines == [
+        ["clean", "50.0", "85.0"],
+        ["shift 1/8 px", "(2.5)/40.0", "(5.0)/60.0"],
+        ["blur 2 %", "-", "(0.0)"],
+    ]
+    document = text.markdown(found, "a_route")
+    assert re.search(r"^\| shift 1/8 px +\| \(2.5\)/40.0 +\| \(5.0\)/60.0 +\|$", document, re.MULTILINE)
+    assert "- shift: queries moved left or right by 1, 8 px" in document
+    rows = list(csv.DictReader(StringIO(text.csv(found))))
+    assert [(line["method"], line["kind"], line["amount"]) for line in rows][2:4] == [
+        ("sad", "shift", "1 px"),
+        ("tempo", "shift", "1 px"),
+    ]
+
+
+def test_the_figure_has_a_panel_for_each_kind_and_begins_on_clean_frames(found: Robustness) -> None:
+    figure = drawn(found)
+    panels = [axes for axes in figure.figure.axes if axes.get_visible()]
+    assert [axes.get_title(loc="left") for axes in panels] == ["Shift", "Blur"]
+
+    def curves(panel: int) -> dict[str, Sequence[Sequence[float]]]:
+        return {str(line.get_label()): np.round(line.get_xydata(), 6).tolist() for line in panels[panel].lines}
+
+    assert curves(0) == {"sad": [[0, 50], [1, 47.5], [3, 10]], "tempo": [[0, 85], [1, 80], [3, 25]]}
+    assert curves(1) == {"sad": [[0, 50]], "tempo": [[0, 85], [2, 85]]}
+    assert [tick.get_text() for tick in panels[0].get_xticklabels()] == ["clean", "1 px", "8 px"]
+    assert "Shift: queries moved left or right by 1, 8 px, borders repeated." in figure.caption
+
+
+def test_more_rows_than_bands_can_show_stand_without_them(found: Robustness) -> None:
+    many = robustness([row(name, 0.5) for name in "abcde"], {WEAK: [row("a", 0.4)]})
+    assert (len(drawn(many).figure.axes[0].collections), "interval" in drawn(many).caption) == (0, False)
+    assert (len(drawn(found).figure.axes[0].collections), "interval" in drawn(found).caption) == (2, True)
+
+
+def test_without_right_places_there_is_nothing_to_lose() -> None:
+    with pytest.raises(BadInput, match="right place"):
+        robustness([series("little", unanswerable_run())], {})

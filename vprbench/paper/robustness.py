@@ -1,0 +1,142 @@
+"""R@1 under corruptions of the query frames, beside that on clean frames: numbers, a small table and a CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+
+from vprbench.errors import BadInput
+from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.intervals import Values, difference_interval
+from vprbench.metrics.registry import METRICS
+from vprbench.paper.selection import Series
+from vprbench.paper.table.best import mean_recall
+from vprbench.paper.table.formats import shown_as_it_is
+from vprbench.paper.templates import document
+from vprbench.run import rows
+from vprbench.run.corruption import KINDS, STRENGTHS, Corruption
+from vprbench.run.recall_intervals import along_the_journey, recall_interval
+from vprbench.run.record import Run
+
+_ABSENT = "-"
+
+
+@dataclass(frozen=True)
+class Point:
+    """R@1 of one row under one corruption, or on clean frames; shares from 0 to 1, means over the seeds."""
+
+    method: str  # the row's name
+    kind: str  # "clean" for strength 0
+    strength: int
+    amount: str  # with its unit; empty on clean frames
+    seeds: int
+    recall_at_1: float
+    low: float  # of the 95 % interval
+    high: float
+    drop: float  # from R@1 on clean frames
+    drop_low: float | None  # of the 95 % interval of the paired difference; None: too few queries for one
+    drop_high: float | None
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """The points of all rows of a comparison, the clean one of each row first."""
+
+    clean: tuple[Series, ...]
+    points: tuple[Point, ...]
+
+    @property
+    def kinds(self) -> dict[str, list[int]]:
+        """The kinds of corruption that were run, and their strengths, ascending."""
+        known = {(point.kind, point.strength) for point in self.points}
+        found = {kind: [each for each in STRENGTHS if (kind, each) in known] for kind in KINDS}
+        return {kind: strengths for kind, strengths in found.items() if strengths}
+
+    @property
+    def words(self) -> dict[str, str]:
+        """What each of these kinds does to query frames."""
+        return {kind: KINDS[kind].told(strengths) for kind, strengths in self.kinds.items()}
+
+    def of(self, method: str, kind: str) -> list[Point]:
+        """Return the points of a row from clean to strong; those without a run are missing."""
+        return [point for point in self.points if point.method == method and point.kind in (kind, "clean")]
+
+
+def robustness(clean: Sequence[Series], corrupted: Mapping[Corruption, Sequence[Series]]) -> Robustness:
+    """Set rows under corruptions beside themselves on clean frames; a row without clean runs is left out.
+
+    All answer the same queries. Raises BadInput if none of these has a right place.
+    """
+    if not clean or not clean[0].runs[0].outcome.answerable.any():
+        raise BadInput("no query has a right place: there is no accuracy that a corruption could lower")
+    points = [_point(row, row, None) for row in clean]
+    of_name = {row.name: row for row in clean}
+    for one, spoilt in corrupted.items():
+        points += [_point(row, of_name[row.name], one) for row in spoilt if row.name in of_name]
+    return Robustness(tuple(clean), tuple(points))
+
+
+def _point(row: Series, clean: Series, one: Corruption | None) -> Point:
+    recall, before, interval = mean_recall(row.runs), mean_recall(clean.runs), recall_interval(row.runs)
+    assert recall is not None
+    assert before is not None
+    assert interval is not None
+    order = along_the_journey(clean.runs[0])
+    difference = None if one is None else difference_interval(_hits(clean.runs)[order], _hits(row.runs)[order])
+    return Point(
+        method=row.name,
+        kind="clean" if one is None else one.kind,
+        strength=0 if one is None else one.strength,
+        amount="" if one is None else one.short,
+        seeds=len(row.runs),
+        recall_at_1=recall,
+        low=interval.low,
+        high=interval.high,
+        drop=before - recall,
+        drop_low=None if difference is None else difference.low,
+        drop_high=None if difference is None else difference.high,
+    )
+
+
+def _hits(runs: Sequence[Run]) -> Values:
+    return np.asarray(np.mean([hits_at(run.outcome, 1) for run in runs], axis=0))
+
+
+def lines(found: Robustness) -> list[dict[str, str]]:
+    """Return the table as text: R@1 on clean frames, then for each kind the points that it costs each row.
+
+    A drop whose interval holds 0 stands in brackets.
+    """
+    head = "R@1 %, less by"
+    told = [{head: "clean", **{row.name: _percent(found.of(row.name, "")[0].recall_at_1) for row in found.clean}}]
+    for kind, strengths in found.kinds.items():
+        told.append({head: f"{kind} {KINDS[kind].short(strengths)}"})
+        for row in found.clean:
+            there = {point.strength: point for point in found.of(row.name, kind)}
+            told[-1][row.name] = "/".join(_drop(there.get(each)) for each in strengths)
+    return told
+
+
+def _drop(point: Point | None) -> str:
+    if point is None:
+        return _ABSENT
+    sure = point.drop_low is not None and point.drop_high is not None and not point.drop_low <= 0 <= point.drop_high
+    return _percent(point.drop) if sure else f"({_percent(point.drop)})"
+
+
+def _percent(share: float) -> str:
+    return METRICS["recall_at_1"].text(share + 0.0)
+
+
+def markdown(found: Robustness, title: str) -> str:
+    """Return the table as a document that says what each corruption is."""
+    shown = {"title": shown_as_it_is(title), "table": rows.markdown(lines(found)), "kinds": found.words}
+    return document("robustness.md.j2", **shown)
+
+
+def csv(found: Robustness) -> str:
+    """Return a line for each row and corruption, unrounded."""
+    return str(pd.DataFrame(map(asdict, found.points)).to_csv(index=False, lineterminator="\n"))
