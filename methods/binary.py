@@ -32,9 +32,9 @@ class GaborBinary(BinaryMethod):
     def encode(self, images: Images) -> npt.NDArray[np.uint64]:
         """Return the bits, packed: (n_images, n_words)."""
         bank = GaborBank(self.height, self.width, self.patch, self.block, self.epsilon)
-        return packed(
-            strongest(bank(images).reshape(len(images), bank.rows * bank.columns, -1), self.within, self.shares)
-        )
+        n_cells = bank.rows * bank.columns
+        codes = bank(images).reshape(len(images), n_cells, bank.n_inputs // n_cells)
+        return packed(strongest(codes, self.within, self.shares))
 
 
 @dataclass

@@ -35,15 +35,14 @@ class BinaryMap:
                 f"references of {codes.dtype} {codes.shape} came with places {places.shape}: wanted uint64 "
                 "(n_images, n_words) of an image or more, and a place for each"
             )
-        self._shape = codes.shape
+        self._n_references, self._n_words = codes.shape
         self._places = places
         self._blocks = in_blocks(codes)
 
     @property
     def bytes_per_place(self) -> int:
         """The bytes of codes that answers need, for each place."""
-        n_references, n_words = self._shape
-        return round(8 * n_words * n_references / (int(self._places.max()) + 1))
+        return round(8 * self._n_words * self._n_references / (int(self._places.max()) + 1))
 
     def scores(self, codes: Words) -> Scores:
         """Return for each place minus the bits in which its most similar image differs, (n_queries, n_places).
@@ -52,12 +51,11 @@ class BinaryMap:
         """
         from vprbench.api.hamming import similarity
 
-        n_references, n_words = self._shape
-        if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != n_words:
+        if codes.dtype != np.uint64 or codes.ndim != 2 or codes.shape[1] != self._n_words:
             raise ValueError(
-                f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {n_words})"
+                f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {self._n_words})"
             )
-        return best_image_of_place(similarity(codes, self._blocks)[:, :n_references], self._places)
+        return best_image_of_place(similarity(codes, self._blocks)[:, : self._n_references], self._places)
 
 
 @dataclass(kw_only=True, eq=False)

@@ -100,7 +100,7 @@ class GaborBank:
         """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
         maps = self.responses(images)
         self._each_share(self._normalise if self.engine == "fused" else self._normalise_readably, maps)
-        return maps.reshape(len(images), -1)
+        return maps.reshape(len(images), self.n_inputs)
 
     def responses(self, images: Images) -> Maps:
         """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at thresholds."""

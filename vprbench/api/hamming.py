@@ -64,7 +64,7 @@ def similarity(codes: Words, blocks: Words) -> Scores:
 def _whole_groups(codes: Words) -> Words:
     """Return the codes with zeros up to a multiple of _GROUP words, contiguous."""
     missing = -codes.shape[1] % _GROUP
-    return np.pad(codes, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(codes)
+    return np.ascontiguousarray(np.pad(codes, ((0, 0), (0, missing))))
 
 
 @intrinsic
