@@ -86,6 +86,7 @@ TORCH_NEEDED = {
     "Variant",
     "Interpolation",
     "Resize",
+    "packed",
 }
 
 

@@ -15,7 +15,9 @@ from little import Lookup, journey, number_in
 from little_runs import QUICK, asked_for, kinds, run_of, table
 
 from vprbench.api.arrays import Places, Scores
+from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.hamming import packed
 from vprbench.api.images import Images
 from vprbench.api.search import Audit
 from vprbench.api.search_indexes import Kind
@@ -123,6 +125,16 @@ def test_exact_search_goes_without_saying_and_a_method_that_matches_in_its_own_w
     run = searching("exact")
     assert run.search == {"index": "exact", "bytes_per_place": 64, "recall_at_1": 1.0, "recall_at_10": 1.0}
     assert "index" not in kinds(run)
+
+
+def test_the_bytes_of_binary_codes_are_recorded_and_said() -> None:
+    class Signs(BinaryMethod):
+        def encode(self, images: Images) -> npt.NDArray[np.uint64]:
+            return packed(np.stack([np.resize(image > 127, 100) for image in images]))
+
+    run = run_of(Signs(), journey(6, 4))
+    assert run.search == {"index": "exact", "bytes_per_place": 16, "recall_at_1": 1.0, "recall_at_10": 1.0}
+    assert "binary codes: 16 bytes a place" in [note.text for note in run.notes]
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["encoded", "descriptors kept"])

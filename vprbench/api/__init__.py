@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench import progress as progress
     from vprbench.api import checkpoints as checkpoints
     from vprbench.api.arrays import Image as Image, Places as Places, Scores as Scores
+    from vprbench.api.binary import BinaryMap as BinaryMap, BinaryMethod as BinaryMethod
     from vprbench.api.compiling import compiled as compiled
     from vprbench.api.dataset import Dataset as Dataset, FrameFolder as FrameFolder, HeldOut as HeldOut
     from vprbench.api.decoding import read_image as read_image
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         open_image as open_image,
     )
     from vprbench.api.gabor import GaborBank as GaborBank
+    from vprbench.api.hamming import packed as packed
     from vprbench.api.images import Images as Images
     from vprbench.api.frame_cache import frames_kept as frames_kept, kept_frames as kept_frames
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method

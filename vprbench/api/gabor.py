@@ -1,10 +1,13 @@
-"""A bank of 32 small Gabor filters over patch-normalised frames: local waves of both signs, by cell."""
+"""A bank of 32 small Gabor filters over patch-normalised frames: local waves, cell by cell."""
 
 from __future__ import annotations
 
 import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -12,6 +15,7 @@ import numpy.typing as npt
 import torch
 from torch.nn import functional
 
+from vprbench.api import gabor_compiled
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.errors import BadInput
@@ -19,11 +23,13 @@ from vprbench.errors import BadInput
 SIZE = 5  # pixels, of a filter
 POOL = 2  # pixels, of a cell
 _ORIENTATIONS = tuple(np.pi / 4 * step for step in range(4))
-_WAVELENGTHS = (2.0, 3.0)  # pixels
+_WAVELENGTHS = (2.25, 3.0)  # pixels; at 2 whole pixels see nothing of a sine
 _PHASES = (0.0, np.pi / 2)
 _ENVELOPES = (1.0, 2.0)  # pixels, standard deviations across the wave
 _ASPECT = 0.5  # of that along the wave
+N_FILTERS = 32
 _MEAN_LEVEL = 127  # of a patch-normalised frame
+_GAIN = 4  # times a response over its block's; most of the range 0..1 is used
 
 Maps = npt.NDArray[np.float32]  # (n_images, rows * columns, 32)
 
@@ -44,25 +50,36 @@ def gabor_filters() -> npt.NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class GaborBank:
-    """The strongest response of each of 32 Gabor filters in every 2x2 pixels of a patch-normalised frame.
+    """How strongly each of 32 Gabor filters answers in every 2x2 pixels of a patch-normalised frame, 0 to 1.
 
-    `thresholds` (32,) are subtracted from the responses; None: 0. Source: lrp-666/VPRTempo (30635ee), `B5`.
-    Raises BadInput for frames in which no cell fits, and for another number of thresholds.
+    A frame is patch-normalised (variant C), filtered, and the strongest response of each filter in 2x2 pixels is kept,
+    with its sign. A code is what of it exceeds the filter's threshold (none: 0), divided by the root of the responses'
+    energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon`, times 4.
+    The fused engine is compiled and takes all threads that PyTorch may use; the readable one is what it is judged by.
+    Filters as in lrp-666/VPRTempo (30635ee), `B5`, but for its shorter wavelength of 2 pixels, under which a sine is
+    rounding noise; the normalisation is this project's. Raises BadInput for sizes under which there is no code.
     """
 
     height: int = 32  # pixels
     width: int = 64
     patch: int = 11
-    thresholds: tuple[float, ...] | None = None
+    block: int = 5  # cells
+    epsilon: float = 0.1  # in shares of the grey levels
+    thresholds: tuple[float, ...] = ()  # one a filter, in shares of the grey levels
     engine: Engine = "fused"
 
     def __post_init__(self) -> None:
         """Check the sizes."""
-        if min(self.rows, self.columns) < 1:
-            least = SIZE + POOL - 1
-            raise BadInput(f"method.height={self.height}, method.width={self.width}: give at least {least} pixels each")
-        if self.thresholds is not None and len(self.thresholds) != len(gabor_filters()):
-            raise BadInput(f"{len(self.thresholds)} thresholds came for {len(gabor_filters())} filters: give one each")
+        for name in ("height", "width"):
+            if getattr(self, name) < SIZE + POOL - 1:
+                raise BadInput(f"method.{name}={getattr(self, name)}: give at least {SIZE + POOL - 1} pixels")
+        if self.block < 1 or self.block % 2 == 0:
+            raise BadInput(f"method.block={self.block}: a block needs a cell in its centre, give an odd number")
+        if not 0 < self.epsilon < math.inf:
+            raise BadInput(f"method.epsilon={self.epsilon}: give more than 0")
+        if len(self.thresholds) not in (0, N_FILTERS):
+            raise BadInput(f"{len(self.thresholds)} thresholds came: give one for each of {N_FILTERS} filters, or none")
+        self._normalisation()
 
     @property
     def rows(self) -> int:
@@ -77,26 +94,73 @@ class GaborBank:
     @property
     def n_inputs(self) -> int:
         """The length of a code."""
-        return self.rows * self.columns * len(gabor_filters())
+        return self.rows * self.columns * N_FILTERS
 
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
-        """Return (n_images, rows * columns * 32) in 0..1, filter by filter at each cell; 0: below the threshold."""
-        thresholds = np.float32(0 if self.thresholds is None else self.thresholds)
-        return (2 * (self.responses(images) - thresholds)).clip(0, 1).reshape(len(images), -1)
+        """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
+        maps = self.responses(images)
+        self._each_share(self._normalise if self.engine == "fused" else self._normalise_readably, maps)
+        return maps.reshape(len(images), self.n_inputs)
 
     def responses(self, images: Images) -> Maps:
-        """Return the strongest responses, (n_images, rows * columns, 32), -0.5 to 0.5, without thresholds."""
-        levels = PatchNormalisation("C", self.height, self.width, self.patch, self.engine)(images)
-        frames = torch.from_numpy(levels.astype(np.float32) - _MEAN_LEVEL).reshape(-1, 1, self.height, self.width)
-        waves = functional.conv2d(frames / 255, torch.from_numpy(gabor_filters())[:, None])
-        return functional.max_pool2d(waves, POOL).permute(0, 2, 3, 1).flatten(1, 2).contiguous().numpy()
+        """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at thresholds."""
+        levels = self._normalisation()(images)
+        maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
+        self._each_share(self._filter if self.engine == "fused" else self._filter_readably, levels, maps)
+        return maps
 
     def adapted(self, images: Images, rate_min: float = 0.2, rate_max: float = 0.9) -> Self:
-        """Return this bank with the thresholds at which each filter is active in its share of these images' cells.
+        """Return this bank with thresholds by which the filters are active in their shares of the cells of `images`.
 
-        The shares run evenly from `rate_min` to `rate_max`: where intrinsic threshold plasticity comes to rest.
+        The shares rise evenly from `rate_min` to `rate_max`: where intrinsic threshold plasticity comes to rest.
         """
-        responses = self.responses(images).reshape(-1, len(gabor_filters()))
-        rates = np.linspace(rate_min, rate_max, len(gabor_filters()))
-        thresholds = [float(np.quantile(own, 1 - rate)) for own, rate in zip(responses.T, rates, strict=True)]
+        of_filters = self.responses(images).reshape(-1, N_FILTERS).T
+        silent = 1 - np.linspace(rate_min, rate_max, N_FILTERS)
+        thresholds = [float(np.quantile(own, share)) for own, share in zip(of_filters, silent, strict=True)]
         return replace(self, thresholds=tuple(thresholds))
+
+    def _normalisation(self) -> PatchNormalisation:
+        return PatchNormalisation("C", self.height, self.width, self.patch, self.engine)
+
+    def _each_share(self, work, *arrays) -> None:  # type: ignore[no-untyped-def]
+        """Call `work` with the same rows of all arrays, a share of them in each thread."""
+        n, threads = len(arrays[0]), torch.get_num_threads() if self.engine == "fused" else 1
+        ends = np.linspace(0, n, min(threads, n) + 1).astype(int)
+        shares = [[array[first:last] for array in arrays] for first, last in pairwise(ends)]
+        if len(shares) < 2:
+            for share in shares:
+                work(*share)
+            return
+        with ThreadPoolExecutor(len(shares)) as pool:
+            list(pool.map(lambda share: work(*share), shares))
+
+    def _filter(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
+        frames = levels.reshape(-1, self.height, self.width)
+        gabor_compiled.filter_frames(frames, _MEAN_LEVEL, _taps(), maps.reshape(-1, self.rows, self.columns, N_FILTERS))
+
+    def _filter_readably(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
+        frames = torch.from_numpy(levels.astype(np.float32) - _MEAN_LEVEL).reshape(-1, 1, self.height, self.width)
+        waves = functional.conv2d(frames / 255, torch.from_numpy(gabor_filters())[:, None])
+        maps[:] = functional.max_pool2d(waves, POOL).permute(0, 2, 3, 1).flatten(1, 2).numpy()
+
+    def _normalise(self, maps: Maps) -> None:
+        beside = [np.pad(np.arange(n), self.block // 2, mode="symmetric") for n in (self.rows, self.columns)]
+        cells = maps.reshape(-1, self.rows, self.columns, N_FILTERS)
+        gabor_compiled.normalise(cells, *beside, self.block, self.epsilon, self._thresholds(), _GAIN)
+
+    def _normalise_readably(self, maps: Maps) -> None:
+        energy = np.square(maps).sum(2).reshape(-1, self.rows, self.columns)
+        padding = self.block // 2
+        padded = np.pad(energy, ((0, 0), (padding, padding), (padding, padding)), mode="symmetric")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (self.block, self.block), axis=(1, 2))
+        spread = np.sqrt(windows.mean((3, 4))).reshape(len(maps), -1, 1) + self.epsilon
+        maps[:] = (_GAIN * (maps - self._thresholds()) / spread).clip(0, 1)
+
+    def _thresholds(self) -> npt.NDArray[np.float32]:
+        return np.array(self.thresholds or np.zeros(N_FILTERS), np.float32)
+
+
+@cache
+def _taps() -> npt.NDArray[np.float32]:
+    """Return the filters pixel by pixel, for grey levels 0..255: (5, 5, 32)."""
+    return np.ascontiguousarray(gabor_filters().transpose(1, 2, 0) / np.float32(255))

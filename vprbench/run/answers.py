@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Scores
+from vprbench.api.binary import BinaryMethod
 from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
@@ -97,6 +98,8 @@ class Audited:
 
     def search(self) -> dict[str, Any] | None:
         """Return by which index a method searches, and the share of exact search's places that it finds."""
+        if isinstance(self._method, BinaryMethod) and self._method.known is not None:
+            return {"index": "exact", "bytes_per_place": self._method.known.bytes_per_place, **asdict(Audit(1.0, 1.0))}
         index = _index(self._method)
         if index is None or not isinstance(self._method, DescriptorMethod):
             return None

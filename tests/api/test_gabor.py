@@ -1,0 +1,139 @@
+"""The bank of Gabor filters against loops over pixels and cells that follow the published formula."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from preprocess_frames import saturated_frame, smooth_frame
+
+from vprbench.api.gabor import GaborBank, gabor_filters
+from vprbench.api.images import Images
+from vprbench.api.preprocess import PatchNormalisation
+from vprbench.errors import BadInput
+
+FRAMES = [smooth_frame(90, 160, seed) for seed in range(3)] + [saturated_frame(32, 64, seed) for seed in range(3)]
+
+
+def filter_by_hand(angle, wavelength, phase, width):
+    """One filter of 5x5 pixels, a number at a time."""
+    wave = []
+    for y in range(-2, 3):
+        for x in range(-2, 3):
+            across, along = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+            envelope = math.exp(-(across**2 + 0.25 * along**2) / (2 * width**2))
+            wave.append(envelope * math.cos(2 * math.pi * across / wavelength + phase))
+    mean = sum(wave) / 25
+    size = sum(abs(value - mean) for value in wave)
+    return [(value - mean) / size for value in wave]
+
+
+FILTERS = [
+    filter_by_hand(quarter * math.pi / 4, wavelength, phase, width)
+    for quarter in range(4)
+    for wavelength in (2.25, 3)
+    for phase in (0, math.pi / 2)
+    for width in (1, 2)
+]
+
+
+def by_hand(levels, block, epsilon):
+    """The code of one patch-normalised frame (h, w), cell by cell, before anything is clipped."""
+    rows, columns = (len(levels) - 4) // 2, (len(levels[0]) - 4) // 2
+
+    def response(own, top, left):
+        return sum(own[5 * y + x] * levels[top + y][left + x] / 255 for y in range(5) for x in range(5))
+
+    strongest = [
+        [
+            [max(response(own, 2 * r + dy, 2 * c + dx) for dy in (0, 1) for dx in (0, 1)) for own in FILTERS]
+            for c in range(columns)
+        ]
+        for r in range(rows)
+    ]
+    code = []
+    beside_rows = np.pad(range(rows), block // 2, mode="symmetric").tolist()
+    beside_columns = np.pad(range(columns), block // 2, mode="symmetric").tolist()
+    for r in range(rows):
+        for c in range(columns):
+            near = [strongest[i][j] for i in beside_rows[r : r + block] for j in beside_columns[c : c + block]]
+            energy = sum(value**2 for cell in near for value in cell) / block**2
+            code += [4 * value / (math.sqrt(energy) + epsilon) for value in strongest[r][c]]
+    return code
+
+
+def test_the_filters_are_32_different_waves_of_zero_mean_and_norm_1():
+    assert gabor_filters().shape == (32, 5, 5)
+    np.testing.assert_allclose(gabor_filters().reshape(32, 25), FILTERS, atol=1e-6)
+    np.testing.assert_allclose(np.abs(gabor_filters()).sum((1, 2)), 1, rtol=1e-5)
+    np.testing.assert_allclose(gabor_filters().sum((1, 2)), 0, atol=1e-6)
+    alike = np.abs(np.corrcoef(gabor_filters().reshape(32, 25))) - np.eye(32)
+    assert alike.max() < 0.999
+
+
+@pytest.mark.parametrize("engine", ["fused", "readable"])
+@pytest.mark.parametrize(("block", "epsilon"), [(1, 0.3), (3, 0.1), (7, 0.01)])
+def test_codes_are_those_of_the_formula(engine, block, epsilon):
+    images = Images.from_arrays(FRAMES[2:5])
+    codes = GaborBank(10, 13, 5, block, epsilon, engine=engine)(images)
+    levels = PatchNormalisation("C", 10, 13, 5, engine)(images).reshape(3, 10, 13)
+    wanted = [by_hand(frame.tolist(), block, epsilon) for frame in levels]
+    np.testing.assert_allclose(codes, np.clip(wanted, 0, 1), atol=2e-5)
+    assert 0.05 < np.mean(np.clip(wanted, 0, 1) != wanted) < 0.95  # some are clipped
+
+
+def test_the_compiled_engine_gives_what_the_readable_one_gives_whatever_the_threads():
+    before, codes = torch.get_num_threads(), []
+    try:
+        for threads, engine in ((1, "fused"), (3, "fused"), (1, "readable")):
+            torch.set_num_threads(threads)
+            codes.append(GaborBank(28, 28, 7, thresholds=(0.01,) * 32, engine=engine)(Images.from_arrays(FRAMES)))
+    finally:
+        torch.set_num_threads(before)
+    assert np.array_equal(codes[0], codes[1])
+    # In flat windows the rounding of the patch normalisation decides, and there the engines may differ by a level.
+    assert np.median(np.abs(codes[0] - codes[2])) < 1e-6
+    assert np.abs(codes[0] - codes[2]).mean() < 1e-3
+
+
+def test_codes_lie_within_0_and_1_and_know_no_neighbours_in_a_batch():
+    bank = GaborBank()
+    codes = bank(Images.from_arrays(FRAMES))
+    assert codes.dtype == np.float32
+    assert codes.shape == (6, bank.n_inputs) == (6, 14 * 30 * 32)
+    assert codes.min() == 0
+    assert codes.max() == 1
+    for frame, code in zip(FRAMES, codes, strict=True):
+        assert np.array_equal(bank(Images.from_arrays([frame]))[0], code)
+    assert bank(Images.from_arrays([])).shape == (0, bank.n_inputs)
+
+
+@pytest.mark.parametrize("level", [0, 97, 255])
+def test_a_frame_of_one_level_gives_zeros(level):
+    assert not GaborBank()(Images.from_arrays([np.full((48, 64, 3), level, np.uint8)])).any()
+
+
+def test_without_adapted_thresholds_most_maps_are_dead_and_with_them_none():
+    """VPRTempo draws its thresholds from 0 to 0.5; a map is dead that answers in fewer than one cell of a hundred."""
+    images, drawn = Images.from_arrays(FRAMES * 3), np.random.default_rng(0).uniform(0, 0.5, 32)
+    active = [
+        (bank(images).reshape(-1, 32) > 0).mean(0)
+        for bank in (GaborBank(thresholds=tuple(drawn)), GaborBank().adapted(images, 0.2, 0.9))
+    ]
+    assert (active[0] < 0.01).sum() > 16
+    np.testing.assert_allclose(active[1], np.linspace(0.2, 0.9, 32), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"height": 5}, r"method\.height=5: give at least 6 pixels"),
+        ({"block": 4}, r"method\.block=4: a block needs a cell in its centre"),
+        ({"epsilon": 0.0}, r"method\.epsilon=0\.0: give more than 0"),
+        ({"patch": 4}, r"method\.patch=4: the window needs a centre"),
+        ({"thresholds": (0.1, 0.2)}, "2 thresholds came: give one for each of 32 filters"),
+    ],
+)
+def test_sizes_without_a_code_are_refused(arguments, said):
+    with pytest.raises(BadInput, match=said):
+        GaborBank(**arguments)

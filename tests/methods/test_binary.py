@@ -1,0 +1,96 @@
+"""Bits of Gabor filters and oriented edges, and the descriptor that they are cut from."""
+
+import cv2
+import numpy as np
+import pytest
+from checkout import SHARED
+from preprocess_frames import smooth_frame
+
+from vprbench.api import BadInput, GaborBank, Images
+from vprbench.methods.binary import GaborBinary, OrientedBinary, strongest
+from vprbench.methods.gabor import Gabor
+from vprbench.methods.sad import SAD
+
+NORDLAND = SHARED / "data" / "nordland_64x32"
+FRAMES = Images.from_arrays([smooth_frame(32, 64, seed) for seed in range(6)])
+
+VALUES = np.array([[[0.9, 0.1], [0.5, 0.0], [0.7, 0.3], [0.0, 0.2]]], np.float32)  # 4 cells of 2 maps
+
+
+@pytest.mark.parametrize(
+    ("within", "shares", "wanted"),
+    [
+        ("map", [0.25], [[1, 0], [0, 0], [0, 1], [0, 0]]),
+        ("map", [0.5], [[1, 0], [0, 0], [1, 1], [0, 1]]),
+        ("map", [1.0], [[1, 1], [1, 0], [1, 1], [0, 1]]),  # nothing is never strong
+        ("map", [0.5, 0.25], [[1, 0], [0, 0], [1, 1], [0, 1], [1, 0], [0, 0], [0, 1], [0, 0]]),
+        ("cell", [0.5], [[1, 0], [1, 0], [1, 0], [0, 1]]),
+        ("cell", [0.01], [[1, 0], [1, 0], [1, 0], [0, 1]]),  # one at least
+    ],
+)
+def test_bits_are_the_strongest_of_a_map_or_of_a_cell(within, shares, wanted):
+    assert strongest(VALUES, within, shares).astype(int).tolist() == [np.ravel(wanted).tolist()]
+
+
+@pytest.mark.parametrize("shares", [[], [0.0], [0.5, 1.2]])
+def test_shares_that_say_nothing_are_refused(shares):
+    with pytest.raises(BadInput, match=r"method\.shares=\[.*give shares of more than 0, up to 1"):
+        strongest(VALUES, "map", shares)
+
+
+@pytest.mark.parametrize(
+    ("method", "n_bits"),
+    [
+        (GaborBinary(), 13440),
+        (GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25]), 4608),
+        (OrientedBinary(), 4608),
+    ],
+    ids=["gabor", "gabor of the fork's size", "oriented"],
+)
+def test_a_map_holds_one_bit_for_each_value_and_says_so(method, n_bits):
+    method.fit(FRAMES, np.arange(6))
+    assert method.encode(FRAMES).shape == (6, n_bits / 64)
+    assert method.notes() == [f"binary codes: {n_bits // 8:,} bytes a place"]
+    assert method.query(FRAMES).argmax(1).tolist() == [*range(6)]
+    assert np.diag(method.query(FRAMES)).tolist() == [0] * 6
+
+
+def test_bits_of_a_cell_are_those_of_its_8_strongest_filters():
+    bank = GaborBank(28, 28, 7)
+    words = GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25]).encode(FRAMES)
+    bits = np.unpackbits(words.view(np.uint8), axis=1).reshape(6, 144, 32).astype(bool)
+    codes = bank(FRAMES).reshape(6, 144, 32)
+    for own, code in zip(bits.reshape(-1, 32), codes.reshape(-1, 32), strict=True):
+        if own.any() and not own.all():
+            assert code[own].min() >= code[~own].max()
+    assert np.median(bits.sum(2)) == 8
+
+
+def test_a_black_image_differs_from_nothing_by_its_bits_and_has_no_direction():
+    black = Images.from_arrays([np.zeros((32, 64, 3), np.uint8)])
+    assert not GaborBinary().encode(black).any()
+    assert not OrientedBinary().encode(black).any()
+    assert not Gabor().fit(FRAMES, np.arange(6)).query(black).any()
+
+
+def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():
+    for normalised in (True, False):
+        rows = GaborBank()(FRAMES) if normalised else GaborBank().responses(FRAMES).reshape(6, -1)
+        directions = rows.astype(np.float64) / np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
+        scores = Gabor(normalised=normalised).fit(FRAMES, np.arange(6)).query(FRAMES)
+        np.testing.assert_allclose(scores, directions @ directions.T, atol=1e-5)
+
+
+@pytest.mark.skipif(not NORDLAND.is_dir(), reason="the folder shared/ is not beside the checkout")
+@pytest.mark.parametrize("method", [Gabor(), GaborBinary(), OrientedBinary()], ids=lambda method: type(method).__name__)
+def test_more_places_are_found_across_the_seasons_than_by_sad(method):
+    names = (NORDLAND / "frames_clean_qvpr.txt").read_text(encoding="utf-8").split()[:200]
+    winter, summer = (
+        Images.from_arrays([cv2.imread(str(NORDLAND / season / name)) for name in names])
+        for season in ("winter", "summer")
+    )
+    found = [
+        np.mean(tried.fit(winter, np.arange(200)).query(summer).argmax(1) == np.arange(200))
+        for tried in (method, SAD())
+    ]
+    assert found[0] > found[1] + 0.1
