@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Group, of_row
-from vprbench.run.record import Run
+from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import NoScoresError, Seen, suffix
 
 
