@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Group, of_row
-from vprbench.run.record import Run
-from vprbench.run.sequences import NoScoresError, Seen, suffix, without_scores
+from vprbench.run.record import Failure, Run
+from vprbench.run.sequences import NoScoresError, Seen, suffix
 
 
 def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) -> list[Group]:
@@ -32,7 +32,7 @@ def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) ->
                     one = view(run)
                     shown.append(one if len(views) == 1 else replace(one, scores=None))
                 except NoScoresError as error:
-                    failures.append(without_scores(run, error))
+                    failures.append(Failure(run.method, run.dataset, run.config, str(error), run.environment, True))
                     lacking.append(error)
             of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=suffix([view])[1:]))
         found += [one for one in of_views if one.runs] or [replace(of_views[0], view="")]

@@ -101,7 +101,8 @@ class _Sheet:
     def cell(self, entry: Entry, quantity: Quantity) -> Cell:
         """Return one cell."""
         row, column = entry.row, entry.column
-        printed = self.printed.get((row.name, entry.group.asked.planned.published or ""), {})
+        published = "" if entry.group.view else entry.group.asked.planned.published or ""  # the paper has no views
+        printed = self.printed.get((row.name, published), {})
         value = printed.get(quantity.name)
         empty = Cell(
             mark="not applicable",
