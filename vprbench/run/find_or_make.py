@@ -106,7 +106,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
             with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
                 run = runner.run(request, key, keep)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
-        known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
+        # yaml and dataset may say so only since the run was stored
+        known = found is not None and found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)
         run = replace(run, tuned_on=tuned_on)
         try:
             folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
@@ -187,6 +188,10 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
         logging.info("%s is stored with descriptors of an earlier run: running again for cache=false", run.method)
         return None
     return run
+
+
+def _gaps(told: Run | Dataset) -> list[list[int] | None]:
+    return [None if gaps is None else gaps.tolist() for gaps in (told.query_breaks, told.place_breaks)]
 
 
 def _recall(run: Run) -> str:
