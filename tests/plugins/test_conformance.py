@@ -368,3 +368,9 @@ def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(
     result = next(check({**configuration("sad"), "tuned_on": tuned_on}))
     assert result.state == state
     assert named in result.reason
+
+
+@pytest.mark.parametrize("name", [name for name, entry in ENTRIES.items() if entry.tuned_on])
+def test_what_a_registered_method_was_tuned_on_is_told_so(name: str) -> None:
+    result = next(check(configuration(name)))
+    assert ("tuned_on" in result.rule, result.state) == (True, "kept")
