@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Images, PatchNormalisation, Variant
+from vprbench.api import BadInput, Images, PatchNormalisation
 
-Preprocessing = Literal["grey"] | Variant  # grey: antialiased, not patch-normalised
+Preprocessing = Literal["grey", "A", "B", "C"]  # grey: antialiased, not patch-normalised
 
 
 def pixels(images: Images, preprocessing: Preprocessing, height: int, width: int, patch: int) -> npt.NDArray[np.uint8]:

@@ -220,7 +220,7 @@ def test_check_counts_the_rules(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (["timing.minimum_second=5"], "option timing.minimum_second is unknown: did you mean minimum_seconds"),
         (["method.patch=seven"], "method.patch=seven: wanted an integer"),
-        (["method.preprocessing=D"], "method.preprocessing=D: wanted 'A', 'B' or 'C'"),
+        (["method.preprocessing=D"], "method.preprocessing=D: wanted 'grey', 'A', 'B' or 'C'"),
         (["method.patch=6", *QUICK], "method.patch=6: the window needs a centre"),
         (["force=perhaps"], "force=perhaps: wanted a boolean"),
         (["output=xml"], "output=xml: wanted 'row' or 'json'"),

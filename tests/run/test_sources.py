@@ -66,7 +66,8 @@ def from_store(
     package: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[[str, str, str], bool]:
     """Return what changes a text in the package's copy of SAD and tells whether its stored run is found then."""
-    (package / "sad.py").write_text((ROOT / "methods/sad.py").read_text())
+    text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
+    (package / "sad.py").write_text(text)
     (package / "method").mkdir()
     yaml = (ROOT / "conf/method/sad.yaml").read_text()
     (package / "method/grass.yaml").write_text(yaml.replace("vprbench.methods.sad", "meadow.sad"))
