@@ -150,6 +150,8 @@ def test_a_list_is_filtered_by_words_tags_and_weights(
         ("vprbench search tri", ["trials="]),
         ("vprbench list sp", ["spiking"]),
         ("vprbench completion z", ["zsh"]),
+        ("vprbench method=sad corruption=bl", ["corruption=blur-1", "corruption=blur-2", "corruption=blur-3"]),
+        ("vprbench compare corruptions=a", ["corruptions=all"]),
     ],
 )
 def test_the_last_word_is_completed(line: str, wanted: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -190,7 +190,7 @@ class Images(Sequence[Image]):
         names, in_files = self.names, self._files is not None
         whole = cache(lambda: self.fingerprint().encode())
         stamp = self._stamp or (lambda i: b"" if in_files else whole())
-        content = self._content or (lambda i: b"" if in_files else repr(self._read(i).tolist()).encode())
+        content = self._content or (lambda i: b"" if in_files else _pixels(self._read(i)))
         images = Images(
             lambda i: change(self._read(i), names[i]),
             names,
@@ -225,8 +225,7 @@ class Images(Sequence[Image]):
         elif files is None:
             most = len(self) if self._in_memory else _FINGERPRINT_SAMPLE
             for i in np.linspace(0, len(self) - 1, min(len(self), most)).astype(int).tolist():
-                image = self._read(i)
-                digest.update(repr(image.shape).encode() + image.tobytes())
+                digest.update(_pixels(self._read(i)))
         return digest.hexdigest()
 
     def content_hash(self) -> str:
@@ -243,8 +242,7 @@ class Images(Sequence[Image]):
                 digest.update(hashlib.sha256(self._content(i)).digest())
         elif files is None:
             for i in range(len(self)):
-                image = self._read(i)
-                digest.update(hashlib.sha256(repr(image.shape).encode() + image.tobytes()).digest())
+                digest.update(hashlib.sha256(_pixels(self._read(i))).digest())
         return digest.hexdigest()
 
     def _file_bytes(self, number: int) -> int:
@@ -255,3 +253,7 @@ class Images(Sequence[Image]):
 
     def _read_chunk(self, start: int, size: int) -> list[Image]:
         return [self._read(i) for i in range(start, start + size)]
+
+
+def _pixels(image: Image) -> bytes:
+    return repr(image.shape).encode() + image.tobytes()

@@ -11,6 +11,7 @@ from pathlib import Path
 from vprbench import __version__
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import Group, broken_plugins, conf_folders, entries, read
+from vprbench.run.corruption import KINDS, STRENGTHS
 from vprbench.terminal.completion import HIDDEN, SCRIPTS, candidates
 from vprbench.terminal.described import Option, of_class, of_yaml, together
 from vprbench.terminal.help import Command, show_commands, show_options
@@ -176,6 +177,10 @@ def _values(name: str) -> Iterator[str]:
         yield from (path.stem for path in sorted((conf / "timing").glob("*.yaml")))
     if name in ("device", "devices"):
         yield from ("cpu", "cuda")
+    if name == "corruption":
+        yield from (f"{kind}-{strength}" for kind in KINDS for strength in STRENGTHS)
+    if name == "corruptions":
+        yield from ("all", *KINDS)
     if name in ("rows", "columns"):
         yield from read((conf / "table.yaml").read_text(encoding="utf-8"))[name]
     if name == "[NAME]":
