@@ -32,8 +32,18 @@ from .encoding import spikes_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, calibrated
-from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
-from .training import Schedule, Training, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
+from .rules import RULES, FeatureRule, OutputRule, QueryRule, Rules, RuleSet, ThresholdRule
+from .training import (
+    Schedule,
+    Training,
+    associate_places,
+    check_inputs,
+    check_weights,
+    check_winners,
+    draw_schedule,
+    module_sizes,
+    set_thresholds,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +88,9 @@ class VPRTempo(Method):
     normalise_by_last_neuron: bool | None = None
     constant_input: float | None = None
     clip: float | None = None
+    even_connections: bool | None = None
+    feature_rule: FeatureRule | None = None
+    output_rule: OutputRule | None = None
     threshold_rule: ThresholdRule | None = None
     stdp_divided_by_rate: bool | None = None
     homeostasis_gain: float | None = None
@@ -149,11 +162,15 @@ class VPRTempo(Method):
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
             report = _reporting("training features", number, len(groups))
-            engine.train_features(features[group], order[group], training, report)
+            if rules.feature_rule == "rates":
+                set_thresholds(features[group], order[group], training)
+            else:
+                engine.train_features(features[group], order[group], training, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
-            engine.train_places(outputs[group], features[group], output_order[group], training, report)
+            train = associate_places if rules.output_rule == "covariance" else engine.train_places
+            train(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]
