@@ -9,7 +9,7 @@ from typing import Literal
 from vprbench.api import BadInput, GaborBank, OrientedEdges, PatchNormalisation, Variant
 
 from .encoding import Encoder, Patches
-from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
+from .rules import RULES, FeatureRule, OutputRule, QueryRule, Rules, RuleSet, ThresholdRule
 
 Encoding = Literal["patches", "oriented", "gabor"]
 Engine = Literal["fused", "readable"]
@@ -28,6 +28,7 @@ class Arguments:
     rows: int = 8  # cells of oriented edges
     columns: int = 16
     orientations: int = 8
+    contrast_power: float = 1.0  # that oriented edges are raised to
     max_module: int = 1100  # places
     features_per_pixel: float = 2.0  # of an input
     epochs: int = 4
@@ -48,6 +49,9 @@ class Arguments:
     normalise_by_last_neuron: bool | None = None
     constant_input: float | None = None
     clip: float | None = None
+    even_connections: bool | None = None
+    feature_rule: FeatureRule | None = None
+    output_rule: OutputRule | None = None
     threshold_rule: ThresholdRule | None = None
     stdp_divided_by_rate: bool | None = None
     homeostasis_gain: float | None = None
@@ -65,7 +69,7 @@ class Arguments:
         engine = self.engine or "fused"
         if self.encoding == "oriented":
             cells = (self.rows, self.columns, self.orientations)
-            return OrientedEdges(self.height, self.width, *cells, engine=engine)
+            return OrientedEdges(self.height, self.width, *cells, power=self.contrast_power, engine=engine)
         if self.encoding == "gabor":
             return GaborBank(self.height, self.width, self.patch, engine=engine)
         return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch, engine))

@@ -170,7 +170,7 @@ def _draw_module(
     drawn = []
     for probability in probabilities:
         magnitude = (0.5 + torch.randn(n_post, n_pre, generator=generator) / 6).clamp_(min=0)
-        exists = torch.rand(n_post, n_pre, generator=generator) < probability
+        exists = _connections(generator, n_post, n_pre, probability, rules)
         magnitude *= exists
         norm = magnitude.sum(1, keepdim=True)
         divisor = norm[-1:] if rules.normalise_by_last_neuron else norm
@@ -181,3 +181,13 @@ def _draw_module(
         excitation, inhibition = signed.clamp(min=0), (-signed).clamp_(min=0)
         excitatory, inhibitory = signed > 0, signed < 0
     return excitation, inhibition, LARGEST * excitatory, LARGEST * inhibitory, thresholds, constant
+
+
+def _connections(generator: torch.Generator, n_post: int, n_pre: int, probability: float, rules: Rules) -> Tensor:
+    """Return which synapses exist, (n_post, n_pre)."""
+    if not rules.even_connections or probability == 0:
+        return torch.rand(n_post, n_pre, generator=generator) < probability
+    each = max(1, round(probability * n_pre))
+    rounds = -(-n_post * each // n_pre)
+    inputs = torch.cat([torch.randperm(n_pre, generator=generator) for _ in range(rounds)])[: n_post * each]
+    return torch.zeros(n_post, n_pre, dtype=torch.bool).scatter_(1, inputs.view(n_post, each), True)

@@ -29,7 +29,17 @@ from .layer import Layer, draw_layer, feature_rates
 from .network import Network, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
-from .training import Schedule, Training, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
+from .training import (
+    Schedule,
+    Training,
+    associate_places,
+    check_inputs,
+    check_weights,
+    check_winners,
+    draw_schedule,
+    module_sizes,
+    set_thresholds,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -108,11 +118,15 @@ class VPRTempo(Arguments, Method):
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
             report = training.reporting("training features", number, len(groups))
-            engine.train_features(features[group], order[group], learning, report)
+            if rules.feature_rule == "rates":
+                set_thresholds(features[group], order[group], learning)
+            else:
+                engine.train_features(features[group], order[group], learning, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = training.reporting("training places", number, len(groups))
-            engine.train_places(outputs[group], features[group], output_order[group], learning, report)
+            train = associate_places if rules.output_rule == "covariance" else engine.train_places
+            train(outputs[group], features[group], output_order[group], learning, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]

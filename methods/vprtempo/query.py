@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
 
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
+_SPARSE = 1 / 8  # of the synapses exist: fewer are read one by one
 
 
 class Query(Protocol):
@@ -92,6 +93,11 @@ class SpikingQuery:
         self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
         if self._device.type == "cpu":
             self._rows = features.numpy(), bias.numpy()
+            self._synapses: tuple[npt.NDArray[Any], ...] | None = None
+            if int(torch.count_nonzero(features)) < _SPARSE * features.numel():
+                neuron, inputs = np.nonzero(self._rows[0])
+                ends = np.searchsorted(neuron, np.arange(len(bias) + 1))
+                self._synapses = ends, inputs.astype(np.int32), self._rows[0][neuron, inputs]
             self._columns = [weights.numpy() for weights in network.outputs]
             self._thresholds = torch.cat(network.output_thresholds).numpy()
 
@@ -111,7 +117,10 @@ class SpikingQuery:
         above = np.empty(self._ends[-1], np.float32)
         weights, bias = self._rows
         spikes = np.empty(len(bias), np.float32)
-        _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
+        if self._synapses is None:
+            _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
+        else:
+            _sparse_feature_spikes(*self._synapses, bias, x, np.float32(self._rules.clip), spikes)
         n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
             active = spikes[module * n_features : (module + 1) * n_features]
@@ -215,6 +224,16 @@ def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-
 
 
 @compiled
+def _sparse_feature_spikes(ends, inputs, weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
+    """Do as `_feature_spikes` by the synapses that exist: a neuron's `inputs` and `weights` end at its `ends`."""
+    for neuron in range(len(spikes)):
+        net = np.float32(0)
+        for synapse in range(ends[neuron], ends[neuron + 1]):
+            net += weights[synapse] * x[inputs[synapse]]
+        spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
+
+
+@compiled
 def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
     """Write the net input of output neurons (n_places,), `weights` (n_features, n_places), reading active rows only."""
     net[:] = 0
@@ -242,6 +261,8 @@ def _compile() -> None:
     """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
+    ends = np.zeros(2, np.int64)
+    _sparse_feature_spikes(ends, ends[:0].astype(np.int32), row, row, row, np.float32(1), row.copy())
     _add_active(weights, row, row.copy())
 
 

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 RuleSet = Literal["paper", "reference", "v1"]
 ThresholdRule = Literal["spike", "amplitude", "decay"]
+FeatureRule = Literal["stdp", "rates"]
+OutputRule = Literal["forcing", "covariance"]
 QueryRule = Literal["spiking", "linear"]
 
 
@@ -25,6 +27,15 @@ class Rules:
     """Upper end of the uniform constant input C of a feature neuron (paper, Table I)."""
     clip: float = 0.9
     """Upper limit of an activation: 0.9 in all public versions, 1 as printed in the paper."""
+    even_connections: bool = False
+    """Connections are drawn so that neurons have equally many, at least one, and inputs too, instead of each by chance
+    (no public version)."""
+    feature_rule: FeatureRule = "stdp"
+    """Features learn by Eqs. 2, 4 and 5; or their weights stay as drawn, and their thresholds are where Eq. 5 comes to
+    rest, with every neuron at its target rate (no public version)."""
+    output_rule: OutputRule = "forcing"
+    """Outputs learn by Eqs. 4 and 6; or from 0 by the error of Eq. 6 times how far a feature is from its mean over the
+    references (covariance rule, Sejnowski 1977), a feature's mean counting as silence (no public version)."""
     threshold_rule: ThresholdRule = "spike"
     """Eq. 5 with Theta(x_j); with the amplitude x_j (v1.0.0); or with a spike that is never set (public code)."""
     stdp_divided_by_rate: bool = False

@@ -17,6 +17,7 @@ from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
+_TOGETHER = 100  # images from whose errors the covariance rule learns in one step
 _FEWEST_PROBES = 10  # reference images; fewer tell nothing
 
 
@@ -111,6 +112,46 @@ def train_places(
             stdp = training.output_stdp * schedule.factor[step, :, None]
             learn_places(layer, x[step - start], schedule.neuron[step], training.rates, stdp, rules)
         report(steps.stop / total)
+
+
+def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None:
+    """Set the thresholds of a feature layer in place so that each neuron fires at its target rate, or are 0."""
+    for module, weights in enumerate(layer.weights):
+        own = schedule.image[schedule.factor[:, module] > 0, module].unique()
+        net = torch.addmm(layer.constant[module], training.spikes[own], weights.T).sort(0).values
+        silent = ((1 - training.rates).clamp(0, 1) * (len(own) - 1)).round().long()
+        layer.thresholds[module] = net.gather(0, silent[None])[0].clamp_(min=0)
+
+
+def associate_places(
+    layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
+) -> None:
+    """Train an output layer in place by the covariance rule, on any device.
+
+    The learning rate is in parts of the inverse mean energy of the centred feature spikes.
+    """
+    clip = training.rules.clip
+    for module, weights in enumerate(features.weights):
+        learns = schedule.factor[:, module] > 0
+        own, shown = schedule.image[learns, module].unique(return_inverse=True)
+        net = torch.addmm(features.constant[module], training.spikes[own], weights.T)
+        spikes = net.sub_(features.thresholds[module]).clamp_(0, clip)
+        mean = spikes.mean(0)
+        spikes -= mean
+        energy = spikes.square().sum(1).mean().clamp(min=SMALLEST)
+        rate = training.output_stdp / energy * schedule.factor[learns, module]
+        outputs = torch.zeros_like(layer.excitation[module])
+        for start in range(0, len(shown), _TOGETHER):
+            now = slice(start, start + _TOGETHER)
+            x, target = spikes[shown[now]], schedule.neuron[learns, module][now]
+            error = -(x @ outputs.T).clamp_(0, clip)
+            error[torch.arange(len(x), device=x.device), target] += 0.5
+            outputs.addmm_((rate[now, None] * error).T, x)
+            report((module + start / len(shown)) / len(features.thresholds))
+        spread = torch.cat([(spikes[part] @ outputs.T).square() for part in [slice(None)]]).mean(0).sqrt()
+        outputs *= (spread[spread > 0].mean() / spread.clamp(min=SMALLEST))[:, None]
+        layer.excitation[module], layer.inhibition[module] = outputs.clamp(min=0), (-outputs).clamp_(min=0)
+        layer.thresholds[module] = outputs @ mean
 
 
 def check_weights(layer: Layer, name: str) -> None:

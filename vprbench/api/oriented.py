@@ -31,9 +31,9 @@ class OrientedEdges:
     A frame becomes grey, then `height` x `width` pixels by means over areas. Central differences, borders
     replicated, give each pixel a magnitude, which it shares between the two nearest of `orientations` bins of half a
     turn. Each bin is averaged over the pixels of a cell, `rows` x `columns` of them, and divided by the root of the
-    cells' energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon` grey levels. A frame of
-    one level gives zeros. As histograms of oriented gradients (Dalal and Triggs 2005), but with energies of blocks
-    around each cell and without gamma.
+    cells' energy, averaged over `block` x `block` cells (borders reflected), plus `epsilon` grey levels, and raised to
+    `power`: below 1 weak edges count for more. A frame of one level gives zeros. As histograms of oriented gradients
+    (Dalal and Triggs 2005), but with energies of blocks around each cell and without gamma.
     The fused engine is compiled and takes all threads that PyTorch may use; the readable one is what it is judged by.
     Raises BadInput for sizes under which there is no code.
     """
@@ -45,6 +45,7 @@ class OrientedEdges:
     orientations: int = 8
     block: int = 3  # cells
     epsilon: float = 16.0  # grey levels
+    power: float = 1.0
     engine: Engine = "fused"
 
     def __post_init__(self) -> None:
@@ -56,6 +57,8 @@ class OrientedEdges:
             raise BadInput(f"method.block={self.block}: a block needs a cell in its centre, give an odd number")
         if not 0 < self.epsilon < math.inf:
             raise BadInput(f"method.epsilon={self.epsilon}: give grey levels, more than 0")
+        if not 0 < self.power < math.inf:
+            raise BadInput(f"method.contrast_power={self.power}: give a finite power, more than 0")
 
     @property
     def n_inputs(self) -> int:
@@ -87,6 +90,8 @@ class OrientedEdges:
             else:
                 pixels = np.ascontiguousarray(image)
                 oriented_compiled.encode(pixels, self.height, self.width, self.block, self.epsilon, code)
+                if self.power != 1:
+                    np.power(code, np.float32(self.power), out=code)
 
     def shrink(self, image: Image) -> npt.NDArray[np.float64]:
         """Return the grey levels, (height, width), of an RGB image: means over areas, of pixels that it cuts too."""
@@ -106,7 +111,7 @@ class OrientedEdges:
         energy = np.pad(np.square(cells).sum(2), self.block // 2, mode="symmetric")
         windows = np.lib.stride_tricks.sliding_window_view(energy, (self.block, self.block))
         spread = np.sqrt(windows.mean((2, 3))) + self.epsilon
-        return np.asarray(np.clip(cells / spread[:, :, None], 0, 1))
+        return np.asarray(np.clip(cells / spread[:, :, None], 0, 1) ** self.power)
 
 
 def _areas(values: npt.NDArray[Any], rows: int, columns: int) -> npt.NDArray[Any]:
