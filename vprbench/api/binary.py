@@ -42,7 +42,7 @@ class BinaryMap:
     @property
     def bytes_per_place(self) -> int:
         """The bytes of codes that answers need, for each place."""
-        return round(8 * self._n_words * self._n_references / (int(self._places.max()) + 1))
+        return int(8 * self._n_words * self._n_references / (self._places.max() + 1))
 
     def scores(self, codes: Words) -> Scores:
         """Return for each place minus the bits in which its most similar image differs, (n_queries, n_places).
