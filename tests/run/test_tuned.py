@@ -125,6 +125,6 @@ def test_it_stands_in_every_format_of_the_table_and_on_the_page(printed: Print) 
 
 
 def test_the_tuned_settings_of_vprtempo_say_where_they_were_found() -> None:
-    for name in ("vprtempo_tuned", "vprtempo_tuned_ensemble"):
+    for name in (f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")):
         assert registry.entries("method")[name].tuned_on["dataset"] == "nordland_64x32"
     assert registry.entries("method")["vprtempo"].tuned_on == {}
