@@ -35,7 +35,7 @@ class BinaryMap:
                 f"references of {codes.dtype} {codes.shape} came with places {places.shape}: wanted uint64 "
                 "(n_images, n_words) of an image or more, and a place for each"
             )
-        self._n_references, self._n_words = codes.shape
+        self._n_references, self._n_words = map(int, codes.shape)
         self._places = places
         self._blocks = in_blocks(codes)
 
