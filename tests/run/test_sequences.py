@@ -119,7 +119,7 @@ def test_a_view_is_never_stored_and_gaps_are(tmp_path: Path) -> None:
 
 
 def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)
     monkeypatch.chdir(tmp_path)
@@ -131,6 +131,10 @@ def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(
         return run.scores is not None
 
     assert [kept(), kept("scores=true"), kept(), kept("force=true")] == [False, True, True, True]
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=1", "sequence=2"]) == 0
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=2"]) == 0
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=2", "sequence=2"]) == 2
+    assert "run it with scores=true" in capsys.readouterr().err
 
 
 def test_a_run_without_scores_says_what_to_do_and_too_long_a_window_too() -> None:

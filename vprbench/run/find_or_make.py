@@ -26,6 +26,7 @@ from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
+from vprbench.run.sequences import views
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
@@ -84,8 +85,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     if found is None and refused is not None:
         raise refused
 
-    whole = settings.scores or (stored is not None and stored.scores is not None)  # which is not lost
-    request = replace(request, scores=whole)
+    needed = settings.scores or bool(views(settings.sequence, settings.filter))
+    request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
 
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
         ending.leave_if_forked(process)
@@ -211,7 +212,6 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
     from vprbench.run import rows  # what it imports does not count as the run's memory
-    from vprbench.run.sequences import views
     from vprbench.run.tuned import all_notes
 
     seen = [view(run) for view in views(settings.sequence, settings.filter)]
