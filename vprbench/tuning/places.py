@@ -106,7 +106,7 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
 
 def _numbered(run: Run, places: npt.NDArray[np.int64]) -> list[int]:
     """Return the numbers along the journey of some places of a run's map."""
-    return [int(place) for place in (places if run.place_numbers is None else run.place_numbers[places])]
+    return [int(number) for number in (places if run.place_numbers is None else run.place_numbers[places])]
 
 
 def _scatters(dataset: Mapping[str, Any]) -> bool:
