@@ -1,11 +1,43 @@
-"""Grey levels as input spikes of VPRTempo."""
+"""Frames and grey levels as input spikes of VPRTempo."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api import Images, PatchNormalisation
+
 from .compiled import compiled
+
+
+class Encoder(Protocol):
+    """Makes input spikes of frames, float32 (n_images, n_inputs), amplitudes 0 to 1."""
+
+    @property
+    def n_inputs(self) -> int:
+        """The number of inputs."""
+
+    def __call__(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return the spikes of each frame."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """The published input: a spike for every pixel of a patch-normalised frame."""
+
+    levels: PatchNormalisation
+
+    @property
+    def n_inputs(self) -> int:
+        """The number of pixels."""
+        return self.levels.height * self.levels.width
+
+    def __call__(self, images: Images) -> npt.NDArray[np.float32]:
+        """Return the spikes of each frame."""
+        return spikes_of(self.levels(images), fake_quantised=self.levels.variant == "C")
 
 
 def spikes_of(levels: npt.NDArray[np.uint8], fake_quantised: bool) -> npt.NDArray[np.float32]:

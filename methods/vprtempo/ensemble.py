@@ -24,10 +24,11 @@ class VPRTempoEnsemble(VPRTempo):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {**VPRTempo.conformance_arguments, "members": 2}
     stored_as: ClassVar[str] = "vprtempo_ensemble"
 
-    def _check_arguments(self, n_places: int) -> None:
+    def check(self, n_places: int) -> None:
+        """Raise BadInput for arguments under which there is no network."""
         if self.members < 1:
             raise BadInput(f"method.members={self.members}: give at least 1 network")
-        super()._check_arguments(n_places)
+        super().check(n_places)
 
     def _seeds(self) -> list[int]:
         return list(range(self.seed, self.seed + self.members))

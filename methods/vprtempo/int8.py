@@ -22,11 +22,13 @@ class VPRTempoInt8(VPRTempo):
     _linear_query: ClassVar[type[Int8LinearQuery]] = Int8LinearQuery
     _spiking_query: ClassVar[type[Int8SpikingQuery]] = Int8SpikingQuery
 
-    def _check_arguments(self, n_places: int) -> None:
-        n_features = round(self.features_per_pixel * self.height * self.width)
-        if max(n_features, self.height * self.width) > MOST_INPUTS:
+    def check(self, n_places: int) -> None:
+        """Raise BadInput for arguments under which there is no network."""
+        n_inputs = self.encoder().n_inputs
+        n_features = round(self.features_per_pixel * n_inputs)
+        if max(n_features, n_inputs) > MOST_INPUTS:
             raise BadInput(
                 f"method.features_per_pixel={self.features_per_pixel} makes {n_features} features, more than 32 bits "
                 f"can sum: give at most {MOST_INPUTS}"
             )
-        super()._check_arguments(n_places)
+        super().check(n_places)

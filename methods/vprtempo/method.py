@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from types import ModuleType
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,74 +19,36 @@ from vprbench.api import (
     LayerSpikes,
     Method,
     NotFittedError,
-    PatchNormalisation,
     Places,
     Scores,
-    Variant,
+    progress,
 )
 
 from . import fused, training
-from .encoding import spikes_of
+from .arguments import Arguments
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
-from .rules import RULES, QueryRule, Rules, RuleSet, ThresholdRule
+from .rules import Rules
 from .training import Schedule, Training, check_inputs, check_weights, check_winners, draw_schedule, module_sizes
 
 logger = logging.getLogger(__name__)
-
-Engine = Literal["fused", "readable"]
 
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
 @dataclass
-class VPRTempo(Method):
+class VPRTempo(Arguments, Method):
     """The spiking network of the VPRTempo paper, its public code (64154e5) or the submission's (v1.0.0).
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
     one choice (`Rules` describes them). Rates, probabilities and thresholds come from the paper's Table I.
+    `encoding` chooses the input: patches (published, by the variant `preprocessing`), oriented (edges, in `rows` x
+    `columns` cells of `orientations`) or gabor (filters over patches); `height` and `width` are what each of them sees.
     `engine` chooses what trains and preprocesses: fused (compiled, the default) or readable (PyTorch; the same
     results, slower).
     A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
     """
-
-    rules: RuleSet = "paper"
-    preprocessing: Variant = "C"
-    height: int = 28  # pixels
-    width: int = 28
-    patch: int = 7
-    max_module: int = 1100  # places
-    features_per_pixel: float = 2.0
-    epochs: int = 4
-    stdp_rate: float = 0.005
-    output_stdp_rate: float | None = None  # None: stdp_rate
-    itp_rate: float = 0.15
-    threshold_max: float = 0.5
-    rate_min: float = 0.2
-    rate_max: float = 0.9
-    p_excitatory: float = 0.1
-    p_inhibitory: float = 0.5
-    output_norm: float = 1.0  # of an output neuron's initial weights of each sign (L1)
-    equal_output_weights: bool = False  # initially, instead of random ones
-    silent_winner: bool | None = None
-    query_rule: QueryRule | None = None
-    calibrated_scores: bool | None = None
-    one_sign_per_synapse: bool | None = None
-    normalise_by_last_neuron: bool | None = None
-    constant_input: float | None = None
-    clip: float | None = None
-    threshold_rule: ThresholdRule | None = None
-    stdp_divided_by_rate: bool | None = None
-    homeostasis_gain: float | None = None
-    output_thresholds_learn: bool | None = None
-    error_to_each_sign: bool | None = None
-    shuffle: bool | None = None
-    annealing_restarts: bool | None = None
-    annealing_interval: int | None = None
-    engine: Engine | None = None
-    seed: int = 0
-    device: str = "cpu"
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
     stored_as: ClassVar[str] = "vprtempo"
@@ -110,7 +71,7 @@ class VPRTempo(Method):
     def fit(self, references: Images, places: Places) -> Self:
         """Train the feature layer, then the output layer; every module learns from random draws of its own."""
         n_places = int(places.max()) + 1
-        self._check_arguments(n_places)
+        self.check(n_places)
         self._query = None
         rules = self.chosen_rules()
         codes = self.encode(references)
@@ -142,17 +103,17 @@ class VPRTempo(Method):
         n_modules, n_features = features.thresholds.shape
         rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        learning = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
-            report = training.reporting("training features", number, len(groups))
-            engine.train_features(features[group], order[group], learning, report)
+            report = _reporting("training features", number, len(groups))
+            engine.train_features(features[group], order[group], training, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
-            report = training.reporting("training places", number, len(groups))
-            engine.train_places(outputs[group], features[group], output_order[group], learning, report)
+            report = _reporting("training places", number, len(groups))
+            engine.train_places(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]
@@ -186,10 +147,8 @@ class VPRTempo(Method):
         return features.to(self.device), outputs.to(self.device), order, output_order
 
     def encode(self, images: Images) -> npt.NDArray[np.float32]:
-        """Return the input spikes, (n_images, height * width), amplitudes 0 to 1."""
-        engine = self.engine or "fused"
-        levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch, engine)(images)
-        return spikes_of(levels, fake_quantised=self.preprocessing == "C")
+        """Return the input spikes, (n_images, n_inputs of the encoder), amplitudes 0 to 1."""
+        return self.encoder()(images)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
@@ -226,11 +185,13 @@ class VPRTempo(Method):
         """Take over a stored network, or the arrays of a published checkpoint (QVPR/VPRTempo 64154e5)."""
         self._query = None
         self._members = members_from_state(state, len(self._seeds()), self.device)
+        n_inputs = self.encoder().n_inputs
         for member in self._members:
-            if member.features.shape[2] != self.height * self.width:
+            if member.features.shape[2] != n_inputs:
                 raise BadInput(
-                    f"the stored network reads {member.features.shape[2]} pixels, not method.height={self.height} x "
-                    f"method.width={self.width}: give the size that it was trained on"
+                    f"the stored network reads {member.features.shape[2]} inputs, not the {n_inputs} of "
+                    f"method.encoding={self.encoding}, method.height={self.height} x method.width={self.width}: "
+                    "give what it was trained on"
                 )
             is_calibrated = member.calibration is not None
             if self.chosen_rules().calibrated_scores != is_calibrated:
@@ -240,47 +201,6 @@ class VPRTempo(Method):
                 )
         self._query = self._asking()
         return self
-
-    def chosen_rules(self) -> Rules:
-        """Return the rules after the arguments that replace single choices."""
-        names = {choice.name for choice in fields(Rules)}
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return replace(RULES[self.rules], **given)
-
-    def _check_arguments(self, n_places: int) -> None:
-        """Raise BadInput for arguments under which there is no network."""
-        rules = self.chosen_rules()
-        wanted = {
-            "epochs": (self.epochs >= 1, "at least 1"),
-            "max_module": (self.max_module >= 1, "at least 1 place"),
-            "features_per_pixel": (0 < self.features_per_pixel < math.inf, "more than 0"),
-            "stdp_rate": (0 <= self.stdp_rate < math.inf, "0 or more"),
-            "output_stdp_rate": (0 <= (self.output_stdp_rate or 0) < math.inf, "0 or more"),
-            "itp_rate": (0 <= self.itp_rate < math.inf, "0 or more"),
-            "threshold_max": (0 <= self.threshold_max < math.inf, "0 or more"),
-            "rate_min": (0 < self.rate_min <= self.rate_max, "more than 0 and at most method.rate_max"),
-            "rate_max": (self.rate_max < math.inf, "a finite rate"),
-            "p_excitatory": (0 <= self.p_excitatory <= 1, "a probability"),
-            "p_inhibitory": (0 <= self.p_inhibitory <= 1, "a probability"),
-            "output_norm": (0 < self.output_norm < math.inf, "more than 0"),
-            "constant_input": (0 <= rules.constant_input < math.inf, "0 or more"),
-            "clip": (0 < rules.clip < math.inf, "more than 0"),
-            "homeostasis_gain": (0 <= rules.homeostasis_gain < math.inf, "0 or more"),
-            "annealing_interval": (rules.annealing_interval >= 1, "at least 1 step"),
-        }
-        for name, (fits, what) in wanted.items():
-            if not fits:
-                raise BadInput(f"method.{name}={getattr(self, name)}: give {what}")
-        if self.equal_output_weights and rules.one_sign_per_synapse:
-            raise BadInput(
-                "method.equal_output_weights=true leaves nothing where excitation and inhibition are one weight: "
-                "set method.one_sign_per_synapse=false"
-            )
-        if n_places < self.max_module:
-            raise BadInput(
-                f"{n_places} places are fewer than one module of method.max_module={self.max_module}: "
-                f"pass method.max_module={n_places} for one module, or less for several"
-            )
 
     def _engine(self) -> ModuleType:
         """Return the module that trains, compiled or readable, for the device."""
@@ -296,3 +216,9 @@ class VPRTempo(Method):
             logger.warning("no triton for %s (%s): the readable version trains, which is slower", self.device, error)
             return training
         return fused_cuda
+
+
+def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
+    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
+    progress.report(stage, group / groups)
+    return lambda done: progress.report(stage, (group + done) / groups)

@@ -78,7 +78,15 @@ def test_an_unknown_name_raises_with_the_near_names() -> None:
     assert api.Images is Images
 
 
-TORCH_NEEDED = {"NeuralDescriptor", "OrientedEdges", "PatchNormalisation", "Variant", "Interpolation", "Resize"}
+TORCH_NEEDED = {
+    "GaborBank",
+    "NeuralDescriptor",
+    "OrientedEdges",
+    "PatchNormalisation",
+    "Variant",
+    "Interpolation",
+    "Resize",
+}
 
 
 def test_what_needs_no_torch_does_not_wait_for_it() -> None:

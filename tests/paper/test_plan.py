@@ -82,7 +82,11 @@ def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
         assert len({*row.seeds}) == (3 if "seed" in options else 1), row.name
         arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
         assert arguments <= {*options}, row.name
-    for name in ("vprtempo_ensemble", "vprtempo_tuned_ensemble"):  # members of seed s, in no two runs: s to s + 4
+    for name in (
+        "vprtempo_ensemble",
+        "vprtempo_tuned_ensemble",
+        "vprtempo_oriented_ensemble",
+    ):  # members of seed s, in no two runs: s to s + 4
         assert len({seed + member for seed in plan.more_rows[name].seeds for member in range(5)}) == 15
 
 
@@ -118,7 +122,8 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
             config = compose.composed([f"method={row.method}", *asked])["method"]
             assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
             calibrated += [row.method] * (config["calibrated_scores"] is True)
-    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
+    ensembles = [f"vprtempo_{kind}ensemble" for kind in ("", "oriented_", "tuned_")]
+    assert sorted(calibrated) == ["vprtempo", *ensembles]
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,14 @@ def test_another_argument_is_named_with_both_values(path: Path, given: dict[str,
     assert wanted in refusal(path, **given)
 
 
+def test_a_network_that_is_older_than_an_argument_has_its_default(path: Path) -> None:
+    where = destination(path, Prototypes(), WORLD)
+    older = {name: value for name, value in where.origin.arguments.items() if name != "noise"}
+    networks.save(replace(where, origin=replace(where.origin, arguments=older)), fitted(Prototypes()), "", 1.0, 1.0)
+    load(path, Prototypes())
+    assert "method.noise is unknown there and 0.25 here" in refusal(path, noise=0.25)
+
+
 def test_every_difference_is_named_and_arguments_that_one_side_alone_has(path: Path) -> None:
     where = destination(path, Prototypes(), WORLD)
     older = replace(where.origin, arguments={**where.origin.arguments, "epochs": 4})

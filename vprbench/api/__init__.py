@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         is_image_name as is_image_name,
         open_image as open_image,
     )
+    from vprbench.api.gabor import GaborBank as GaborBank
     from vprbench.api.images import Images as Images
     from vprbench.api.frame_cache import frames_kept as frames_kept, kept_frames as kept_frames
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
 import pickle
@@ -161,7 +162,8 @@ def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) 
         state, note = _published(path), _UNCHECKED
     else:
         description, state = _read(path)
-        differences = [*_differences(description, wanted, method.query_arguments)]
+        usual = {name: each.default for name, each in inspect.signature(type(method)).parameters.items()}
+        differences = [*_differences(description, wanted, method.query_arguments, usual)]
         if differences:
             raise BadInput(
                 f"{path} holds another network than this run needs: {'; '.join(differences)}; "
@@ -175,12 +177,19 @@ def load(path: Path, method: Method, wanted: Origin, sha256: str | None = None) 
     return (note,)
 
 
-def _differences(there: Mapping[str, Any], wanted: Origin, free: frozenset[str]) -> Iterator[str]:
-    """Yield each difference between what a network was trained with and on and what is wanted."""
+def _differences(
+    there: Mapping[str, Any], wanted: Origin, free: frozenset[str], usual: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield each difference between what a network was trained with and on and what is wanted.
+
+    An argument that came after the network was stored may have its `usual` value.
+    """
     if there["kind"].rpartition(".")[2] != wanted.kind:  # version 0.6 wrote the module of the class too
         yield f"it is one of {there['kind']}, not of {wanted.kind}"
         return  # the arguments of another method say nothing
-    before, now = there["arguments"], wanted.arguments
+    now = wanted.arguments
+    before = {name: value for name, value in now.items() if name in usual and usual[name] == value}
+    before |= there["arguments"]
     for name in sorted({*before, *now} - free):
         if not (name in before and name in now and before[name] == now[name]):
             yield f"method.{name} is {_shown(before, name)} there and {_shown(now, name)} here"

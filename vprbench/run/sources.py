@@ -18,7 +18,8 @@ from vprbench.run import loose_code
 COMPUTING = frozenset(
     f"vprbench.api.{name}"
     for name in (
-        *("compiling", "descriptor", "method", "neural", "oriented", "preprocess", "preprocess_compiled"),
+        *("compiling", "descriptor", "gabor", "method", "neural", "oriented", "oriented_compiled"),
+        *("preprocess", "preprocess_compiled"),
         *("resize", "search", "search_indexes", "weight_files", "weights"),
     )
 )

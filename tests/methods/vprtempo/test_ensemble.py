@@ -12,8 +12,9 @@ import pytest
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput, NotFittedError
+from vprbench.methods.vprtempo.arguments import Engine
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
-from vprbench.methods.vprtempo.method import Engine, VPRTempo
+from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
 from vprbench.plugins.conformance import check
 from vprbench.plugins.rules import RULES as CONFORMANCE

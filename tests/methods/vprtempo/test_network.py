@@ -176,7 +176,7 @@ def test_an_array_of_another_shape_or_without_finite_values_is_refused(name: str
     line = refusal(state)
     if how == "one column too many":
         same = f"{name} has the shape {state[name].shape}; wanted {little()[name].shape}"
-        assert ("145 pixels" if name == "features" else same) in line
+        assert ("145 inputs" if name == "features" else same) in line
     elif "finite" in how:
         assert name in line
     else:
@@ -206,7 +206,7 @@ def test_a_network_of_nothing_is_refused(without: str) -> None:
 def test_another_number_of_pixels_is_refused_with_both(height: int, width: int, published: bool) -> None:
     state = flat(checkpoint()) if published else little()
     line = refusal(state, method(rules="reference", height=height, width=width))
-    assert "144 pixels" in line
+    assert "144 inputs" in line
     assert f"method.height={height} x method.width={width}" in line
 
 
