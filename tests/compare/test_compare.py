@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,3 +121,36 @@ def test_an_option_of_no_comparison_is_named(
     install(monkeypatch, tmp_path)
     assert main(["compare", *options]) == 2
     assert word in capsys.readouterr().err
+
+
+def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
+    apart: Apart, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=[1,3]"]) == 0
+    assert apart.asked == []
+    shown = capsys.readouterr().out
+    head, *rows = shown[shown.index("R@1 %") :].splitlines()
+    assert head.split("  ")[-2:] == ["sequence 1 causal", "sequence 3 causal"]
+    sad = next(row for row in rows if row.startswith("sad patch=5"))
+    single, three = (float(part.split()[0]) for part in sad.removeprefix("sad patch=5").split("]")[:2])
+    assert single == pytest.approx(50, abs=5)  # half the queries are noise
+    assert three == 100
+    assert "sequence 3 causal, sequence incomplete 2 of 24 queries left out: 22 queries" in shown
+    assert all(len(line) <= 100 for line in rows)
+
+
+def test_a_sequence_says_of_runs_without_scores_what_to_do(
+    apart: Apart, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for run in Store(Path("results"), read_only=True).runs():
+        other = Store(tmp_path)
+        other.prepare()
+        other.save(replace(run, scores=None if run.method == "sad" else run.scores))
+    monkeypatch.setattr(make, "made", lambda *_: [])
+    assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=3", f"results={tmp_path}"]) == 0
+    shown = capsys.readouterr().out
+    assert "sad on folders kept no scores to make sequences of: run it with scores=true" in shown
+    assert "\npca " in shown
+    assert main([*ASKED, "methods=sad", "sad.patch=5", *dataset(Path()), "sequence=3", f"results={tmp_path}"]) == 2
+    assert "scores=true" in capsys.readouterr().err

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from image_folders import answer
 
-from vprbench.datasets.readers.traverses import right_places, set_aside, split
+from vprbench.datasets.readers.traverses import Traverses, right_places, set_aside, split
 
 
 def right(queried, mapped, tolerance):
@@ -59,3 +59,12 @@ def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protoc
     message = answer(split, protocol, 6, *asked)
     assert told in message
     assert told.startswith("dataset.") or f"first_query_place={asked[0]} and dataset.query_places={asked[1]}" in message
+
+
+def test_frames_that_are_missing_between_places_break_the_journey():
+    numbers = [10, 20, 30, 60, 70, 110]
+    assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.arange(6)).tolist() == [3, 5]
+    assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.array([1, 2, 4])).tolist() == [2]
+    assert Traverses(["a"], "b", None).breaks(np.array([0, 1, 4, 5])).tolist() == [2]
+    assert Traverses(["a"], "b", None).breaks(np.array([0, 2, 4])).tolist() == []
+    assert Traverses(["a"], "b", None).breaks(np.array([7])).tolist() == []

@@ -69,3 +69,19 @@ def test_it_shows_itself_in_few_words_and_draws(result: Result) -> None:
     assert "two carts" in page
     assert result.plot_pr()._repr_png_()[:4] == b"\x89PNG"  # type: ignore[attr-defined]
     assert len(result.plot_matrix().axes) == 3
+
+
+def test_sequences_and_filters_are_results_of_the_queries_that_they_keep() -> None:
+    scores = np.eye(4, 10, dtype=np.float32)
+    run = a_run(scores=scores, positives=tuple(np.array([place]) for place in range(4)))
+    pairs = Result(run, None, NAMES).in_sequences(2)
+    assert pairs.queries == NAMES[1:]
+    assert pairs.recall() == 1.0
+    assert pairs.to_frame()["best_place"].tolist() == [1, 2, 3]
+    assert pairs.in_sequences(2, window="centred").queries == NAMES[2:]
+    assert "sequence 2 causal" in repr(pairs)
+    assert Result(run, None, NAMES).filter(ahead=1).recall() == 1.0
+    with pytest.raises(BadInput, match="windwo"):
+        pairs.in_sequences(2, windwo="centred")
+    with pytest.raises(BadInput, match="scores=true"):
+        Result(a_run(scores=None), None, NAMES).in_sequences(2)

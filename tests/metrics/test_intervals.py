@@ -184,3 +184,25 @@ def test_what_is_undefined_and_what_has_no_width() -> None:
 def test_what_cannot_be_is_refused_by_name(refused: Callable[[], object], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         refused()
+
+
+def test_where_windows_overlap_only_every_so_manieth_query_is_a_trial() -> None:
+    random = np.random.default_rng(3)
+    ours, theirs = random.integers(0, 2, 90), random.integers(0, 2, 90)
+    p_values = [mcnemar_exact(ours[way::4], theirs[way::4]).p_value for way in range(4)]
+    whole, apart = mcnemar_exact(ours, theirs), mcnemar_exact(ours, theirs, window=4)
+    assert (apart.b, apart.c) == (whole.b, whole.c)
+    assert apart.p_value == pytest.approx(min(1.0, 2 * sum(p_values) / 4))
+    copied = mcnemar_exact(np.repeat([1] * 8, 10), np.repeat([0] * 8, 10), window=10)  # eight trials, seen ten times
+    assert copied.p_value == pytest.approx(2 * 2 * 0.5**8)
+
+
+def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on() -> None:
+    hits = np.random.default_rng(0).integers(0, 2, 400)
+    alone, windowed = share_interval(hits), share_interval(hits, window=25)
+    assert alone is not None
+    assert windowed is not None
+    assert alone.block < 25 == windowed.block
+    difference = difference_interval(hits, hits[::-1], window=30)
+    assert difference is not None
+    assert difference.block == 30

@@ -18,6 +18,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.errors import BadInput
+from vprbench.metrics import ranking
 from vprbench.metrics.ranking import Outcome, outcome
 from vprbench.run import answers, runner
 
@@ -187,7 +188,7 @@ def test_many_places_and_large_codes_are_scored_in_smaller_blocks(
     scores, dataset = table(300, 40, 5), journey(300, 40)
     usual = run_of(Lookup(scores), dataset)
     monkeypatch.setattr(answers, "_BLOCK_CELLS", 40 * 7)
-    monkeypatch.setattr(answers, "_RANKED_CELLS", 40 * 3)
+    monkeypatch.setattr(ranking, "_RANKED_CELLS", 40 * 3)
     method = Lookup(scores)
     blocked = run_of(method, dataset)
     assert [len(numbers) for numbers in method.asked[1:44]] == [7] * 42 + [6]

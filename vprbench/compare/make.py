@@ -17,7 +17,7 @@ from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wan
 from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
-from vprbench.paper.selection import Group, accuracy_series, as_text, groups
+from vprbench.paper.selection import Group, accuracy_series, as_text, groups, protocol_words
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import TableRow
@@ -130,8 +130,10 @@ def show(found: Material, rankings: Sequence[Ranking], wide: bool = False) -> No
     table = found.table
     if len(table.columns) == 1:
         print(told(f"{table.title}: {words.data(table.columns[0])}"))
-    for column in table.columns if len(table.columns) > 1 else ():
-        print(told(f"{column.title}: {column.n_queries or 0:,} queries, {column.protocol}"))
+    else:
+        print(told(f"{table.title}: {table.columns[0].n_places or 0:,} places; {protocol_words(found.runs[0])}"))
+        for run in (group.runs[0] for group in found.groups if group.runs):
+            print(told(f"{rows.view_words(run, whole=True)}: {len(run.outcome):,} queries"))
     for row in table.rows:
         numbers = sorted({number for cell in row.cells.values() for number in cell.notes})
         for number in numbers:

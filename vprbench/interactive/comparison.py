@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Unpack
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from vprbench.paper.selection import Series
 from vprbench.paper.table.quantities import RATES
 from vprbench.run import rows
 from vprbench.run.record import Failure
+from vprbench.run.sequences import views
 from vprbench.run.settings import insist_on_metrics
 from vprbench.text import plural
 
@@ -48,6 +49,20 @@ class Comparison:
         last = [{"method": rows.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
         numbers = dict.fromkeys(("recall_at_1", "low", "high", "hz", "fit_seconds"), float)  # NaN, where one is None
         return pd.DataFrame([*map(self._row, self.ranking.rows), *last]).astype(numbers)
+
+    def seen_as(self, sequence: int | Mapping[str, Any] | None, filter: bool | Mapping[str, Any] = False) -> Comparison:
+        """Return the comparison of the same runs by sequences, as 4 or {"length": 4, "gaps": "bridge"}, or by a filter.
+
+        Raises BadInput for anything but one view, and for a run that kept no scores.
+        """
+        asked = views(sequence, filter)
+        if len(asked) != 1:
+            raise BadInput(f"sequence={sequence}, filter={filter}: give one view, and ask again for each other one")
+        results = tuple(result.seen(asked[0]) for result in self.results)
+        new = {id(old.run): one for old, one in zip(self.results, results, strict=True)}
+        of_rows = [(row.name, [new[id(run)].run for run in row.runs]) for row in self.ranking.rows]
+        series = [Series(name, runs[0].spikes is not None, tuple(runs)) for name, runs in of_rows]
+        return replace(self, results=results, ranking=ranked(series))
 
     @property
     def sentence(self) -> str:
@@ -117,15 +132,19 @@ def compare(
     dataset: AnyDataset,
     seeds: int | Sequence[int] = 1,
     metrics: Sequence[str] = (),
+    sequence: int | Mapping[str, Any] | None = None,
     **options: Unpack[Options],
 ) -> Comparison:
     """Run methods on a dataset, as `run` does, or find their stored runs, and rank them by R@1.
 
     `seeds` is how many there are, from 0 on, or which; a method that takes no seed runs once. `metrics` are more
-    columns of the table. All methods are built and checked before the first runs; one whose weights are not there is
-    left out, with a warning. Raises what `run` raises, and BadInput, a line for each thing that is wrong.
+    columns of the table. With a `sequence`, as 4 or {"length": 4, "window": "centred"}, they are ranked by the answers
+    of so many neighbouring queries; `Comparison.seen_as` gives other views without another run. All methods are built
+    and checked before the first runs; one whose weights are not there is left out, with a warning. Raises what `run`
+    raises, and BadInput, a line for each thing that is wrong.
     """
     insist_on_metrics(metrics)
+    asked = views(sequence)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)
     if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
@@ -139,7 +158,8 @@ def compare(
         of_methods.append([finished(each) for each in (ready, *others)])
     series = [Series(each[0].name, each[0].run.spikes is not None, tuple(r.run for r in each)) for each in of_methods]
     results = tuple(result for each in of_methods for result in each)
-    return Comparison(results, ranked(series), tuple(metrics), tuple(left_out))
+    found = Comparison(results, ranked(series), tuple(metrics), tuple(left_out))
+    return found.seen_as(sequence) if asked else found
 
 
 def _checked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,11 @@ from vprbench.run import rows
 from vprbench.run.rates import streaming_rate
 from vprbench.run.recall_intervals import interval_between, recall_interval
 from vprbench.run.record import Run
+from vprbench.run.sequences import Seen, views
 from vprbench.run.stopwatch import Timing
 from vprbench.run.tuned import all_notes
 from vprbench.run.verdicts import RIGHT, UNANSWERABLE, judged
+from vprbench.run.views import queries_shown
 
 if TYPE_CHECKING:
     from vprbench.paper.figures.style import Figure
@@ -108,6 +110,27 @@ class Result:
         wrong = self.to_frame()[~np.isin(verdicts, (RIGHT, UNANSWERABLE))]
         return wrong.sort_values("margin", kind="stable")
 
+    def in_sequences(self, length: int, **options: Any) -> Result:
+        """Return the answers of `length` neighbouring queries together, a result like any other.
+
+        The options are those of `sequence`: window="centred", velocities=[0.8, 1, 1.2], contrast=10,
+        incomplete="shortened", gaps="bridge". Raises BadInput for what does not fit, and for a run that kept no scores.
+        """
+        return self.seen(views({"length": length, **options})[0])
+
+    def filter(self, **options: Any) -> Result:
+        """Return the answers of a Bayes filter over the places, a result like any other.
+
+        The options are those of `filter`: back=-2, ahead=10, ratio=5, gaps="bridge". Raises what `in_sequences` does.
+        """
+        return self.seen(views(None, options)[0])
+
+    def seen(self, view: Seen) -> Result:
+        """Return the result of a view of its run."""
+        run = view(self.run)
+        kept = np.searchsorted(queries_shown(self.run), queries_shown(run)).tolist()
+        return replace(self, run=run, queries=tuple(self.queries[query] for query in kept))
+
     def plot_pr(self) -> Figure:
         """Return the figure of precision and recall; raises BadInput if no query has a right place."""
         from vprbench.paper.figures.accuracy import precision_recall
@@ -128,7 +151,8 @@ class Result:
 
     def __repr__(self) -> str:
         row = rows.readable_row(self.run)
-        return short(f"<{self.name} on {self.run.dataset}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>")
+        of = ", ".join(filter(None, [self.run.dataset, rows.view_words(self.run)]))
+        return short(f"<{self.name} on {of}: R@1 {row['R@1 % [95 %]']} %, {len(self.queries):,} queries>")
 
     def _repr_html_(self) -> str:
         row = {"dataset": self.run.dataset, **rows.readable_row(self.run)}

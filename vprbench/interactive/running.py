@@ -34,6 +34,7 @@ class Options(TypedDict, total=False):
     force: bool  # run although the answer is stored
     cache: bool  # keep descriptors of networks, and take those of an earlier run
     depth: int  # best places kept for each query, 100
+    scores: bool  # keep all scores, however many; those of small runs are kept anyway
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then
 

@@ -192,22 +192,19 @@ def filtered_scores(scores: Scores, asked: Filter, queries: Stretches) -> Scores
 
 
 def _beliefs(scores: Scores, asked: Filter, queries: Stretches) -> Iterator[Doubles]:
-    n_places = scores.shape[1]
     scale, belief = 0.0, np.empty(0)
     for query, row in enumerate(scores):
-        best = float(row.max())
-        if scale == 0 and best > -np.inf:
-            low, high = np.quantile(row[row > -np.inf], [0.025, 0.975])
+        known = row > -np.inf
+        values = row[known].astype(np.float64)
+        if scale == 0 and len(values):
+            low, high = np.quantile(values, [0.025, 0.975])
             scale = math.log(asked.ratio) / float(high - low) if high > low else 0.0
-        likelihood = (row > -np.inf) * np.exp(scale * np.maximum(row.astype(np.float64) - best, -1e300))
-        if best == -np.inf:
-            likelihood = np.zeros(n_places)
-        if query and queries[query] == queries[query - 1]:
-            moved = _moved(belief, asked.back, asked.ahead) * likelihood
-            belief = moved if moved.any() else likelihood
-        else:
-            belief = likelihood
-        belief = belief / max(belief.sum(), np.finfo(np.float64).tiny)
+        likelihood = np.zeros(len(row))
+        likelihood[known] = np.exp(scale * (values - values.max(initial=-np.inf)))
+        joined = query > 0 and queries[query] == queries[query - 1]
+        moved = _moved(belief, asked.back, asked.ahead) * likelihood if joined else likelihood
+        belief = moved if moved.any() else likelihood
+        belief = belief / max(float(belief.sum()), np.finfo(np.float64).tiny)
         yield belief
 
 

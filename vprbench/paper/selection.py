@@ -37,6 +37,13 @@ class Group:
     number: int  # 1 holds the newest run of the column; older protocols and images are numbered on
     runs: tuple[Run, ...]  # of all rows, devices and seeds
     failures: tuple[Failure, ...]  # all in number 1: what failed has no images
+    view: str = ""  # in the names of files, where runs are shown in a view
+
+    @property
+    def name(self) -> str:
+        """What it is called in the names of columns and files."""
+        number = str(self.number) if self.number > 1 else ""
+        return "-".join(filter(None, [self.asked.planned.name, self.view, number]))
 
 
 @dataclass(frozen=True)
@@ -171,7 +178,9 @@ def title(group: Group, among: Sequence[Group]) -> str:
         return planned.title
     protocols = [_told(other.runs[0]) for other in versions]
     names = dict.fromkeys(name for protocol in protocols for name in protocol)
+    of_views = ("sequence_", "filter_")  # what is told of a view beside its name
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
+    differing = [name for name in differing if not name.startswith(of_views)]
     parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
     mine = parts[next(i for i, other in enumerate(versions) if other is group)]
     images = "" if mine and parts.count(mine) == 1 else f"images {group.runs[0].fingerprint[:8]}"

@@ -84,6 +84,9 @@ class Shelf:
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
         found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         found = [run for run in found if run.scores is not None or not settings.scores]
+        found = [
+            run for run in found if run.query_breaks is not None or dataset.query_breaks is None
+        ]  # it is told these
         if settings.frames and thumbnails.find(self._store.root, images) is None:
             return None
         return next((run for run in found if settings.cache or run.fit_seconds is not None), None)

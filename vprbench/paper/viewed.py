@@ -8,7 +8,7 @@ from dataclasses import replace
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Group, of_row
 from vprbench.run.record import Failure, Run
-from vprbench.run.sequences import NoScoresError, Seen, without_scores
+from vprbench.run.sequences import NoScoresError, Seen, suffix
 
 
 def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) -> list[Group]:
@@ -20,22 +20,22 @@ def seen(groups: Sequence[Group], rows: Sequence[Row], views: Sequence[Seen]) ->
     if not views:
         return list(groups)
     found: list[Group] = []
-    number: dict[str, int] = {}
     lacking: list[NoScoresError] = []
     for group in groups:
         chosen = {run.key: run for row in rows for device in DEVICES for run in of_row(group, row, device).runs}
+        of_views: list[Group] = []
         for view in views:
             shown: list[Run] = []
-            failures: list[Failure] = list(group.failures)
+            failures = list(group.failures)
             for run in chosen.values():
                 try:
                     one = view(run)
                     shown.append(one if len(views) == 1 else replace(one, scores=None))
                 except NoScoresError as error:
-                    failures.append(without_scores(run, error))
+                    failures.append(Failure(run.method, run.dataset, run.config, str(error), run.environment, True))
                     lacking.append(error)
-            number[group.asked.planned.name] = number.get(group.asked.planned.name, 0) + 1
-            found.append(Group(group.asked, number[group.asked.planned.name], tuple(shown), tuple(failures)))
+            of_views.append(replace(group, runs=tuple(shown), failures=tuple(failures), view=suffix([view])[1:]))
+        found += [one for one in of_views if one.runs] or [replace(of_views[0], view="")]
     if lacking and not any(group.runs for group in found):
         raise lacking[0]
     return found

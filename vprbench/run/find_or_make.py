@@ -26,6 +26,7 @@ from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.identity import Request, fingerprint
 from vprbench.run.record import Run
+from vprbench.run.sequences import views
 from vprbench.run.settings import Settings, n_threads
 from vprbench.run.store import Store, insist_on_writing
 from vprbench.run.verdicts import by_interest
@@ -84,8 +85,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     if found is None and refused is not None:
         raise refused
 
-    whole = settings.scores or (stored is not None and stored.scores is not None)  # which is not lost
-    request = replace(request, scores=whole)
+    needed = settings.scores or bool(views(settings.sequence, settings.filter))
+    request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
 
     def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
         ending.leave_if_forked(process)
@@ -106,7 +107,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
             with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
                 run = runner.run(request, key, keep)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
-        known = found is not None and found.tuned_on == tuned_on  # the yaml may say so only since the run was stored
+        # yaml and dataset may say so only since the run was stored
+        known = found is not None and found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)
         run = replace(run, tuned_on=tuned_on)
         if run.readouts is None and stored is not None:
             run = replace(run, readouts=stored.readouts)
@@ -194,6 +196,10 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
     return run
 
 
+def _gaps(told: Run | Dataset) -> list[list[int] | None]:
+    return [None if gaps is None else gaps.tolist() for gaps in (told.query_breaks, told.place_breaks)]
+
+
 def _recall(run: Run) -> str:
     first = recall_at(run.outcome, 1)
     return "R@1 is undefined" if first is None else f"R@1 {METRICS['recall_at_1'].text(first.expected)} %"
@@ -211,7 +217,6 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
 
 def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
     from vprbench.run import readout_rows, rows  # what they import does not count as the run's memory
-    from vprbench.run.sequences import views
     from vprbench.run.tuned import all_notes
 
     seen = [view(run) for view in views(settings.sequence, settings.filter)]

@@ -23,7 +23,7 @@ from vprbench.metrics.sequences import (
 )
 from vprbench.plugins.checked import checked
 from vprbench.plugins.entries import read
-from vprbench.run.record import Failure, Run
+from vprbench.run.record import Run
 from vprbench.run.views import queries_shown, rescored, restricted
 from vprbench.text import near
 
@@ -102,11 +102,6 @@ def suffix(seen: Iterable[Seen]) -> str:
     asked = [one.keywords["asked"] for one in seen if isinstance(one, partial)]
     lengths = [str(one.length) for one in asked if isinstance(one, Sequences)]
     return "-".join(["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(asked))])
-
-
-def without_scores(run: Run, error: NoScoresError) -> Failure:
-    """Return what stands in the place of a view of a run that kept no scores."""
-    return Failure(run.method, run.dataset, run.config, str(error), run.environment, missing=True)
 
 
 def _scores(run: Run) -> Scores:

@@ -95,11 +95,6 @@ def thumbnails_of(group: Group, chosen: Chosen) -> Thumbnails | None:
     return None
 
 
-def group_name(group: Group) -> str:
-    """Return what a group is called in the names of files."""
-    return group.asked.planned.name + (f"-{group.number}" if group.number > 1 else "")
-
-
 def growth_columns(found: Material, compose: Compose) -> list[ResolvedColumn]:
     """Return a column for each size of the growth."""
     planned = map(found.chosen.plan.growth.column, found.chosen.plan.growth.sizes)
@@ -138,7 +133,7 @@ def _growth(found: Material, runs: Sequence[Run], growth: Sequence[ResolvedColum
 
 def _marks(found: Material, group: Group) -> dict[tuple[str, Quantity], str]:
     """Return the table's word for each cell of a group, by row and quantity."""
-    name = group_name(group)
+    name = group.name
     return {
         (row.name, quantity): cell.mark
         for row in found.table.rows
@@ -155,21 +150,22 @@ def _growing(found: Material) -> list[Row]:
 
 def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, metrics, pictures, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, metrics, pictures, sequences, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
         if not shown:
             continue
         timed = series(group, found.chosen.rows)
-        name = group_name(group)
+        name = group.name
         thumbnails = thumbnails_of(group, found.chosen)
         if thumbnails is not None:
             yield f"fig3a-frames-{name}", partial(pictures.frames, thumbnails, title(group, found.groups))
         papers = [one for one in shown if one.name in found.chosen.plan.rows]
         best = max(shown, key=lambda one: mean_recall(one.runs) or 0.0)
         one = papers[-1] if papers else best  # VPRTempo, as in the paper, where it has runs
-        yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
+        if one.runs[0].view is None or one.runs[0].scores is not None:  # of several views none keeps its scores
+            yield f"fig3b-similarity-{name}", partial(pictures.similarity, one.runs[0], one.name)
         yield f"fig3c-precision-recall-{name}", partial(accuracy.precision_recall, shown)
         yield f"fig3d-recall-at-n-{name}", partial(accuracy.recall_at_n, shown)
         yield f"tolerance-{name}", partial(accuracy.recall_at_tolerance, shown)
@@ -178,3 +174,8 @@ def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
+    for column in found.chosen.columns:
+        groups_of = [group for group in found.groups if group.asked is column and group.runs]
+        lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
+        if len(lengths) > 1:
+            yield f"sequences-{column.planned.name}", partial(sequences.recall_at_length, lengths)

@@ -42,8 +42,8 @@ def make_report(asked: TableRequest, options: Sequence[str], compose: Compose) -
 def _frames_of(group: Group, found: Material) -> Thumbnails | None:
     """Return the frames that were kept of the queries that a group's runs show."""
     kept = thumbnails_of(group, found.chosen)
-    if kept is None:
-        return None
+    if kept is None or group.runs[0].view is None:
+        return kept
     shown = queries_shown(group.runs[0]).tolist()
     return replace(kept, **{name: tuple(getattr(kept, name)[i] for i in shown) for name in ("query_names", "queries")})
 

@@ -64,10 +64,9 @@ def _column(group: Group, groups: Sequence[Group], plan: Plan) -> Column:
     if not group.runs:
         return Column(planned.name, planned.title, None, None, "no run is stored", real, planned.remark)
     run = group.runs[0]
-    name = planned.name if group.number == 1 else f"{planned.name}-{group.number}"
     n_queries = len(run.outcome)
     return Column(
-        name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
+        group.name, title_of(group, groups), run.outcome.n_places, n_queries, protocol_words(run), real, planned.remark
     )
 
 
@@ -102,7 +101,8 @@ class _Sheet:
     def cell(self, entry: Entry, quantity: Quantity) -> Cell:
         """Return one cell."""
         row, column = entry.row, entry.column
-        printed = self.printed.get((row.name, entry.group.asked.planned.published or ""), {})
+        published = "" if entry.group.view else entry.group.asked.planned.published or ""  # the paper has no views
+        printed = self.printed.get((row.name, published), {})
         value = printed.get(quantity.name)
         empty = Cell(
             mark="not applicable",
@@ -161,7 +161,7 @@ class _Sheet:
         found = entry.found[device]
         if found.runs and not found.failures:  # which are of these runs, while they were timed
             return quantity.lacking(found.runs)
-        if entry.group.number > 1 and not found.failures:
+        if entry.group.number > 1:
             return reason("protocol without runs")
         elsewhere = any(entry.found[other].runs for other in DEVICES if other != device)
         place = (entry.group.asked.planned.name, entry.row.name)

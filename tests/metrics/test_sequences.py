@@ -1,0 +1,167 @@
+"""Scores of sequences against plain loops, and what holds whatever the scores are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from vprbench.metrics.sequences import (
+    Filter,
+    Sequences,
+    filtered_scores,
+    local_contrast,
+    sequence_scores,
+    stretches,
+)
+
+Scores = npt.NDArray[np.float32]
+N_QUERIES, N_PLACES = 23, 17
+QUERY_BREAKS, PLACE_BREAKS = [4, 5, 14], [6, 13]
+
+
+def matrix(seed: int = 0) -> Scores:
+    scores = np.random.default_rng(seed).normal(size=(N_QUERIES, N_PLACES)).astype(np.float32)
+    scores[3, 7] = scores[20, 1] = -np.inf
+    return scores
+
+
+def slow(scores: Scores, offsets: list[tuple[int, int]], query_breaks: list[int], place_breaks: list[int]) -> Scores:
+    """The mean over the cells (q + k, p + m) that the query has; -inf where the place lacks one of them."""
+
+    def joined(first: int, second: int, breaks: list[int]) -> bool:
+        return not any(min(first, second) < at <= max(first, second) for at in breaks)
+
+    found = np.full(scores.shape, -np.inf, np.float32)
+    for q in range(len(scores)):
+        for p in range(scores.shape[1]):
+            cells = []
+            for k, m in offsets:
+                if 0 <= q + k < len(scores) and joined(q, q + k, query_breaks):
+                    inside = 0 <= p + m < scores.shape[1] and joined(p, p + m, place_breaks)
+                    cells.append(float(scores[q + k, p + m]) if inside else -math.inf)
+            found[q, p] = sum(cells) / len(cells)
+    return found
+
+
+def fast(scores: Scores, asked: Sequences, breaks: bool = True, step: float = 1.0) -> tuple[Scores, list[int]]:
+    found, counts = sequence_scores(
+        scores,
+        asked,
+        stretches(len(scores), QUERY_BREAKS if breaks else None),
+        stretches(scores.shape[1], PLACE_BREAKS if breaks else None),
+        step,
+    )
+    return found, counts.tolist()
+
+
+@pytest.mark.parametrize("breaks", [False, True])
+@pytest.mark.parametrize(
+    ("asked", "steps"),
+    [
+        (Sequences(3), [-2, -1, 0]),
+        (Sequences(4, "centred"), [-2, -1, 0, 1]),
+        (Sequences(5, "centred"), [-2, -1, 0, 1, 2]),
+        (Sequences(40), list(range(-39, 1))),  # longer than the journey
+    ],
+)
+def test_a_sequence_is_the_mean_along_the_diagonal(asked: Sequences, steps: list[int], breaks: bool) -> None:
+    queries, places = (QUERY_BREAKS, PLACE_BREAKS) if breaks else ([], [])
+    found, _ = fast(matrix(), asked, breaks)
+    np.testing.assert_allclose(found, slow(matrix(), [(k, k) for k in steps], queries, places), rtol=1e-6)
+
+
+def test_of_several_velocities_the_best_mean_counts_and_a_step_may_be_several_places() -> None:
+    scores = matrix(1)
+    steps = [-3, -2, -1, 0]
+    ways = [
+        [(k, {-3: -2, -2: -2, -1: -1, 0: 0}[k]) for k in steps],  # 0.8: -2.4, -1.6, -0.8
+        [(k, k) for k in steps],
+        [(k, {-3: -4, -2: -2, -1: -1, 0: 0}[k]) for k in steps],  # 1.2: -3.6, -2.4, -1.2
+    ]
+    found, _ = fast(scores, Sequences(4, velocities=(0.8, 1.0, 1.2)))
+    wanted = np.maximum.reduce([slow(scores, way, QUERY_BREAKS, PLACE_BREAKS) for way in ways])
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    twice, _ = fast(scores, Sequences(2), step=2.0)
+    np.testing.assert_allclose(twice, slow(scores, [(-1, -2), (0, 0)], QUERY_BREAKS, PLACE_BREAKS), rtol=1e-6)
+
+
+def test_a_sequence_of_one_is_the_scores_themselves() -> None:
+    found, counts = fast(matrix(), Sequences(1))
+    assert np.array_equal(found, matrix())
+    assert counts == [1] * N_QUERIES
+
+
+def test_a_causal_window_knows_nothing_of_the_future_and_none_reaches_over_a_break() -> None:
+    scores, other = matrix(), matrix()
+    other[10:] = 0  # query 14 begins a new part
+    assert np.array_equal(fast(scores, Sequences(6))[0][:10], fast(other, Sequences(6))[0][:10])
+    after = fast(other, Sequences(6, "centred"))[0][14:]
+    other[:14] = 7
+    assert np.array_equal(after, fast(other, Sequences(6, "centred"))[0][14:])
+    filtered = filtered_scores(matrix(), Filter(), stretches(N_QUERIES, QUERY_BREAKS))
+    earlier = filtered_scores(matrix()[:9], Filter(), stretches(N_QUERIES, QUERY_BREAKS)[:9])
+    assert np.array_equal(filtered[:9], earlier)
+
+
+def test_the_counts_say_how_full_each_window_is() -> None:
+    wanted = [1, 2, 3, 3, 1, 1, 2, *[3] * 7, 1, 2, *[3] * 7]
+    assert fast(matrix(), Sequences(3))[1] == wanted
+
+
+@pytest.mark.parametrize("width", [2, 5, 10, 100])
+def test_local_contrast_is_that_of_openseqslam(width: int) -> None:
+    scores = matrix()
+    scores[11] = 0.25  # all alike
+    wanted = np.zeros_like(scores)
+    for q in range(N_QUERIES):
+        for p in range(N_PLACES):
+            near = [i for i in range(p - width // 2, p + width // 2 + 1) if 0 <= i < N_PLACES]
+            near = [i for i in near if not any(min(i, p) < at <= max(i, p) for at in PLACE_BREAKS)]
+            values = np.array([scores[q, i] for i in near if scores[q, i] > -np.inf], np.float64)
+            spread = values.std(ddof=1) if len(values) > 1 else 0.0
+            wanted[q, p] = (float(scores[q, p]) - values.mean()) / spread if spread > 1e-7 else 0.0
+    wanted[~np.isfinite(scores)] = -np.inf
+    np.testing.assert_allclose(
+        local_contrast(scores, width, stretches(N_PLACES, PLACE_BREAKS)), wanted, rtol=1e-4, atol=1e-5
+    )
+
+
+def test_the_filter_is_the_forward_pass_of_its_hidden_markov_model() -> None:
+    scores, asked = matrix(2), Filter(back=-1, ahead=2, ratio=3.0)
+    low, high = np.quantile(scores[0].astype(float), [0.025, 0.975])
+    moves = np.array([[float(-1 <= to - at <= 2) for to in range(N_PLACES)] for at in range(N_PLACES)])
+    belief = np.ones(N_PLACES)
+    found = filtered_scores(scores, asked, stretches(N_QUERIES, QUERY_BREAKS))
+    for query in range(N_QUERIES):
+        prior = np.ones(N_PLACES) if query in (0, *QUERY_BREAKS) else belief @ moves
+        belief = prior * np.exp(scores[query].astype(float) * math.log(3.0) / (high - low))
+        belief /= belief.sum()
+        np.testing.assert_allclose(np.exp(found[query]), belief, rtol=1e-4)
+
+
+def test_a_filter_that_is_lost_begins_anew_and_hopeless_queries_have_no_candidate() -> None:
+    scores = np.full((4, 9), -np.inf, np.float32)
+    scores[0, 0] = scores[1, 8] = scores[3, 4] = 1.0  # nobody moves 8 places, and query 2 is nowhere
+    found = filtered_scores(scores, Filter(), stretches(4, None))
+    assert [np.flatnonzero(row > -np.inf).tolist() for row in found] == [[0], [8], [], [4]]
+    assert not np.isnan(found).any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        (Sequences, {"length": 0}),
+        (Sequences, {"length": 2, "velocities": (0.0,)}),
+        (Sequences, {"length": 2, "velocities": ()}),
+        (Sequences, {"length": 2, "contrast": 1}),
+        (Filter, {"back": 3}),
+        (Filter, {"ratio": 1.0}),
+    ],
+)
+def test_what_cannot_be_is_refused(kind: type, options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(name for name in options if name != "length" or len(options) == 1)):
+        kind(**options)

@@ -1,0 +1,212 @@
+"""Sequences and filters as views: a run in, a run out, and options in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from checkout import SHARED
+from little import a_run
+
+from vprbench.api import BadInput
+from vprbench.cli import main
+from vprbench.metrics.ranking import outcome, ranked_places
+from vprbench.metrics.sequences import Filter, Sequences
+from vprbench.run import answers
+from vprbench.run.find_or_make import find_or_make
+from vprbench.run.recall_intervals import recall_interval
+from vprbench.run.record import Run
+from vprbench.run.sequences import NoScoresError, filtered, in_sequences, suffix, views
+from vprbench.run.settings import checked_settings
+from vprbench.run.store import Store
+from vprbench.run.views import queries_shown, restricted, window_of
+
+NORDLAND = SHARED / "data" / "nordland_64x32"
+N = 40
+
+
+def aligned(n: int = N, seed: int = 0, **changes: Any) -> Run:
+    """A run whose query i shows place i, with noise that a single score hardly exceeds."""
+    scores = np.random.default_rng(seed).normal(size=(n, n)).astype(np.float32) + 1.5 * np.eye(n, dtype=np.float32)
+    positives = tuple(np.array([place]) for place in range(n))
+    places, values = ranked_places(scores, 5)
+    made = a_run(
+        n_references=n,
+        outcome=outcome(scores, positives),
+        positives=positives,
+        top_places=places,
+        top_scores=values,
+        scores=scores,
+    )
+    return replace(made, **changes)
+
+
+def mean_hits(run: Run) -> float:
+    return float((run.outcome.above == 0).mean())
+
+
+def test_a_sequence_of_one_answers_as_the_run_itself() -> None:
+    run = aligned()
+    view = in_sequences(run, Sequences(1))
+    assert np.array_equal(view.top_places, run.top_places)
+    assert np.array_equal(view.outcome.above, run.outcome.above)
+    assert view.protocol == {**run.protocol, "sequence": "1 causal"}
+
+
+def test_the_right_place_is_that_of_the_query_at_the_end_or_in_the_middle() -> None:
+    for window in ("causal", "centred"):
+        view = in_sequences(aligned(), Sequences(8, window))  # type: ignore[arg-type]
+        assert mean_hits(view) > 0.9 > 0.5 > mean_hits(aligned())
+        assert all(right[0] == query for query, right in zip(queries_shown(view), view.positives, strict=True))
+
+
+def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is() -> None:
+    run = aligned(query_breaks=np.array([10]), place_breaks=np.array([10]))
+    left_out, shortened = (
+        in_sequences(run, Sequences(4, incomplete=way))
+        for way in ("left_out", "shortened")  # type: ignore[arg-type]
+    )
+    wanted = [*range(3, 10), *range(13, N)]
+    assert queries_shown(left_out).tolist() == wanted
+    assert len(shortened.outcome) == N
+    assert np.array_equal(shortened.top_scores[wanted], left_out.top_scores)
+    assert np.array_equal(shortened.top_scores[10], run.top_scores[10])  # it begins a new part
+    assert left_out.protocol["sequence_incomplete"] == "6 of 40 queries left out"
+    assert left_out.protocol["sequence_gaps"] == "1 break it"
+    bridged = in_sequences(run, Sequences(4, gaps="bridge"))
+    assert queries_shown(bridged).tolist() == list(range(3, N))
+    assert bridged.protocol["sequence_gaps"] == "1 bridged"
+
+
+def test_an_older_run_breaks_where_its_map_lacks_places_and_a_restricted_one_where_queries_lack() -> None:
+    numbers = np.array([*range(0, 40, 2), *range(50, 90, 2)])
+    view = in_sequences(aligned(place_numbers=numbers), Sequences(2))
+    assert view.scores is not None
+    assert np.flatnonzero(np.isneginf(view.scores[5])).tolist() == [0, 20]
+    some = restricted(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
+    assert queries_shown(in_sequences(some, Sequences(3))).tolist() == [5, 11]
+
+
+def test_neither_blocks_nor_trials_are_shorter_than_the_window() -> None:
+    view = in_sequences(aligned(200), Sequences(12))
+    interval = recall_interval([view])
+    assert window_of(view) == 12
+    assert interval is not None
+    assert interval.block >= 12
+
+
+def test_a_filter_follows_the_journey() -> None:
+    view = filtered(aligned(), Filter())
+    assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
+    assert len(view.outcome) == N
+    assert view.protocol["filter"] == "topological, moves 0 to 2, ratio 5"
+
+
+def test_a_view_is_never_stored_and_gaps_are(tmp_path: Path) -> None:
+    run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
+    store = Store(tmp_path)
+    store.prepare()
+    with pytest.raises(BadInput, match="view"):
+        store.save(in_sequences(run, Sequences(2)))
+    store.save(run)
+    (read,) = store.runs()
+    assert read.query_breaks is not None
+    assert read.place_breaks is not None
+    assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
+
+
+def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)
+    monkeypatch.chdir(tmp_path)
+    options = ["dataset.places=12", "dataset.query_places=6", "timing=none", "threads=1", "frames=false", "cache=false"]
+
+    def kept(*more: str) -> bool:
+        assert main(["method=sad", "dataset=synthetic", *options, *more]) == 0
+        (run,) = Store(Path("results")).runs()
+        return run.scores is not None
+
+    assert [kept(), kept("scores=true"), kept(), kept("force=true")] == [False, True, True, True]
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=1", "sequence=2"]) == 0
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=2"]) == 0
+    assert main(["method=sad", "dataset=synthetic", *options, "seed=2", "sequence=2"]) == 2
+    assert "run it with scores=true" in capsys.readouterr().err
+
+
+def test_a_run_without_scores_says_what_to_do_and_too_long_a_window_too() -> None:
+    with pytest.raises(NoScoresError, match="scores=true"):
+        in_sequences(aligned(scores=None), Sequences(2))
+    with pytest.raises(BadInput, match="gaps:bridge"):
+        in_sequences(aligned(), Sequences(41))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "filter", "wanted"),
+    [
+        (None, None, []),
+        (4, False, [Sequences(4)]),
+        ([2, 4], None, [Sequences(2), Sequences(4)]),
+        ({"length": 4, "window": "centred"}, None, [Sequences(4, "centred")]),
+        (
+            "{length:[4,10],velocities:[0.8,1],gaps:bridge}",
+            None,
+            [Sequences(n, velocities=(0.8, 1), gaps="bridge") for n in (4, 10)],
+        ),
+        (2, True, [Sequences(2), Filter()]),
+        (None, {"back": -2, "ahead": 10}, [Filter(-2, 10)]),
+    ],
+)
+def test_options_in_words(sequence: Any, filter: Any, wanted: list[Any]) -> None:
+    assert [view.keywords["asked"] for view in views(sequence, filter)] == wanted  # type: ignore[attr-defined]
+
+
+def test_files_of_views_have_names_of_their_own() -> None:
+    assert [suffix(views(*asked)) for asked in ((None, None), (4, None), ([2, 10], True))] == [
+        "",
+        "-sequence-4",
+        "-sequence-2-10-filter",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sequence", "filter", "word"),
+    [
+        (0, None, "length=0"),
+        ([], None, "sequence"),
+        ([4, 4], None, "different"),
+        (2.5, None, "sequence.length=2.5"),
+        ("four", None, "sequence.length=four"),
+        ({"length": 4, "windwo": "causal"}, None, "sequence.windwo is unknown.*window"),
+        ({"window": "centred"}, None, "length"),
+        ({"length": 4, "window": "future"}, None, "sequence.window=future"),
+        ({"length": 4, "velocities": ["fast"]}, None, "velocities"),
+        (None, 3, "filter=3"),
+        (None, {"back": 3}, "back=3"),
+    ],
+)
+def test_options_that_do_not_fit_are_named(sequence: Any, filter: Any, word: str) -> None:
+    with pytest.raises(BadInput, match=word):
+        views(sequence, filter)
+
+
+@pytest.mark.skipif(not NORDLAND.is_dir(), reason=f"the real frames are not in {NORDLAND}")
+def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path: Path) -> None:
+    """R@1 of queries with a full window, along the list as it is, by another program on the same frames."""
+    from vprbench.run.compose import composed_in_python
+
+    options = ["method=sad", "dataset=nordland_64x32", "timing=none"]
+    config = composed_in_python(options, {"dataset.root": str(NORDLAND), "frames": False, "results": str(tmp_path)})
+    asked = {name: config[name] for name in ("method", "dataset", "seed", "device", "depth", "load")}
+    settings = checked_settings(config)
+    run = find_or_make("sad", {**asked, "overrides": options}, settings, Store(tmp_path)).run
+    for length, share in ((1, 0.250), (2, 0.451), (4, 0.635), (6, 0.733), (10, 0.827), (20, 0.926)):
+        view = in_sequences(run, Sequences(length, gaps="bridge"))
+        right = view.outcome.tied == 1
+        assert float((right & (view.outcome.above == 0)).mean()) == pytest.approx(share, abs=0.0005)
+        assert len(view.outcome) == 2761 - (length - 1)
+    assert run.query_breaks is not None
+    assert len(run.query_breaks) == 135
