@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -37,7 +37,8 @@ class Nordland:
     `references` are the seasons of the map (spring and fall if None), each a traverse of the same places. The
     `query_places` queries begin at place `first_query_place`, `query_stride` places apart; right is a place at most
     `tolerance` places away. With the protocol of VPRSNN `first_query_place` places, chosen as its authors do, are in
-    neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. A `root` of None is
+    neither map nor queries instead. `frame_multiple` keeps only names whose number it divides. The first
+    `first_place` places are left out of everything, and the others counted from 0. A `root` of None is
     `default_root` (relative to the checkout) if it exists, else the folder of the `download`; `source` says in
     messages where frames are to be had. Raises NotThere for a missing root or frames, BadInput for other arguments.
     """
@@ -58,19 +59,20 @@ class Nordland:
     query_stride: int = 1
     suffix: Suffix = ".png"
     download: str = "nordland"
+    first_place: int = 0
 
     def build(self) -> Dataset:
         """Return the dataset of these options, after a look at what is in the folders of the seasons."""
         seasons = ["spring", "fall"] if self.references is None else self.references
         check_recorded("Nordland", "season", SEASONS, seasons, self.query)
         _check_protocol(self.protocol, self.stride, self.frame_multiple)
-        names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix)
+        names = chosen_names(self.stride, self.places, self.frame_multiple, self.suffix, self.first_place)
         evaluation: Evaluation = "vprsnn" if self.protocol == "vprsnn" else "vprtempo"
         asked = (self.first_query_place, self.query_places, self.tolerance, self.query_stride)
         parts = split(evaluation, self.places, *asked)
         used = {self.query: [names[place] for place in parts.needed_of_query()]} | dict.fromkeys(seasons, names)
         folders = self._folders(used, seasons[0])
-        return dataset_of(
+        dataset = dataset_of(
             self.name,
             parts,
             Traverses(
@@ -87,9 +89,11 @@ class Nordland:
                 "stride": self.stride,
                 **parts.record(),
                 "frame_multiple": self.frame_multiple,
+                **({"first_place": self.first_place} if self.first_place else {}),
             },
             [_PATCH_NETVLAD.format(self.tolerance)] if self.protocol == "patchnetvlad" else [],
         )
+        return replace(dataset, place_numbers=self.first_place + parts.mapped) if self.first_place else dataset
 
     def _folders(self, used: Mapping[str, Sequence[str]], first: str) -> dict[str, FrameFolder]:
         """Return the folder of each season, with the names used of it; raises NotThere if some frames are missing."""
@@ -109,12 +113,16 @@ class Nordland:
 nordland = function_of(Nordland)
 
 
-def chosen_names(stride: int, places: int, frame_multiple: int, suffix: str = ".png") -> list[str]:
+def chosen_names(
+    stride: int, places: int, frame_multiple: int, suffix: str = ".png", first_place: int = 0
+) -> list[str]:
     """Return the file names of the places, in order; raises BadInput if the list has fewer."""
-    if frame_multiple < 1:
-        raise BadInput(f"dataset.frame_multiple={frame_multiple}: give 1 or more")
+    if frame_multiple < 1 or first_place < 0:
+        raise BadInput(
+            f"dataset.frame_multiple={frame_multiple}, dataset.first_place={first_place}: give 1 or more, and 0 or more"
+        )
     names = [f"images-{frame:05d}{suffix}" for frame in published_frames() if frame % frame_multiple == 0]
-    return every(names, stride, places)
+    return every(names[first_place * stride :], stride, places)
 
 
 def published_frames() -> list[int]:

@@ -131,13 +131,12 @@ def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
     assert apart.asked == []
     shown = capsys.readouterr().out
     head, *rows = shown[shown.index("R@1 %") :].splitlines()
-    assert head.split("  ")[-2:] == ["sequence 1 causal", "sequence 3 causal"]
-    sad = next(row for row in rows if row.startswith("sad patch=5"))
-    single, three = (float(part.split()[0]) for part in sad.removeprefix("sad patch=5").split("]")[:2])
-    assert single == pytest.approx(50, abs=5)  # half the queries are noise
-    assert three == 100
+    assert 0 < head.index("sequence 1 causal") < head.index("sequence 3 causal")
+    sad = next(row for row in rows if row.startswith("sad patch=5")).removeprefix("sad patch=5")
+    single, three = (float(part.split()[0]) for part in sad.split("]")[:2])
+    assert (round(single), three) == (50, 100)  # half the queries are noise
     assert "sequence 3 causal, sequence incomplete 2 of 24 queries left out: 22 queries" in shown
-    assert all(len(line) <= 100 for line in rows)
+    assert all(len(line) <= 100 for line in rows[: rows.index("")])
 
 
 def test_a_sequence_says_of_runs_without_scores_what_to_do(

@@ -101,6 +101,15 @@ def test_the_protocol_says_everything_that_was_selected(tiny_root):
     }
 
 
+def test_places_before_the_first_one_are_left_out_and_the_others_keep_their_numbers(tiny_root):
+    options = {**TINY, "places": 4, "query_places": 3, "first_query_place": 1, "first_place": 2}
+    dataset = nordland(root=str(tiny_root), references=["winter"], query="fall", **options)
+    assert (reds(dataset.references), reds(dataset.queries)) == ([42, 43, 44, 45], [33, 34, 35])
+    assert (rights(dataset), dataset.place_numbers.tolist()) == ([[1], [2], [3]], [2, 3, 4, 5])
+    assert dataset.protocol["first_place"] == 2
+    assert "dataset.first_place=-1" in refusal(root=str(tiny_root), **{**TINY, "first_place": -1})
+
+
 @pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
 def test_without_a_root_the_download_that_all_protocols_share_is_taken(tiny_root, no_downloads, name):
     (no_downloads / "nordland").symlink_to(tiny_root)

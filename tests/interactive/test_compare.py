@@ -12,6 +12,8 @@ from little import Lookup, Prototypes, journey
 
 import vprbench
 from vprbench.api import BadInput, NotThere
+from vprbench.paper.ranking import ranked
+from vprbench.paper.selection import Series
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +49,22 @@ def test_methods_are_ranked_with_their_metrics_and_a_sentence() -> None:
     slow = replace(row, fit_seconds=312.0)
     shown = replace(given, ranking=replace(given.ranking, rows=(row, slow))).to_markdown()
     assert [line.split("|")[-2].strip() for line in shown.splitlines()[2:]] == ["0.031", "310"]
+
+
+def test_a_method_that_was_tuned_on_places_asked_for_has_its_recall_on_the_others_beside_it() -> None:
+    given = vprbench.compare([answering(3), answering(24)], journey(30, 30), timing="none")
+    assert given.table["elsewhere"].isna().all()
+    assert "Elsewhere" not in given.to_markdown()
+    tuned = {"dataset": "synthetic", "places": "0-9"}  # of 24 hits 14 are on the other 20 places
+    runs = [
+        replace(row.runs[0], dataset="synthetic", tuned_on={} if n else tuned)
+        for n, row in enumerate(given.ranking.rows)
+    ]
+    ranking = ranked([Series(run.method, False, (run,)) for run in runs])
+    shown = replace(given, ranking=ranking)
+    assert shown.table["elsewhere"].tolist() == [pytest.approx(0.7), pytest.approx(np.nan, nan_ok=True)]
+    assert shown.table["elsewhere_low"][0] < 0.7 < shown.table["elsewhere_high"][0]
+    assert shown.to_markdown().count(" 70.0 [") == 1
 
 
 def test_each_seed_runs_where_there_is_one() -> None:

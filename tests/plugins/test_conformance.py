@@ -347,3 +347,33 @@ def test_a_method_that_replaces_query_is_refused() -> None:
         class OneStep(Pixels):
             def query(self, images: Images) -> Scores:  # type: ignore[misc]
                 return np.zeros((len(images), 20), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("tuned_on", "state", "named"),
+    [
+        (
+            {"dataset": "street", "places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}},
+            "kept",
+            "",
+        ),
+        ({"dataset": "street", "places": "0-9", "also_in": ["synthetic"]}, "kept", ""),
+        ({"dataset": "streat", "places": "0-9"}, "broken", "street"),
+        ({"dataset": "street", "places": "0-9", "also_in": {"nordland_vprsnn": "0-9"}}, "broken", "nordland_vprsnn"),
+        ({"dataset": "street", "places": "the first ten"}, "broken", "the first ten"),
+        ({"dataset": "street", "places": "9-0"}, "broken", "9-0"),
+        ({"dataset": "street"}, "broken", "tuned_on"),
+    ],
+)
+def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(
+    tuned_on: dict[str, Any], state: str, named: str
+) -> None:
+    result = next(check({**configuration("sad"), "tuned_on": tuned_on}))
+    assert result.state == state
+    assert named in result.reason
+
+
+@pytest.mark.parametrize("name", [name for name, entry in ENTRIES.items() if entry.tuned_on])
+def test_what_a_registered_method_was_tuned_on_is_told_so(name: str) -> None:
+    result = next(check(configuration(name)))
+    assert ("tuned_on" in result.rule, result.state) == (True, "kept")

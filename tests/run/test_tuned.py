@@ -94,7 +94,8 @@ def told_elsewhere(text: str) -> list[float]:
 
 @pytest.mark.parametrize("asked", [["method=mine", "method.patch=7"], ["method=upper"]])
 def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, asked: list[str]) -> None:
-    line = next(line for line in printed(asked).splitlines() if line.startswith(f"note: {NOTE}"))
+    lines = printed([*asked, "wide=true"]).splitlines()
+    line = next(line for line in lines if line.startswith(f"note: {NOTE}"))
     told = json.loads(printed([*asked, "output=json"]))
     assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
     declared = {"dataset": "synthetic", "places": "5-11", "also_in": {}}
@@ -104,6 +105,8 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, ask
     numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
     assert (numbers[0], told["queries_elsewhere"]) == (pytest.approx(np.mean(there)), len(there))
     assert told_elsewhere(line) == pytest.approx([*(100 * number for number in numbers), QUERIES], abs=0.051)
+    row = "{:.1f} [{:.1f}, {:.1f}]".format(*(100 * number for number in numbers))
+    assert any(f" elsewhere {row} " in line for line in lines)
     if told["recall_at_1_interval"] == "independent":
         assert numbers[1:] == pytest.approx(wilson(numbers[0], QUERIES))
     told = json.loads(printed(["method=sad", "output=json"]))
@@ -161,7 +164,7 @@ def test_row_table_comparison_page_and_python_give_one_number_on_the_other_place
     shown = f"{100 * share:.1f} [{100 * ends[0]:.1f}, {100 * ends[1]:.1f}]"
     assert len(there) == 9
     note = f"{NOTE}, in no contest; {shown} on the 9 queries of other places"
-    for line in csv_lines("told.csv", "row", "mine"):
+    for line in (line for line in csv_lines("told.csv", "row", "mine") if line["value"]):
         assert (line["best"], note in line["notes"]) == ("False", True)
         numbers = [line[name] for name in ("elsewhere", "elsewhere_low", "elsewhere_high")]
         known = [float(number) for number in numbers if number]

@@ -135,6 +135,12 @@ def test_a_stored_run_of_another_journey_is_not_named() -> None:
     assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
 
 
+def test_a_stored_run_that_leaves_first_places_out_is_known_by_the_numbers_of_the_others() -> None:
+    allowed = searchable("nordland", NORDLAND, 500, [])
+    run = replace(stored(NORDLAND, 3, 4), place_numbers=np.arange(600, 700))
+    assert (querying([run], allowed), len(querying([replace(run, place_numbers=None)], allowed))) == ([], 1)
+
+
 def two_traverses(tolerance: int = 0) -> Dataset:
     """Six places in two traverses; query i shows place i, the last none."""
     rights = [np.arange(max(0, place - tolerance), min(6, place + tolerance + 1)) for place in range(6)]

@@ -44,10 +44,12 @@ class Comparison:
     def table(self) -> pd.DataFrame:
         """A row for each method, the best first: mean R@1, 0 to 1, its 95 % interval, queries per second, seconds.
 
-        Those that were left out stand last, with the reason.
+        `elsewhere` is R@1 on places that a method was not tuned on, of one that was tuned on others of these. Those
+        that were left out stand last, with the reason.
         """
         last = [{"method": rows.label(one), "seeds": 0, "left_out": one.error} for one in self.left_out]
-        numbers = dict.fromkeys(("recall_at_1", "low", "high", "hz", "fit_seconds"), float)  # NaN, where one is None
+        names = ("recall_at_1", "low", "high", "elsewhere", "elsewhere_low", "elsewhere_high", "hz", "fit_seconds")
+        numbers = dict.fromkeys(names, float)  # NaN, where one is None
         return pd.DataFrame([*map(self._row, self.ranking.rows), *last]).astype(numbers)
 
     def seen_as(self, sequence: int | Mapping[str, Any] | None, filter: bool | Mapping[str, Any] = False) -> Comparison:
@@ -93,12 +95,16 @@ class Comparison:
         return "".join(table.to_html(index=False, border=0) for table in (self._text(), sentences))
 
     def _row(self, row: Ranked) -> dict[str, str | float | None]:
+        other = row.elsewhere
         of_seeds = {name: pd.Series([METRICS[name].of(run) for run in row.runs], dtype=float) for name in self.metrics}
         return {
             "method": row.name,
             "recall_at_1": row.recall,
             "low": row.low,
             "high": row.high,
+            "elsewhere": None if other is None else other.recall,
+            "elsewhere_low": None if other is None else other.low,
+            "elsewhere_high": None if other is None else other.high,
             **{name: values.mean() for name, values in of_seeds.items()},
             "hz": row.hz,
             "fit_seconds": row.fit_seconds,
@@ -114,11 +120,19 @@ class Comparison:
             return [absent if np.isnan(value) else text(value) for value in table[name]]
 
         recall = METRICS["recall_at_1"]
-        ends = zip(told("low", recall.text), told("high", recall.text), strict=True)
+
+        def interval(low: str, high: str) -> list[str]:
+            ends = zip(told(low, recall.text), told(high, recall.text), strict=True)
+            return [rows.NOTHING if low == rows.NOTHING else f"[{low}, {high}]" for low, high in ends]
+
+        others = map(
+            " ".join, zip(told("elsewhere", recall.text), interval("elsewhere_low", "elsewhere_high"), strict=True)
+        )
         shown = {
             "Method": table["method"],
             recall.head: told("recall_at_1", recall.text),
-            "95 %": [rows.NOTHING if low == rows.NOTHING else f"[{low}, {high}]" for low, high in ends],
+            "95 %": interval("low", "high"),
+            **({"Elsewhere": [*others]} if table["elsewhere"].notna().any() else {}),
             **{METRICS[name].head: told(name, METRICS[name].text) for name in self.metrics},
             "Queries/s": told("hz", RATES[0].text, rows.UNTIMED),
             "Fit s": told("fit_seconds", lambda seconds: f"{float(f'{seconds:.2g}'):,g}"),

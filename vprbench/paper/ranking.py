@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import mean, median
 
 import numpy as np
@@ -24,7 +24,7 @@ from vprbench.paper.table.quantities import RATES
 from vprbench.paper.templates import sentences
 from vprbench.run.recall_intervals import along_the_journey, recall_interval
 from vprbench.run.record import Run
-from vprbench.run.tuned import tuned_here
+from vprbench.run.tuned import others_of, tuned_here
 from vprbench.run.views import window_of
 
 
@@ -39,6 +39,7 @@ class Ranked:
     high: float | None
     hz: float | None  # queries per second, encode and match together; None: not timed
     fit_seconds: float | None  # median, reading the images included; None: nothing was fitted
+    elsewhere: Ranked | None = None  # on the other queries, where some show places that it was tuned on
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ def _row(series: Series) -> Ranked:
     timed = all(run.timing is not None for run in runs)
     fits = [run.training_seconds for run in runs if run.training_seconds is not None]
     hz = mean(rate(run) for run in runs) if timed else None
-    return Ranked(series.name, runs, mean_recall(runs), low, high, hz, median(fits) if fits else None)
+    others = others_of(runs)
+    elsewhere = _row(replace(series, runs=others)) if others else None
+    return Ranked(series.name, runs, mean_recall(runs), low, high, hz, median(fits) if fits else None, elsewhere)
 
 
 def _told(rows: Sequence[Ranked], tuned: Sequence[str]) -> list[str]:

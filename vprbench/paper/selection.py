@@ -42,8 +42,7 @@ class Group:
     @property
     def name(self) -> str:
         """What it is called in the names of columns and files."""
-        number = str(self.number) if self.number > 1 else ""
-        return "-".join(filter(None, [self.asked.planned.name, self.view, number]))
+        return "-".join(filter(None, [self.asked.planned.name, self.view, str(self.number) * (self.number > 1)]))
 
 
 @dataclass(frozen=True)
@@ -177,10 +176,8 @@ def title(group: Group, among: Sequence[Group]) -> str:
     if len(versions) < 2:
         return planned.title
     protocols = [_told(other.runs[0]) for other in versions]
-    names = dict.fromkeys(name for protocol in protocols for name in protocol)
-    of_views = ("sequence_", "filter_")  # what is told of a view beside its name
+    names = dict.fromkeys(n for p in protocols for n in p if not n.startswith(("sequence_", "filter_")))  # as of views
     differing = [name for name in names if any(p.get(name) != protocols[0].get(name) for p in protocols)]
-    differing = [name for name in differing if not name.startswith(of_views)]
     parts = [_words({name: p[name] for name in differing if name in p}) for p in protocols]
     mine = parts[next(i for i, other in enumerate(versions) if other is group)]
     images = "" if mine and parts.count(mine) == 1 else f"images {group.runs[0].fingerprint[:8]}"

@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 from vprbench.plugins import faults, networks
 from vprbench.plugins.dataset_rules import DATASET_RULES, Made
-from vprbench.plugins.registry import arguments, make_dataset, make_method
+from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
 from vprbench.plugins.rules import RULES, STORED_RULE, RuleBrokenError, RuleExceptedError
+from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,19 @@ class Result:
         return f"{self.state:<8}  {self.rule}{': ' + self.reason if self.reason else ''}"
 
 
+TUNED_RULE = "tuned_on names datasets and numbers of their places"
+
+
 def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[Result]:
     """Put the method of a configuration to every rule.
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none. Raises BadInput if a file is missing that the method needs.
+    stored networks to a method that keeps none. A declared `tuned_on` is looked at too. Raises BadInput if a file is
+    missing that the method needs.
     """
+    if config.get("tuned_on") is not None:
+        yield _result(TUNED_RULE, partial(_declared, config["tuned_on"]))
     method = make_method(config)
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in asked}
@@ -57,6 +64,17 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
     made = Made(make_dataset(config), partial(make_dataset, config), config)
     for rule, test in DATASET_RULES.items():
         yield _result(rule, partial(test, made))
+
+
+def _declared(tuned_on: Any) -> None:
+    """Raise RuleBrokenError for a `tuned_on` by which nobody can tell which queries show its places."""
+    declared = declared_places(tuned_on, "its yaml")
+    known = [str(entry.values().get("name", name)) for name, entry in entries("dataset").items()]
+    for name, places in {**declared["also_in"], declared["dataset"]: declared["places"]}.items():
+        if name not in known:
+            raise RuleBrokenError(f"dataset {name} is unknown: {near(name, known)}")
+        if stretches(places) is None and (places != UNKNOWN or name == declared["dataset"]):
+            raise RuleBrokenError(f"places of {name}: {places} came, wanted their numbers, as in 0-99,200-299")
 
 
 def _result(rule: str, test: Callable[[], None]) -> Result:

@@ -14,7 +14,7 @@ from vprbench.run.rates import StageRates, best_batch, percentile_bound
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.record import Failure, Run
 from vprbench.run.stopwatch import Timing
-from vprbench.run.tuned import other_places, tuned_note
+from vprbench.run.tuned import other_places, recall_words, tuned_note
 
 NOTHING, UNTIMED = "-", "not timed"
 VIEWS = ("sequence", "filter")  # what a protocol calls them
@@ -187,7 +187,8 @@ def _recall_with_interval(run: Run) -> str:
     if first is None or interval is None:
         return "undefined (no query has a right place)"
     ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-    return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}"
+    others = f" elsewhere {recall_words([other])}" if (other := other_places(run)) else ""
+    return f"{METRICS['recall_at_1'].text(first.expected)} {ends}{' ties!' if first.hangs_on_ties else ''}{others}"
 
 
 def _rates(rates: StageRates) -> str:

@@ -21,7 +21,8 @@ from vprbench.run.views import queries_shown, restricted, window_of
 #: Arguments of a dataset that choose among its places, or say where its frames lie: the places keep their numbers.
 _CHOOSING = {
     *("_target_", "name", "root", "default_root", "source", "download", "suffix", "calibration", "processed", "lists"),
-    *("references", "query", "protocol", "places", "first_query_place", "query_places", "query_stride", "tolerance"),
+    *("references", "query", "protocol", "places", "query_places", "query_stride", "tolerance"),
+    *("first_place", "first_query_place"),
 }
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from vprbench.api.dataset import Dataset
@@ -83,7 +84,7 @@ def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
         if _journey(run.config["dataset"]) == _journey(allowed.dataset)
         and (
             _scatters(run.config["dataset"])
-            or not mine.isdisjoint(place for right in run.positives for place in right.tolist())
+            or not mine.isdisjoint(place for right in run.positives for place in _numbered(run, right))
         )
     ]
 
@@ -101,6 +102,11 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
         protocol={**dataset.protocol, "stretch": [stretch.start, stretch.stop - 1]},
         held_out=None,
     )
+
+
+def _numbered(run: Run, places: npt.NDArray[np.int64]) -> list[int]:
+    """Return the numbers along the journey of some places of a run's map."""
+    return [int(number) for number in (places if run.place_numbers is None else run.place_numbers[places])]
 
 
 def _scatters(dataset: Mapping[str, Any]) -> bool:
