@@ -26,6 +26,8 @@ from vprbench.api import (
 
 Winners = npt.NDArray[np.int32]  # (n_images, winners): numbers of units, ascending; -1 where fewer units fire
 
+_TOGETHER = 256  # images whose units are summed together: bounds the memory
+
 
 @dataclass(frozen=True)
 class Map:
@@ -74,9 +76,16 @@ class FlyHash(Method):
         """
         self._check_arguments()
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
+        sampling = _sampling(self.units, levels.shape[1], self.summed, self.seed)
+        winners = np.empty((len(levels), self.winners), np.int32)
+        for start in range(0, len(levels), _TOGETHER):
+            block = slice(start, start + _TOGETHER)
+            winners[block] = self._winners(levels[block], sampling)
+        return winners
+
+    def _winners(self, levels: npt.NDArray[np.uint8], sampling: sparse.csr_array) -> Winners:
         pixels = np.ascontiguousarray(levels.T, np.int64)  # whole numbers: no rounding decides between two units
-        sums = (_sampling(self.units, len(pixels), self.summed, self.seed) @ pixels).T  # (n_images, units)
-        above = sums * len(pixels) - self.summed * pixels.sum(0)[:, None]
+        above = (sampling @ pixels).T * len(pixels) - self.summed * pixels.sum(0)[:, None]  # (n_images, units)
         ranked = above * self.units + np.arange(self.units)[::-1]  # all differ: of equal units the first is larger
         best = np.argpartition(ranked, -self.winners, axis=1)[:, -self.winners :]
         fires = np.take_along_axis(above, best, axis=1) > 0

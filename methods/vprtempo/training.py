@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from vprbench.api import BadInput, Scores, TrainingDivergedError, progress
+from vprbench.api import BadInput, Scores, TrainingDivergedError
 
 from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
@@ -217,9 +217,3 @@ def check_winners(scores: Scores, module: npt.NDArray[np.int64]) -> None:
             f"training diverged: module {greedy} wins for {100 * won[greedy]:.0f} % of the reference images but "
             f"holds {100 * own[greedy]:.0f} % of the places; a lower method.stdp_rate or other modules may help"
         )
-
-
-def reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
-    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
-    progress.report(stage, group / groups)
-    return lambda done: progress.report(stage, (group + done) / groups)

@@ -228,8 +228,16 @@ def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_i
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
 
 
-@pytest.mark.parametrize("name", [f"vprtempo_{k}{size}" for k in ("tuned", "oriented") for size in ("", "_ensemble")])
-def test_the_tuned_settings_of_vprtempo_say_where_they_were_found(name: str) -> None:
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
+        "hyperdimensional_oriented",
+        "gabor_binary",
+        "oriented_binary",
+    ],
+)
+def test_tuned_settings_say_where_they_were_found(name: str) -> None:
     declared = registry.entries("method")[name].tuned_on
     listed = published_frames()
     last = [frame for frame in listed if frame % 10 == 0][999]

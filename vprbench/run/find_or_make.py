@@ -160,7 +160,9 @@ def requested(
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
     cache = store.root.absolute() / "descriptors" if settings.cache else None
-    return Request(name, method, dataset, asked, images, settings.timing, threads, files, cache, settings.readouts)
+    return Request(
+        name, method, dataset, asked, images, settings.timing, threads, files, cache, readouts=settings.readouts
+    )
 
 
 def _refused(store: Store) -> BadInput | None:
