@@ -17,6 +17,7 @@ from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
+_SPREAD = 0.03  # that an output neuron's net input has over the references after the covariance rule
 _TOGETHER = 100  # images from whose errors the covariance rule learns in one step
 _FEWEST_PROBES = 10  # reference images; fewer tell nothing
 
@@ -148,8 +149,8 @@ def associate_places(
             error[torch.arange(len(x), device=x.device), target] += 0.5
             outputs.addmm_((rate[now, None] * error).T, x)
             report((module + start / len(shown)) / len(features.thresholds))
-        spread = torch.cat([(spikes[part] @ outputs.T).square() for part in [slice(None)]]).mean(0).sqrt()
-        outputs *= (spread[spread > 0].mean() / spread.clamp(min=SMALLEST))[:, None]
+        spread = (spikes @ outputs.T).square().mean(0).sqrt()
+        outputs *= (_SPREAD / spread.clamp(min=SMALLEST))[:, None]
         layer.excitation[module], layer.inhibition[module] = outputs.clamp(min=0), (-outputs).clamp_(min=0)
         layer.thresholds[module] = outputs @ mean
 
