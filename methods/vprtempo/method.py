@@ -112,7 +112,7 @@ class VPRTempo(Arguments, Method):
         n_modules, n_features = features.thresholds.shape
         rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        learning = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
@@ -229,9 +229,3 @@ class VPRTempo(Arguments, Method):
             logger.warning("no triton for %s (%s): the readable version trains, which is slower", self.device, error)
             return training
         return fused_cuda
-
-
-def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
-    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
-    progress.report(stage, group / groups)
-    return lambda done: progress.report(stage, (group + done) / groups)

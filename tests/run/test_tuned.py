@@ -233,6 +233,7 @@ def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_i
     [
         *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
         "hyperdimensional_oriented",
+        "gabor",
         "gabor_binary",
         "oriented_binary",
     ],
