@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, ClassVar, Self
@@ -21,6 +21,7 @@ from vprbench.api import (
     NotFittedError,
     Places,
     Scores,
+    progress,
 )
 
 from . import fused, training
@@ -112,21 +113,21 @@ class VPRTempo(Arguments, Method):
         n_modules, n_features = features.thresholds.shape
         rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        learning = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
         for number, group in enumerate(groups):
-            report = training.reporting("training features", number, len(groups))
+            report = _reporting("training features", number, len(groups))
             if rules.feature_rule == "rates":
-                set_thresholds(features[group], order[group], learning)
+                set_thresholds(features[group], order[group], training)
             else:
-                engine.train_features(features[group], order[group], learning, report)
+                engine.train_features(features[group], order[group], training, report)
         check_weights(features, "feature")
         for number, group in enumerate(groups):
-            report = training.reporting("training places", number, len(groups))
+            report = _reporting("training places", number, len(groups))
             train = associate_places if rules.output_rule == "covariance" else engine.train_places
-            train(outputs[group], features[group], output_order[group], learning, report)
+            train(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]
@@ -229,3 +230,9 @@ class VPRTempo(Arguments, Method):
             logger.warning("no triton for %s (%s): the readable version trains, which is slower", self.device, error)
             return training
         return fused_cuda
+
+
+def _reporting(stage: str, group: int, groups: int) -> Callable[[float], None]:
+    """Report that a group of modules begins; return a function that reports the group's share done as the stage's."""
+    progress.report(stage, group / groups)
+    return lambda done: progress.report(stage, (group + done) / groups)
