@@ -19,12 +19,13 @@ from vprbench.paper.page.make import write_page
 from vprbench.paper.plan import Growth, Plan
 from vprbench.paper.ranking import Ranking, ranked
 from vprbench.paper.robustness import Robustness, csv, lines, markdown, robustness
-from vprbench.paper.selection import Group, accuracy_series, as_text, groups, protocol_words
+from vprbench.paper.selection import Group, accuracy_series, as_text, groups
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import words
 from vprbench.paper.table.cells import TableRow
 from vprbench.paper.table.make import exit_code, write
 from vprbench.paper.table.quantities import RECALL, Quantity
+from vprbench.paper.titles import protocol_words
 from vprbench.paper.viewed import seen
 from vprbench.progress import progress_shown
 from vprbench.run import rows

@@ -55,11 +55,8 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
 
     measured = {"data": data, **watch.seen()}
     with stopwatch.lap() as auditing:
-        measured["search"] = scoring.audited.search()
-        measured["spikes"], spike_notes = spikes.counted(method, queries)
-        if request.readouts:
-            measured["readouts"], reading_notes = readouts.read(method, dataset)
-            spike_notes += reading_notes
+        inside, inside_notes = _inside(request)
+        measured |= {"search": scoring.audited.search(), **inside}
     told = (
         *noted("dataset", dataset.notes),
         *noted("adapted", adaptation_words(request.config, dataset.n_places)),
@@ -71,7 +68,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         _scored(request, key, learnt, answers, measured),
         harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
     )
-    scored = replace(scored, notes=(*told, *_notes_on(scored), *spike_notes))
+    scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
     if not request.protocol.rates:
         return scored
     keep(scored)
@@ -80,7 +77,16 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     progress.report("timing", 1.0)
     config = {**scored.config, "timing": asdict(request.protocol)}
     timed = replace(scored, config=config, timing=timing, **watch.seen())
-    return replace(timed, notes=(*told, *_notes_on(timed), *spike_notes))
+    return replace(timed, notes=(*told, *_notes_on(timed), *inside_notes))
+
+
+def _inside(request: Request) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """Return what the layers of a fitted method did, and notes on it: spikes, and readouts if they were asked for."""
+    counted, notes = spikes.counted(request.method, request.dataset.queries.unnamed())
+    if not request.readouts:
+        return {"spikes": counted}, notes
+    read, more = readouts.read(request.method, request.dataset)
+    return {"spikes": counted, "readouts": read}, (*notes, *more)
 
 
 class _Watch:

@@ -17,11 +17,12 @@ from vprbench.paper.gather import Chosen, Material, TableRequest, choose, gather
 from vprbench.paper.growth import GrowthSamples, samples
 from vprbench.paper.missing_runs import results_folder
 from vprbench.paper.plan import Quantity, Row
-from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series, title
+from vprbench.paper.selection import Group, ResolvedColumn, accuracy_series, groups, of_row, series
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table.best import mean_recall
 from vprbench.paper.table.formats import shown_as_it_is
 from vprbench.paper.table.make import exit_code
+from vprbench.paper.titles import title
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Thumbnails, find
 from vprbench.storage.atomic import remove_leftovers, replace_text

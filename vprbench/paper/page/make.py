@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 from vprbench.paper.figures.make import draw_all, growth_columns, thumbnails_of
 from vprbench.paper.gather import Material, TableRequest, choose, gather
-from vprbench.paper.selection import Group, accuracy_series, series, title
+from vprbench.paper.selection import Group, accuracy_series, series
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.paper.table.make import exit_code, file_name
+from vprbench.paper.titles import title
 from vprbench.progress import progress_shown
 from vprbench.run.sequences import views
 from vprbench.run.store import Store

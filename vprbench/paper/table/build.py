@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 from statistics import stdev
 
 from vprbench.paper.plan import Plan, Row, published
-from vprbench.paper.selection import DEVICES, Group, of_row, protocol_words
-from vprbench.paper.selection import title as title_of
+from vprbench.paper.selection import DEVICES, Group, of_row
 from vprbench.paper.table.best import Contestant, machine
 from vprbench.paper.table.caption import caption
 from vprbench.paper.table.cells import Cell, Column, Entry, Measured, Table, TableRow
 from vprbench.paper.table.quantities import QUANTITIES, RECALL, Numbers, Quantity
 from vprbench.paper.table.reasons import MARKS, Reason, absent, reason
+from vprbench.paper.titles import protocol_words
+from vprbench.paper.titles import title as title_of
 from vprbench.run.record import Run
 from vprbench.run.tuned import others_of, tuned_here, tuned_note
 
