@@ -12,7 +12,7 @@ from vprbench.run.corruption import KINDS
 _COLUMNS = 4
 _ROW_MM = 46.0
 _BAND = 0.12  # opacity
-_MOST_BANDS = 4  # more would hide one another
+_MOST_BANDS = 3  # more would hide one another
 
 
 @styled
