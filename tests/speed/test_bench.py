@@ -79,7 +79,7 @@ SECTIONS = {
     "A training step": ["paper", "reference"],
     "The fit that users ask for": ["paper", "reference"],
     "Reading frames": ["40x24"],
-    "Preprocessing": ["64x32", "64x32", "40x24", "40x24"],
+    "Preprocessing": ["64x32"] * 4 + ["40x24"] * 4,
     "Queries at": [
         "sad",
         *(f"vprtempo{kind} {rules}" for kind in ("", "_int8") for rules in ("paper", "reference")),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -96,7 +97,7 @@ class OrientedEdges:
         """Return the grey levels, (height, width), of an RGB image: means over areas, of pixels that it cuts too."""
         grey = image.astype(np.int64) @ np.array(GREY)
         # Whole numbers up to the last step, so that a frame of one level stays one.
-        return _areas(grey, self.height, self.width) / (grey.size * sum(GREY))
+        return np.asarray(_areas(grey, self.height, self.width) / (grey.size * sum(GREY)))
 
     def of_grey(self, grey: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the code (rows, columns, orientations) of grey levels (height, width)."""
@@ -110,15 +111,15 @@ class OrientedEdges:
         energy = np.pad(np.square(cells).sum(2), self.block // 2, mode="symmetric")
         windows = np.lib.stride_tricks.sliding_window_view(energy, (self.block, self.block))
         spread = np.sqrt(windows.mean((2, 3))) + self.epsilon
-        return np.clip(cells / spread[:, :, None], 0, 1) ** self.power
+        return np.asarray(np.clip(cells / spread[:, :, None], 0, 1) ** self.power)
 
 
-def _areas(values: npt.NDArray[np.generic], rows: int, columns: int) -> npt.NDArray[np.generic]:
+def _areas(values: npt.NDArray[Any], rows: int, columns: int) -> npt.NDArray[Any]:
     """Return the sums over equal areas, (rows, columns), times rows * columns; cut values count by their share."""
-    return _shares(rows, values.shape[0]) @ values @ _shares(columns, values.shape[1]).T
+    return np.asarray(_shares(rows, values.shape[0]) @ values @ _shares(columns, values.shape[1]).T)
 
 
 def _shares(parts: int, size: int) -> npt.NDArray[np.int64]:
     """Return how much of each of `size` pixels lies in each of equal `parts`, (parts, size), in parts of a pixel."""
     first, pixel = np.arange(parts)[:, None] * size, np.arange(size) * parts
-    return np.maximum(0, np.minimum(first + size, pixel + parts) - np.maximum(first, pixel))
+    return np.asarray(np.maximum(0, np.minimum(first + size, pixel + parts) - np.maximum(first, pixel)))

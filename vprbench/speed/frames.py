@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -23,6 +23,7 @@ from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.decoding import read_image
 from vprbench.api.images import Images
+from vprbench.api.oriented import OrientedEdges
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.run import machine
 from vprbench.speed.measure import in_turn, median, rounded
@@ -32,6 +33,7 @@ from vprbench.speed.settings import ENGINES, FRAME, PATCH, Bench, Settings
 
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
+Encoder = PatchNormalisation | OrientedEdges
 
 _TURNS = 8  # of each way of reading
 _LEVELS = ((64, 90.0), (16, 40.0), (4, 15.0))  # pixels of a cell, grey levels to either side
@@ -77,6 +79,7 @@ class ReadingCell:
 class PreprocessingCell:
     """Both engines on the same images, one call of each after the other."""
 
+    into: str  # patches or oriented edges
     height: int
     width: int
     images_per_call: int
@@ -87,6 +90,7 @@ class PreprocessingCell:
         each = {engine: median(seconds) / self.images_per_call for engine, seconds in self.seconds.items()}
         return {
             "frame": size(self.height, self.width),
+            "into": self.into,
             "images a call": str(self.images_per_call),
             **{f"{engine}: us an image": figures(1e6 * seconds) for engine, seconds in each.items()},
             "readable / fused": ratio(each["readable"], each["fused"]),
@@ -106,23 +110,27 @@ def _reading_cell(settings: Settings) -> ReadingCell:
 def preprocessing(bench: Bench) -> Iterator[Planned]:
     """Preprocess images in memory by both engines."""
     for height, width in (FRAME, tuple(bench.settings.frame)):
-        for images_per_call in (1, bench.settings.batch):
-            what = {"frame": size(height, width), "images a call": str(images_per_call)}
-            yield what, partial(_preprocessing_cell, bench.settings, height, width, images_per_call)
+        for into, images_per_call in product(("patches", "oriented edges"), (1, bench.settings.batch)):
+            what = {"frame": size(height, width), "into": into, "images a call": str(images_per_call)}
+            yield what, partial(_preprocessing_cell, bench.settings, into, height, width, images_per_call)
 
 
-def _preprocessing_cell(settings: Settings, height: int, width: int, images_per_call: int) -> PreprocessingCell:
+def _preprocessing_cell(
+    settings: Settings, into: str, height: int, width: int, images_per_call: int
+) -> PreprocessingCell:
     images, _ = Route.drawn(settings.batch, height, width, settings.seed).references(settings.batch, 1)
     parts = list(images.blocks(images_per_call))
-    engines = {engine: PatchNormalisation("C", settings.pixels, settings.pixels, PATCH, engine) for engine in ENGINES}
-    for normalise in engines.values():
-        normalise(parts[0])
+    patches = partial(PatchNormalisation, "C", settings.pixels, settings.pixels, PATCH)
+    encoder: Callable[..., Encoder] = patches if into == "patches" else OrientedEdges
+    engines = {engine: encoder(engine=engine) for engine in ENGINES}
+    for encode in engines.values():
+        encode(parts[0])
 
     def by(engine: Engine) -> Callable[[int], object]:
         return lambda turn: engines[engine](parts[turn % len(parts)])
 
     laps = in_turn({engine: by(engine) for engine in ENGINES}, settings.rounds, settings.minimum_seconds)
-    return PreprocessingCell(height, width, images_per_call, laps)
+    return PreprocessingCell(into, height, width, images_per_call, laps)
 
 
 def in_own_process(measure: Callable[Asked, Answer], *arguments: Asked.args, **options: Asked.kwargs) -> Answer:
