@@ -88,6 +88,14 @@ def test_any_sizes_follow_the_formula(engine, height, width, rows, columns, orie
     assert np.abs(found.reshape(expected.shape) - expected).max() < 1e-6
 
 
+@pytest.mark.parametrize("engine", ["fused", "readable"])
+def test_a_power_raises_the_codes(engine):
+    frame = smooth_frame(45, 70, 3)
+    found = OrientedEdges(engine=engine, power=0.75)(Images.from_arrays([frame]))
+    expected = by_hand(frame, 32, 64, 8, 16, 8, 3, 16.0) ** 0.75
+    assert np.abs(found.reshape(8, 16, 8) - expected).max() < 1e-5
+
+
 @pytest.mark.parametrize("size", [*SIZES, (1080, 1920), (2, 9000), (5000, 3)], ids=str)
 def test_both_engines_give_the_same_codes(size):
     images = Images.from_arrays([smooth_frame(*size, 4), saturated_frame(*size, 5)])
@@ -151,6 +159,7 @@ def test_no_frames_give_no_codes():
         ({"block": 4}, "method.block=4: .* odd"),
         ({"epsilon": 0.0}, "method.epsilon=0.0: .* more than 0"),
         ({"epsilon": math.nan}, "method.epsilon=nan"),
+        ({"power": 0.0}, "method.contrast_power=0.0: .* more than 0"),
     ],
 )
 def test_sizes_without_a_code_are_told(arguments, wanted):

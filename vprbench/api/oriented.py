@@ -45,8 +45,8 @@ class OrientedEdges:
     orientations: int = 8
     block: int = 3  # cells
     epsilon: float = 16.0  # grey levels
-    power: float = 1.0
     engine: Engine = "fused"
+    power: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the sizes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,6 @@ from vprbench.methods.vprtempo.rules import (
     QueryRule,
     Rules,
     RuleSet,
-    ThresholdRule,
 )
 from vprbench.plugins.rules import Journey
 
@@ -105,8 +104,7 @@ def another_value(name: str) -> Any:
     if isinstance(said, bool):
         return not said
     if isinstance(said, str):
-        options = get_args(ThresholdRule if name == "threshold_rule" else QueryRule)
-        return next(option for option in options if option != said)
+        return next(option for option in get_args(get_type_hints(Rules)[name]) if option != said)
     return said + 1
 
 

@@ -69,6 +69,16 @@ def test_a_query_worked_by_hand_passes_constant_thresholds_and_clip_of_both_laye
 
 
 @WAYS
+@pytest.mark.parametrize("each", [0, 1, 3])
+def test_few_synapses_are_asked_as_many(each: int, ask: Ask) -> None:
+    asked = network([5, 3], n_pixels=40)
+    exists = torch.arange(40) % 40 < each
+    asked = replace(asked, features=asked.features * exists)
+    spikes = shown(3, 40)
+    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(eq_1(asked, spikes, PAPER), abs=1e-5)
+
+
+@WAYS
 @RULES
 @SIZES
 def test_a_spiking_query_is_eq_1(sizes: list[int], rules: Rules, ask: Ask) -> None:

@@ -444,3 +444,79 @@ def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
 def test_a_neuron_without_synapses_is_divided_by_1() -> None:
     layer = draw_layer(draws(0), [5], 4, (0.0, 0.0), 0.5, 0.0, REFERENCE)
     assert not layer.weights.any()
+
+
+# --- what no public version has ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("probability", "each"), [(0.001, 1), (0.1, 6), (1.0, 60)])
+def test_even_connections_give_neurons_and_inputs_equally_many(probability: float, each: int) -> None:
+    layer = draw_layer(draws(0), [30], 60, (probability, 0.0), 0.5, 0.1, replace(PAPER, even_connections=True))
+    excitatory, inhibitory = exists(layer)
+    assert (excitatory.sum(1) == each).all()
+    assert set(excitatory.sum(0)) <= {30 * each // 60, -(-30 * each // 60)}
+    assert not inhibitory.any()
+
+
+def untrained(n_modules: int, images_of: list[int]) -> tuple[Layer, Layer, Schedule, Training]:
+    """Return layers of 60 inputs, 40 features and modules that see images of `images_of` places, 5 epochs of 40."""
+    rules, generators = replace(PAPER, feature_rule="rates", output_rule="covariance"), draws(0) * n_modules
+    features = draw_layer(generators, [40] * n_modules, 60, FEATURE_DRAW, 0.5, 0.1, rules)
+    outputs = draw_layer(generators, images_of, 40, OUTPUT_DRAW, 0.0, 0.0, rules)
+    order = draw_schedule(generators, images_of, np.tile(np.arange(sum(images_of)), 2), 5, rules)
+    spikes = torch.from_numpy(random_spikes(2 * sum(images_of), 6, 10, seed=0))
+    return features, outputs, order, Training(spikes, feature_rates(40, 0.2, 0.9), rules, STDP, ITP, 0.3)
+
+
+def own_images(order: Schedule, module: int) -> list[int]:
+    return sorted(set(order.image[order.factor[:, module] > 0, module].tolist()))
+
+
+def test_thresholds_are_set_where_a_neuron_fires_at_its_rate_and_never_below_0() -> None:
+    features, _, order, lesson = untrained(2, [20, 12])
+    training.set_thresholds(features, order, lesson)
+    for module, count in enumerate([40, 24]):
+        shown = lesson.spikes[own_images(order, module)].numpy().astype(np.float64)
+        assert len(shown) == count
+        layer = features[slice(module, module + 1)]
+        net = shown @ as_float64(layer.weights).T + as_float64(layer.constant)
+        thresholds, rates = as_float64(layer.thresholds), lesson.rates.numpy()
+        free = thresholds > 0
+        assert free.sum() > 10
+        assert (net > thresholds + 1e-6).mean(0)[free] == close_to(rates[free], 1.5 / count)
+        assert (thresholds >= 0).all()
+        assert ((net > 1e-6).mean(0) <= rates + 1.5 / count)[~free].all()
+
+
+def test_the_covariance_rule_is_its_formula() -> None:
+    features, outputs, order, lesson = untrained(1, [20])
+    training.set_thresholds(features, order, lesson)
+    training.associate_places(outputs, features, order, lesson, lambda _: None)
+    net = lesson.spikes.numpy().astype(np.float64) @ as_float64(features.weights).T + as_float64(features.constant)
+    active = np.clip(net - as_float64(features.thresholds), 0, 0.9)
+    away = active - active.mean(0)
+    rate = 0.3 / np.square(away).sum(1).mean()
+    weights = np.zeros((20, 40))
+    for start in (0, 100):  # 200 steps, learnt from 100 at a time
+        change = np.zeros_like(weights)
+        for step in range(start, start + 100):
+            image = int(order.image[step, 0])
+            error = -np.clip(weights @ away[image], 0, 0.9)
+            error[image % 20] += 0.5
+            change += rate * float(order.factor[step, 0]) * np.outer(error, away[image])
+        weights += change
+    weights *= 0.03 / np.sqrt(np.square(away @ weights.T).mean(0))[:, None]
+    assert as_float64(outputs.weights) == close_to(weights, 1e-5)
+    assert as_float64(outputs.thresholds) == close_to(weights @ active.mean(0), 1e-5)
+    assert np.abs(weights).max() > 1e-2
+
+
+def test_modules_that_learn_by_covariance_know_nothing_of_each_other() -> None:
+    features, outputs, order, lesson = untrained(2, [20, 12])
+    alone = copy.deepcopy(outputs[slice(1, 2)])
+    training.set_thresholds(features, order, lesson)
+    training.associate_places(outputs, features, order, lesson, lambda _: None)
+    training.associate_places(alone, features[slice(1, 2)], order[slice(1, 2)], lesson, lambda _: None)
+    for own, wanted in zip(parts(outputs[slice(1, 2)]), parts(alone), strict=True):
+        assert own == close_to(wanted)
+        assert not own[12:].any()  # what pads the smaller module
