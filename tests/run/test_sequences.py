@@ -164,11 +164,15 @@ def test_options_in_words(sequence: Any, filter: Any, wanted: list[Any]) -> None
     assert [view.keywords["asked"] for view in views(sequence, filter)] == wanted  # type: ignore[attr-defined]
 
 
+CHOSEN = {"length": 4, "window": "centred", "gaps": "bridge", "velocities": [0.8, 1], "contrast": 10}
+
+
 def test_files_of_views_have_names_of_their_own() -> None:
-    assert [suffix(views(*asked)) for asked in ((None, None), (4, None), ([2, 10], True))] == [
+    assert [suffix(views(*asked)) for asked in ((None, None), (4, None), ([2, 10], True), (CHOSEN, None))] == [
         "",
         "-sequence-4",
         "-sequence-2-10-filter",
+        "-sequence-4-centred-velocities-contrast10-bridge",
     ]
 
 

@@ -98,10 +98,20 @@ def views(sequence: Any, filter: Any = None) -> tuple[Seen, ...]:
 
 
 def suffix(seen: Iterable[Seen]) -> str:
-    """Return what the names of files of some views end in: -sequence-2-4."""
+    """Return what the names of files of some views end in: -sequence-2-4, -sequence-4-centred, -filter-ahead3."""
     asked = [one.keywords["asked"] for one in seen if isinstance(one, partial)]
     lengths = [str(one.length) for one in asked if isinstance(one, Sequences)]
-    return "-".join(["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(asked))])
+    chosen = dict.fromkeys(word for one in asked for word in _chosen(one))
+    kinds = ["", *(["sequence", *lengths] if lengths else []), *["filter"] * (len(lengths) < len(asked))]
+    return "-".join([*kinds, *chosen])
+
+
+def _chosen(asked: Sequences | Filter) -> Iterable[str]:
+    """Yield a word for each option beside the length that is not its default."""
+    for option in fields(asked):
+        value = getattr(asked, option.name)
+        if option.default not in (MISSING, value):
+            yield {str: value, tuple: option.name}.get(type(value), f"{option.name}{value}")
 
 
 def _scores(run: Run) -> Scores:
