@@ -111,7 +111,8 @@ def _chosen(asked: Sequences | Filter) -> Iterable[str]:
     for option in fields(asked):
         value = getattr(asked, option.name)
         if option.default not in (MISSING, value):
-            yield {str: value, tuple: option.name}.get(type(value), f"{option.name}{value}")
+            said = "" if isinstance(value, tuple) else str(value)
+            yield said if isinstance(value, str) else option.name + said
 
 
 def _scores(run: Run) -> Scores:
