@@ -119,9 +119,9 @@ def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None
     """Set the thresholds of a feature layer in place so that each neuron fires at its target rate, or are 0."""
     for module, weights in enumerate(layer.weights):
         own = torch.unique(schedule.image[schedule.factor[:, module] > 0, module])
-        net = torch.addmm(layer.constant[module], training.spikes[own], weights.T).sort(0).values
+        net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values
         silent = ((1 - training.rates).clamp(0, 1) * (len(own) - 1)).round().long()
-        layer.thresholds[module] = net.gather(0, silent[None])[0].clamp_(min=0)
+        layer.thresholds[module] = net.gather(1, silent[:, None])[:, 0].clamp_(min=0)
 
 
 def associate_places(
