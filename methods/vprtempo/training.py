@@ -118,7 +118,7 @@ def train_places(
 def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None:
     """Set the thresholds of a feature layer in place so that each neuron fires at its target rate, or are 0."""
     for module, weights in enumerate(layer.weights):
-        own = schedule.image[schedule.factor[:, module] > 0, module].unique()
+        own = schedule.image[schedule.factor[:, module] > 0, module].unique()  # type: ignore[no-untyped-call]
         net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values
         silent = ((1 - training.rates).clamp(0, 1) * (len(own) - 1)).round().long()
         layer.thresholds[module] = net.gather(1, silent[:, None])[:, 0].clamp_(min=0)
@@ -134,7 +134,7 @@ def associate_places(
     clip = training.rules.clip
     for module, weights in enumerate(features.weights):
         learns = schedule.factor[:, module] > 0
-        own, shown = schedule.image[learns, module].unique(return_inverse=True)
+        own, shown = schedule.image[learns, module].unique(return_inverse=True)  # type: ignore[no-untyped-call]
         net = torch.addmm(features.constant[module], training.spikes[own], weights.T)
         spikes = net.sub_(features.thresholds[module]).clamp_(0, clip)
         mean = spikes.mean(0)
