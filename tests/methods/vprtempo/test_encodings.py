@@ -154,3 +154,11 @@ def test_without_adapted_thresholds_most_features_of_gabor_maps_are_dead(monkeyp
 def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name: str, n_inputs: int) -> None:
     method = make_method(compose.composed([f"method={name}"])["method"])
     assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)
+
+
+@pytest.mark.parametrize("probability", [0.02, 0.5], ids=["few synapses", "many"])
+def test_a_query_alone_scores_as_among_others_however_few_synapses_there_are(probability: float) -> None:
+    method = fitted("oriented", p_excitatory=probability, p_inhibitory=probability)
+    codes = method.encode(QUERIES)
+    alone = np.concatenate([method.match(code[None]) for code in codes])
+    assert alone == pytest.approx(method.match(codes), abs=1e-6)
