@@ -20,8 +20,8 @@ from .rules import Rules
 Amplitudes = npt.NDArray[np.float32]  # (n_queries, n_neurons), 0: silent
 
 _BLOCK, _BLOCK_ON_GPU = 256, 4096  # queries whose feature spikes are held together
+_SPARSE = 0.2  # of the synapses, up to which those that exist are read alone
 _SIDE_BY_SIDE = 8  # features whose output weights are added in one pass over the scores
-_SPARSE = 1 / 8  # of the synapses exist: fewer are read one by one
 
 
 class Query(Protocol):
@@ -93,11 +93,7 @@ class SpikingQuery:
         self._ends = np.cumsum([0, *(len(thresholds) for thresholds in network.output_thresholds)])
         if self._device.type == "cpu":
             self._rows = features.numpy(), bias.numpy()
-            self._synapses: tuple[npt.NDArray[Any], ...] | None = None
-            if int(torch.count_nonzero(features)) < _SPARSE * features.numel():
-                neuron, inputs = np.nonzero(self._rows[0])
-                ends = np.searchsorted(neuron, np.arange(len(bias) + 1))
-                self._synapses = ends, inputs.astype(np.int32), self._rows[0][neuron, inputs]
+            self._sparse = _sparse(self._rows[0])
             self._columns = [weights.numpy() for weights in network.outputs]
             self._thresholds = torch.cat(network.output_thresholds).numpy()
 
@@ -117,10 +113,10 @@ class SpikingQuery:
         above = np.empty(self._ends[-1], np.float32)
         weights, bias = self._rows
         spikes = np.empty(len(bias), np.float32)
-        if self._synapses is None:
+        if self._sparse is None:
             _feature_spikes(weights, bias, x, np.float32(self._rules.clip), spikes)
         else:
-            _sparse_feature_spikes(*self._synapses, bias, x, np.float32(self._rules.clip), spikes)
+            _sparse_feature_spikes(*self._sparse, bias, x, np.float32(self._rules.clip), spikes)
         n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
             active = spikes[module * n_features : (module + 1) * n_features]
@@ -212,6 +208,25 @@ def linear_layer(members: Sequence[Network]) -> tuple[Tensor, Tensor]:
     return sum(weights[1:], weights[0]) / len(members), sum(biases[1:], biases[0]) / len(members)
 
 
+def _sparse(weights: npt.NDArray[np.float32]) -> tuple[npt.NDArray[Any], ...] | None:
+    """Return the values, columns and row ends of weights (n, n_pixels) of which few exist; None for others."""
+    if np.count_nonzero(weights) > _SPARSE * weights.size:
+        return None
+    rows, columns = np.nonzero(weights)
+    ends = np.searchsorted(rows, np.arange(len(weights) + 1))
+    return weights[rows, columns], columns.astype(np.int32), ends
+
+
+@compiled
+def _sparse_feature_spikes(values, columns, ends, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
+    """Write the spikes of feature neurons (n,) for one input (n_pixels,), from the synapses that exist."""
+    for neuron in range(len(spikes)):
+        net = np.float32(0)
+        for k in range(ends[neuron], ends[neuron + 1]):
+            net += values[k] * x[columns[k]]
+        spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
+
+
 @compiled
 def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
     """Write the spikes of feature neurons (n,) for one input (n_pixels,), `weights` (n, n_pixels)."""
@@ -220,16 +235,6 @@ def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-
         row = weights[neuron]
         for i in range(len(x)):
             net += row[i] * x[i]
-        spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
-
-
-@compiled
-def _sparse_feature_spikes(ends, inputs, weights, bias, x, clip, spikes):  # type: ignore[no-untyped-def]
-    """Do as `_feature_spikes` by the synapses that exist: a neuron's `inputs` and `weights` end at its `ends`."""
-    for neuron in range(len(spikes)):
-        net = np.float32(0)
-        for synapse in range(ends[neuron], ends[neuron + 1]):
-            net += weights[synapse] * x[inputs[synapse]]
         spikes[neuron] = min(max(net + bias[neuron], np.float32(0)), clip)
 
 
@@ -261,8 +266,7 @@ def _compile() -> None:
     """Compile the loops of a single query, or read it from the cache, so that no query waits for it."""
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
-    ends = np.zeros(2, np.int64)
-    _sparse_feature_spikes(ends, ends[:0].astype(np.int32), row, row, row, np.float32(1), row.copy())
+    _sparse_feature_spikes(row, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, np.float32(1), row.copy())
     _add_active(weights, row, row.copy())
 
 

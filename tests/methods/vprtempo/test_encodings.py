@@ -150,10 +150,10 @@ def test_without_adapted_thresholds_most_features_of_gabor_maps_are_dead(monkeyp
     assert active(monkeypatch, **high, itp_rate=0.15) > 0.8
 
 
-@pytest.mark.parametrize("name", ["vprtempo_oriented", "vprtempo_oriented_ensemble"])
-def test_the_methods_of_oriented_edges_read_1024_of_them(name: str) -> None:
+@pytest.mark.parametrize(("name", "n_inputs"), [("vprtempo_oriented", 2048), ("vprtempo_oriented_ensemble", 3072)])
+def test_the_methods_of_oriented_edges_read_as_many_as_they_say(name: str, n_inputs: int) -> None:
     method = make_method(compose.composed([f"method={name}"])["method"])
-    assert method.encode(QUERIES).shape == (len(QUERIES), 1024)
+    assert method.encode(QUERIES).shape == (len(QUERIES), n_inputs)
 
 
 @pytest.mark.parametrize("probability", [0.02, 0.5], ids=["few synapses", "many"])
