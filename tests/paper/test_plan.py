@@ -122,7 +122,7 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
             config = compose.composed([f"method={row.method}", *asked])["method"]
             assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
             calibrated += [row.method] * (config["calibrated_scores"] is True)
-    ensembles = [f"vprtempo_{kind}ensemble" for kind in ("", "oriented_", "tuned_")]
+    ensembles = [f"vprtempo_{kind}ensemble" for kind in ("", "tuned_")]
     assert sorted(calibrated) == ["vprtempo", *ensembles]
 
 
