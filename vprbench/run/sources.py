@@ -140,6 +140,9 @@ def _is_for_types(node: ast.AST) -> bool:
 
 def _file(module: str) -> Path | None:
     """Return the source file of a module; None for what is no module, has no source or cannot be found."""
+    above = module.rpartition(".")[0]
+    if above and (path := _file(above)) is not None and path.name != "__init__.py":
+        return None  # a name in a module, which is not imported to tell
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, AttributeError, ValueError):
