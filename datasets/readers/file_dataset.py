@@ -62,6 +62,7 @@ def dataset_of_files(
         queries=Images.from_files([queries[query] for query in kept]),
         positives=tuple(truth.positives[query] for query in kept),
         protocol={**protocol, "unmatched": unmatched},
+        query_breaks=np.flatnonzero(np.diff(matched) > 1) + 1 if unmatched == "drop" else None,
         folders=folders_of([*references, *queries]),
         notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
     )

@@ -75,10 +75,16 @@ class Arguments:
         return Patches(PatchNormalisation(self.preprocessing, self.height, self.width, self.patch, engine))
 
     def chosen_rules(self) -> Rules:
-        """Return the rules after the arguments that replace single choices."""
+        """Return the rules, single choices replaced by arguments; raises BadInput if two exclude each other."""
         names = {choice.name for choice in fields(Rules)}
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return replace(RULES[self.rules], **given)
+        rules = replace(RULES[self.rules], **given)
+        if (rules.output_rule, rules.query_rule, rules.calibrated_scores) == ("covariance", "linear", False):
+            raise BadInput(
+                "method.query_rule=linear leaves out the thresholds, which hold the mean of the features under "
+                "method.output_rule=covariance: set method.calibrated_scores=true"
+            )
+        return rules
 
     def check(self, n_places: int) -> None:
         """Raise BadInput for arguments under which there is no network."""

@@ -28,8 +28,8 @@ class Rules:
     clip: float = 0.9
     """Upper limit of an activation: 0.9 in all public versions, 1 as printed in the paper."""
     even_connections: bool = False
-    """Connections are drawn so that neurons have equally many, at least one, and inputs too, instead of each by chance
-    (no public version)."""
+    """Connections are drawn so that neurons have about equally many, at least one, and inputs too, instead of each by
+    chance (no public version)."""
     feature_rule: FeatureRule = "stdp"
     """Features learn by Eqs. 2, 4 and 5; or their weights stay as drawn, and their thresholds are where Eq. 5 comes to
     rest, with every neuron at its target rate (no public version)."""

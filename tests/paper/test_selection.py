@@ -19,9 +19,9 @@ from vprbench.paper.selection import (
     groups,
     of_row,
     options_apart,
-    protocol_words,
     series,
 )
+from vprbench.paper.titles import protocol_words
 from vprbench.run.record import Failure, Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)

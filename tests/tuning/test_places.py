@@ -151,6 +151,9 @@ def two_traverses(tolerance: int = 0) -> Dataset:
         queries=pictures(range(20, 27)),
         positives=(*rights, np.empty(0, np.int64)),
         protocol={"query": "dusk"},
+        place_numbers=np.arange(10, 16),
+        query_breaks=np.array([5]),
+        place_breaks=np.array([5]),
     )
 
 

@@ -53,7 +53,8 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
     for cell in found.cells:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
-    endings = made(chosen, list(wanted(chosen, found.column, there)), asked.of_runs, compose)
+    options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
+    endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose)
     spoilt = under(found, asked.request.corruptions)
     endings += make_missing(chosen, there, spoilt, asked, compose)
     known, failures = stored(chosen)

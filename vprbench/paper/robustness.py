@@ -20,6 +20,7 @@ from vprbench.run import rows
 from vprbench.run.corruption import KINDS, STRENGTHS, Corruption
 from vprbench.run.recall_intervals import along_the_journey, recall_interval
 from vprbench.run.record import Run
+from vprbench.run.tuned import tuned_note
 
 _ABSENT = "-"
 
@@ -39,6 +40,7 @@ class Point:
     drop: float  # from R@1 on clean frames
     drop_low: float | None  # of the 95 % interval of the paired difference; None: too few queries for one
     drop_high: float | None
+    tuned_on: str  # what there is to say of places that the method was tuned on; empty: nothing
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def _point(row: Series, clean: Series, one: Corruption | None) -> Point:
         drop=before - recall,
         drop_low=None if difference is None else difference.low,
         drop_high=None if difference is None else difference.high,
+        tuned_on=tuned_note(row.runs),
     )
 
 
@@ -134,7 +137,8 @@ def _percent(share: float) -> str:
 def markdown(found: Robustness, title: str) -> str:
     """Return the table as a document that says what each corruption is."""
     shown = {"title": shown_as_it_is(title), "table": rows.markdown(lines(found)), "kinds": found.words}
-    return document("robustness.md.j2", **shown)
+    tuned = {row.name: note for row in found.clean if (note := tuned_note(row.runs))}
+    return document("robustness.md.j2", **shown, tuned=tuned)
 
 
 def csv(found: Robustness) -> str:

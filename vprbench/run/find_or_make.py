@@ -99,9 +99,8 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     with ledger():  # what was trained is kept until the run is stored
         if found is not None:  # whoever stored it may have asked in other words
             run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
-            run = replace(
-                run, query_breaks=dataset.query_breaks, place_breaks=dataset.place_breaks
-            )  # of older ones too
+            # of older ones too
+            run = replace(run, query_breaks=dataset.query_breaks, place_breaks=dataset.place_breaks)
         else:
             for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
                 insist_on_writing(place)
@@ -109,7 +108,7 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
                 run = runner.run(request, key, keep)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         # yaml and dataset may say so only since the run was stored
-        known = found is not None and found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)
+        known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
         run = replace(run, tuned_on=tuned_on)
         if run.readouts is None and stored is not None:
             run = replace(run, readouts=stored.readouts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from functools import partial
 from typing import Any, TypeVar, get_type_hints
 
@@ -68,8 +68,13 @@ def in_sequences(run: Run, asked: Sequences) -> Run:
 
 
 def filtered(run: Run, asked: Filter) -> Run:
-    """Return a run whose queries are answered by a Bayes filter over the places, from the first query on."""
+    """Return a run whose queries are answered by a Bayes filter over the places, from the first query on.
+
+    Moves are multiples of the usual step, the places from one query to the next.
+    """
     queries, _, told_gaps = _parts(run, asked.gaps)
+    step = int(run.protocol.get("query_stride", 1))
+    asked = replace(asked, back=asked.back * step, ahead=asked.ahead * step)
     told = {"filter": f"topological, moves {asked.back} to {asked.ahead}, ratio {asked.ratio:g}"}
     told |= {"filter_gaps": told_gaps} if told_gaps else {}
     return rescored(run, filtered_scores(_scores(run), asked, queries), told, window=_MEMORY)

@@ -77,7 +77,8 @@ def querying(runs: Iterable[Run], allowed: Searchable) -> list[str]:
     A run does if dataset and seed are the same and a right place of a query lies in either stretch. One whose
     protocol draws places here and there, and numbers the others anew, may query any.
     """
-    mine = {*allowed.searched, *allowed.checked}
+    first = allowed.dataset.get("first_place", 0)  # a run's places are numbered along the journey
+    mine = {first + place for place in (*allowed.searched, *allowed.checked)}
     return [
         f"{run.dataset}/{run.method}-{run.key}"
         for run in runs
@@ -101,6 +102,9 @@ def cut(dataset: Dataset, stretch: range) -> Dataset:
         positives=tuple(dataset.positives[n] - stretch.start for n in asked),
         protocol={**dataset.protocol, "stretch": [stretch.start, stretch.stop - 1]},
         held_out=None,
+        place_numbers=None,
+        query_breaks=None,
+        place_breaks=None,
     )
 
 
