@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from numba import types
 from scipy import sparse
 
 from vprbench.api import (
@@ -21,21 +20,11 @@ from vprbench.api import (
     Scores,
     Variant,
     best_image_of_place,
-    compiled,
 )
 
 Winners = npt.NDArray[np.int32]  # (n_images, winners): numbers of units, ascending; -1 where fewer units fire
 
 _TOGETHER = 256  # images whose units are summed together: bounds the memory
-
-
-@dataclass(frozen=True)
-class Map:
-    """The references by unit: those in which unit u wins are images[starts[u]:starts[u + 1]]."""
-
-    starts: npt.NDArray[np.int64]  # (units + 1,)
-    images: npt.NDArray[np.int32]  # ascending for each unit
-    places: Places  # (n_references,)
 
 
 @dataclass
@@ -57,16 +46,12 @@ class FlyHash(Method):
     winners: int = 392
     seed: int = 0
 
-    _map: Map | None = field(default=None, init=False, repr=False, compare=False)
+    _map: tuple[sparse.csr_array, Places] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """List for every unit the references in which it wins."""
+        """Keep for every unit the references in which it wins, (units, n_references), and their places."""
         self._map = None
-        winners = self.encode(references)
-        images, ranks = np.nonzero(winners >= 0)
-        units = winners[images, ranks]
-        starts = np.concatenate(([0], np.cumsum(np.bincount(units, minlength=self.units))))
-        self._map = Map(starts, images[np.argsort(units, kind="stable")].astype(np.int32), places.copy())
+        self._map = sparse.csr_array(self._firing(self.encode(references)).T), places.copy()
         return self
 
     def encode(self, images: Images) -> Winners:
@@ -95,10 +80,15 @@ class FlyHash(Method):
         """Return the share of the `winners` that the best image of each place has too, (n_queries, n_places)."""
         if self._map is None:
             raise NotFittedError("FlyHash has no map yet: call fit(references, places) first")
-        common = np.zeros((len(codes), len(self._map.places)), np.float32)
-        _count_common(np.ascontiguousarray(codes), self._map.starts, self._map.images, common)
-        common /= self.winners
-        return best_image_of_place(common, self._map.places)
+        references, places = self._map
+        common = (self._firing(codes) @ references).toarray() / np.float32(self.winners)
+        return best_image_of_place(common, places)
+
+    def _firing(self, winners: Winners) -> sparse.csr_array:
+        """Return 1 for every unit that fires, else 0, (n_images, units)."""
+        fires = winners >= 0
+        ends = np.concatenate(([0], np.cumsum(fires.sum(1))))
+        return sparse.csr_array((np.ones(ends[-1], np.float32), winners[fires], ends), (len(winners), self.units))
 
     def _check_arguments(self) -> None:
         n_pixels = self.height * self.width
@@ -120,18 +110,3 @@ def _sampling(n_units: int, n_pixels: int, n_summed: int, seed: int) -> sparse.c
     return sparse.csr_array(
         (np.ones(n_units * n_summed, np.int64), np.concatenate(chosen), starts), (n_units, n_pixels)
     )
-
-
-@compiled(
-    types.Array(types.int32, 2, "C", readonly=True),
-    types.Array(types.int64, 1, "C", readonly=True),
-    types.Array(types.int32, 1, "C", readonly=True),
-    types.float32[:, ::1],
-)
-def _count_common(codes, starts, images, common):  # type: ignore[no-untyped-def]
-    """Add 1 to common[query, image] for each unit that wins in both: work for winners that meet, none for others."""
-    for query in range(len(codes)):
-        for unit in codes[query]:
-            if unit >= 0:
-                for at in range(starts[unit], starts[unit + 1]):
-                    common[query, images[at]] += np.float32(1)

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, DescriptorMethod, Images, OrientedEdges, PatchNormalisation, Variant
 
+from .parts.pixels import MEAN_LEVEL
 from .parts.vectors import unit
 
 Hypervectors = npt.NDArray[np.float32]  # (n, components), 1 and -1
 Cells = npt.NDArray[np.float32]  # (n_images, rows, columns, n_features)
-
-_GREY = 127  # the level of a pixel at its window's mean
 
 
 @dataclass
@@ -61,7 +60,7 @@ class HyperDimensional(DescriptorMethod):
 
     def _patches(self, images: Images) -> Cells:
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
-        frames = levels.reshape(-1, self.height, self.width).astype(np.float32) - _GREY
+        frames = levels.reshape(-1, self.height, self.width).astype(np.float32) - MEAN_LEVEL
         windows = np.lib.stride_tricks.sliding_window_view(frames, (self.cell, self.cell), axis=(1, 2))
         cells = windows[:, :: self.stride, :: self.stride]
         return cells.reshape(*cells.shape[:3], self.cell**2)

@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant
 
+from .parts.pixels import MEAN_LEVEL
 from .parts.vectors import unit
 
 Directions = Literal["gaussian", "signs", "sparse_signs"]
-
-_GREY = 127  # the level of a pixel at its window's mean
 
 
 @dataclass
@@ -40,7 +39,7 @@ class RandomProjection(DescriptorMethod):
         if self.components < 1:
             raise BadInput(f"method.components={self.components}: give at least 1")
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
-        contrasts = levels.astype(np.float32) - _GREY
+        contrasts = levels.astype(np.float32) - MEAN_LEVEL
         return unit(contrasts @ _directions(self.directions, levels.shape[1], self.components, self.seed))
 
 

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, Images, PatchNormalisation
 
+MEAN_LEVEL = 127  # of a patch-normalised pixel: its window's mean
+
 Preprocessing = Literal["grey", "A", "B", "C"]  # grey: antialiased, not patch-normalised
 
 

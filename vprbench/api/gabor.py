@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from torch.nn import functional
 from vprbench.api import gabor_compiled
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine, PatchNormalisation
+from vprbench.api.threads import in_shares
 from vprbench.errors import BadInput
 
 SIZE = 5  # pixels, of a filter
@@ -99,14 +99,16 @@ class GaborBank:
     def __call__(self, images: Images) -> npt.NDArray[np.float32]:
         """Return (n_images, rows * columns * 32): the filters of a cell side by side."""
         maps = self.responses(images)
-        self._each_share(self._normalise if self.engine == "fused" else self._normalise_readably, maps)
+        normalise = self._normalise if self.engine == "fused" else self._normalise_readably
+        self._by(lambda own: normalise(maps[own]), len(images))
         return maps.reshape(len(images), self.n_inputs)
 
     def responses(self, images: Images) -> Maps:
         """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at thresholds."""
         levels = self._normalisation()(images)
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
-        self._each_share(self._filter if self.engine == "fused" else self._filter_readably, levels, maps)
+        respond = self._filter if self.engine == "fused" else self._filter_readably
+        self._by(lambda own: respond(levels[own], maps[own]), len(images))
         return maps
 
     def adapted(self, images: Images, rate_min: float = 0.2, rate_max: float = 0.9) -> Self:
@@ -122,17 +124,8 @@ class GaborBank:
     def _normalisation(self) -> PatchNormalisation:
         return PatchNormalisation("C", self.height, self.width, self.patch, self.engine)
 
-    def _each_share(self, work, *arrays) -> None:  # type: ignore[no-untyped-def]
-        """Call `work` with the same rows of all arrays, a share of them in each thread."""
-        n, threads = len(arrays[0]), torch.get_num_threads() if self.engine == "fused" else 1
-        ends = np.linspace(0, n, min(threads, n) + 1).astype(int)
-        shares = [[array[first:last] for array in arrays] for first, last in pairwise(ends)]
-        if len(shares) < 2:
-            for share in shares:
-                work(*share)
-            return
-        with ThreadPoolExecutor(len(shares)) as pool:
-            list(pool.map(lambda share: work(*share), shares))
+    def _by(self, work: Callable[[slice], None], n: int) -> None:
+        in_shares(work, n, torch.get_num_threads() if self.engine == "fused" else 1)
 
     def _filter(self, levels: npt.NDArray[np.uint8], maps: Maps) -> None:
         frames = levels.reshape(-1, self.height, self.width)

@@ -7,9 +7,6 @@ sixth of the queries a second, and its complete scores take three times as long 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,6 +19,7 @@ from numba.extending import intrinsic
 
 from vprbench.api.arrays import Scores
 from vprbench.api.compiling import compiled
+from vprbench.api.threads import in_shares
 
 Words = npt.NDArray[np.uint64]  # (n_images, n_words): bits packed, in any order that all share
 
@@ -50,14 +48,9 @@ def similarity(codes: Words, blocks: Words) -> Scores:
     """Return minus the bits in which codes (n_queries, n_words) and references differ, (n_queries, n_blocks * 8)."""
     n_blocks = len(blocks)
     scores = np.empty((len(codes), n_blocks * _LANES), np.float32)
-    work = partial(_compare, _whole_groups(codes), blocks, scores)
-    threads = max(1, min(torch.get_num_threads(), len(codes) * blocks.size // _WORTH_A_THREAD, n_blocks))
-    if threads == 1:
-        work(0, n_blocks)
-        return scores
-    ends = np.linspace(0, n_blocks, _SHARES * threads + 1).astype(int)
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda share: work(*share), pairwise(ends)))
+    queries = _whole_groups(codes)
+    threads = min(torch.get_num_threads(), len(codes) * blocks.size // _WORTH_A_THREAD)
+    in_shares(lambda own: _compare(queries, blocks, scores, own.start, own.stop), n_blocks, threads, _SHARES)
     return scores
 
 
@@ -99,7 +92,7 @@ def _write_similarity(typing_context, query, block, similarity):  # type: ignore
         differing = builder.sitofp(total, ir.VectorType(ir.FloatType(), _LANES))
         target = builder.bitcast(out.data, differing.type.as_pointer())
         builder.store(builder.fneg(differing), target, align=4)
-        return context.get_dummy_value()
+        return context.get_dummy_value()  # what numba takes for None
 
     return types.void(query, block, similarity), generate
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +15,8 @@ from vprbench.api import oriented_compiled
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine
+from vprbench.api.threads import in_shares
 from vprbench.errors import BadInput
-
-GREY = (299, 587, 114)  # thousandths of red, green and blue
 
 _BLOCK = 128  # images a thread
 _BLOCKS_BYTES = 1 << 25  # of all images that are held at once, about
@@ -74,13 +72,13 @@ class OrientedEdges:
                 self._write([image], code[None])
             return codes
         done = 0
-        with ThreadPoolExecutor(threads) as pool:
-            for block in images.blocks(_BLOCK * threads, _BLOCKS_BYTES):
-                own, held = codes[done : done + len(block)], list(block)
-                shares = [slice(first, None, threads) for first in range(threads)]
-                list(pool.map(self._write, [held[share] for share in shares], [own[share] for share in shares]))
-                done += len(block)
+        for block in images.blocks(_BLOCK * threads, _BLOCKS_BYTES):
+            self._share(list(block), codes[done : done + len(block)], threads)
+            done += len(block)
         return codes
+
+    def _share(self, images: Sequence[Image], codes: npt.NDArray[np.float32], threads: int) -> None:
+        in_shares(lambda own: self._write(images[own], codes[own]), len(images), threads)
 
     def _write(self, images: Sequence[Image], codes: npt.NDArray[np.float32]) -> None:
         cells = codes.reshape(-1, self.rows, self.columns, self.orientations)
@@ -98,9 +96,9 @@ class OrientedEdges:
 
     def shrink(self, image: Image) -> npt.NDArray[np.float64]:
         """Return the grey levels, (height, width), of an RGB image: means over areas, of pixels that it cuts too."""
-        grey = image.astype(np.int64) @ np.array(GREY)
+        grey = image.astype(np.int64) @ np.array(oriented_compiled.GREY)
         # Whole numbers up to the last step, so that a frame of one level stays one.
-        return np.asarray(_areas(grey, self.height, self.width) / (grey.size * sum(GREY)))
+        return np.asarray(_areas(grey, self.height, self.width) / (grey.size * sum(oriented_compiled.GREY)))
 
     def of_grey(self, grey: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the code (rows, columns, orientations) of grey levels (height, width)."""

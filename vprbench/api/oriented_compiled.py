@@ -9,7 +9,8 @@ from vprbench.api.compiling import compiled
 
 _IMAGE = types.Array(types.uint8, 3, "C", readonly=True)
 _EIGHTH = np.float32(np.tan(np.pi / 8))
-_RED, _GREEN, _BLUE = 299, 587, 114  # thousandths
+GREY = (299, 587, 114)  # thousandths of red, green and blue
+_RED, _GREEN, _BLUE = GREY
 # Sums may be reordered; there are no infinities whose sign counts.
 _loop = compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 

@@ -20,7 +20,7 @@ COMPUTING = frozenset(
     for name in (
         *("binary", "compiling", "descriptor", "gabor", "gabor_compiled", "hamming", "method", "neural"),
         *("oriented", "oriented_compiled", "preprocess", "preprocess_compiled"),
-        *("resize", "search", "search_indexes", "weight_files", "weights"),
+        *("resize", "search", "search_indexes", "threads", "weight_files", "weights"),
     )
 )
 
