@@ -116,7 +116,10 @@ def train_places(
 
 
 def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None:
-    """Set the thresholds of a feature layer in place so that each neuron fires at its target rate, or are 0."""
+    """Set the thresholds (modules, n_features) of a layer in place, 0 or more: each neuron fires at its target rate.
+
+    The references of a module count once each, however often `schedule` shows them.
+    """
     for module, weights in enumerate(layer.weights):
         own = torch.unique(schedule.image[schedule.factor[:, module] > 0, module])
         net = torch.addmm(layer.constant[module, :, None], weights, training.spikes[own].T).sort(1).values
@@ -127,9 +130,12 @@ def set_thresholds(layer: Layer, schedule: Schedule, training: Training) -> None
 def associate_places(
     layer: Layer, features: Layer, schedule: Schedule, training: Training, report: Callable[[float], None]
 ) -> None:
-    """Train an output layer in place by the covariance rule, on any device.
+    """Train an output layer in place by the covariance rule (Sejnowski 1977), on any device; `report` as above.
 
-    The learning rate is in parts of the inverse mean energy of the centred feature spikes.
+    From weights of 0 (modules, n_places, n_features), 100 images at a time: a weight grows by the error of its output
+    neuron, 0.5 for its own place less what it fires, times how far its feature is from the feature's mean over the
+    references. The learning rate is in parts of the inverse mean energy of these distances. At the end all outputs have
+    one spread over the references, and thresholds (modules, n_places), of either sign, that take the mean away.
     """
     clip = training.rules.clip
     for module, weights in enumerate(features.weights):
