@@ -43,6 +43,7 @@ class Ending:
     error: str = ""
     recorded: bool = False  # whether the store knows of the error
     key: str = ""  # of the run that is stored
+    held: str = ""  # the claim of another sweep, which is making it
 
 
 def run_apart(
