@@ -12,14 +12,14 @@ from vprbench.errors import BadInput
 from vprbench.storage.folders import checkout_folder
 
 if TYPE_CHECKING:
-    from dask_jobqueue import JobQueueCluster
+    from dask_jobqueue.core import JobQueueCluster
 
 
 def started(job: Job) -> JobQueueCluster:
     """Return a cluster whose jobs are submitted as there are cells; raises BadInput if none can be submitted."""
     import dask_jobqueue
 
-    cluster = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")(**_arguments(job))
+    cluster: JobQueueCluster = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")(**_arguments(job))
     if job.adaptive:
         cluster.adapt(minimum_jobs=job.minimum, maximum_jobs=job.maximum)
     else:
