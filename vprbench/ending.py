@@ -25,6 +25,12 @@ def tell(**words: Any) -> None:
             file.write(json.dumps(words) + "\n")
 
 
+def heard() -> bool:
+    """Tell whether the process that waits for this one is still there, where its file goes with it."""
+    path, _ = _place()
+    return path is not None and Path(path).parent.exists()
+
+
 def told(path: Path) -> dict[str, Any]:
     """Return all that a process left in `path`; of what it said twice the last."""
     words: dict[str, Any] = {}
