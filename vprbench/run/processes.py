@@ -52,10 +52,13 @@ def run_apart(
     stdout: int | None = None,
     in_sweep: bool = True,
     heard: Callable[[str], None] | None = None,
+    stopped: Callable[[], bool] | None = None,
+    folder: str | None = None,
 ) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
-    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own.
+    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. Once
+    `stopped` says so it is interrupted. It works in `folder`; None: where this process does.
     A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
     Any thread may wait so, but signals reach the main thread alone. The process is stopped while another cell of this
     host is timed. Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
@@ -75,18 +78,18 @@ def run_apart(
             time.sleep(slot.LOOK_EVERY)
         kills = oom_kills()
         with (
-            subprocess.Popen(command, env=given, stdout=stdout, stderr=stderr) as child,
+            subprocess.Popen(command, env=given, stdout=stdout, stderr=stderr, cwd=folder) as child,
             _lines_passed_on(child.stderr, heard),
         ):
             watched.append(_Watched(child, left, in_sweep))
             for number in signals:
                 child.send_signal(number)
-            code = watched[0].wait()
+            code = watched[0].wait(stopped)
         words = ending.told(left)
     if signals and (in_sweep or "code" not in words):
         raise KeyboardInterrupt(signals[0])
     if "code" not in words:
-        return _dead(code, words, watched[0].late, kills)
+        return _dead(code, words, watched[0].late, kills, heard)
     known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}
     return Ending(**known)  # what happens to a process after its last word changes nothing of what it has stored
 
@@ -101,11 +104,13 @@ class _Watched:
         self._stopped, self._since = 0.0, math.inf  # seconds in all before, and the moment of the stop that lasts
         self.late = self._ends = False
 
-    def wait(self) -> int:
-        """Return the exit code of the child once it has ended."""
+    def wait(self, stopped: Callable[[], bool] | None = None) -> int:
+        """Return the exit code of the child once it has ended; it is interrupted as soon as `stopped` says so."""
         try:
             while True:
                 self._look()
+                if stopped is not None and stopped() and not self._ends:
+                    self.end_by(signal.SIGINT)
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     return self._child.wait(slot.LOOK_EVERY)
         finally:
@@ -189,7 +194,9 @@ def as_json(failure: Failure) -> str:
     return json.dumps({name: getattr(failure, name) for name in ("method", "dataset", "error", "missing")})
 
 
-def _dead(code: int, words: dict[str, Any], late: bool, kills: dict[str, int]) -> Ending:
+def _dead(
+    code: int, words: dict[str, Any], late: bool, kills: dict[str, int], heard: Callable[[str], None] | None
+) -> Ending:
     """Say and record that a process ended without saying how; `kills` were counted before it began."""
     error = f"ended without a word, with exit code {code}"
     if late:
@@ -202,8 +209,9 @@ def _dead(code: int, words: dict[str, Any], late: bool, kills: dict[str, int]) -
         error += f" while {words['doing']}"
     run = words.get("run")
     whose = "the command" if run is None else f"{run['method']} on {run['dataset']}"
+    line = printable(f"vprbench: {whose} {error}")
     with contextlib.suppress(OSError):
-        print(printable(f"vprbench: {whose} {error}"), file=sys.stderr, flush=True)
+        heard(line) if heard else print(line, file=sys.stderr, flush=True)
     if run is None:
         return Ending(1, False, error)
     from vprbench.run import machine

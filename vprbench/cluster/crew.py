@@ -1,0 +1,112 @@
+"""Who makes cells, a run of the command line each, and tells how they end: this process, or a dask cluster."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from vprbench.cluster.options import ClusterOptions
+from vprbench.run.processes import Ending, run_apart
+
+Cell = tuple[int, Sequence[str]]  # its number, and its options of the command line
+Begins = Callable[[int, str], None]  # told which cell begins, and on which host
+Heard = Callable[[int, str], None]  # told which cell says a line on its standard error
+
+_LOOK_EVERY = 0.5  # seconds between looks at whether the claim of another sweep is gone
+_AGAIN_AFTER = 20.0  # seconds after which a cell that was claimed is tried again: the claim's owner may be dead
+
+
+class Crew:
+    """Makes cells here, one after the other, each in a process of its own."""
+
+    def __init__(self, stdout: int | None = None) -> None:
+        """Let what cells print go to `stdout`, as for a process."""
+        self._stdout = stdout
+        self._made: list[tuple[int, Ending]] = []
+
+    def __enter__(self) -> Self:
+        """Start nothing yet."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Nothing is left."""
+
+    def endings(
+        self, cells: Iterable[Cell], begins: Begins, heard: Heard | None = None
+    ) -> Iterator[tuple[int, Ending]]:
+        """Yield the number of each cell and how it ended, in any order.
+
+        A cell is asked for when there is room for it, so that what is known by then may decide which. One that another
+        sweep has claimed is tried again at the end. Without `heard` cells share this process's standard error.
+        """
+        coming = iter(cells)
+        claimed: dict[int, _Claimed] = {}
+        running: dict[int, Sequence[str]] = {}
+        while True:
+            while len(running) < (self._room() if running or claimed else 1):
+                cell = next(coming, None) or _freed(claimed, wait=not running)
+                if cell is None:
+                    break
+                running[cell[0]] = cell[1]
+                self._start(cell, begins, heard)
+            if not running:
+                return
+            for number, ending in self._ended():
+                options = running.pop(number)
+                if ending.held:
+                    claimed[number] = _Claimed(options, Path(ending.held))
+                else:
+                    yield number, ending
+
+    def _room(self) -> int:
+        """Return how many cells may run at a time."""
+        return 1
+
+    def _start(self, cell: Cell, begins: Begins, heard: Heard | None) -> None:
+        """Begin to make a cell."""
+        number, options = cell
+        begins(number, socket.gethostname())
+        if heard is None:
+            self._made.append((number, run_apart(options, stdout=self._stdout)))
+        else:
+            self._made.append((number, run_apart(options, stdout=self._stdout, heard=lambda line: heard(number, line))))
+
+    def _ended(self) -> list[tuple[int, Ending]]:
+        """Wait for cells that end and return how; none if there may be room for more."""
+        made, self._made = self._made, []
+        return made
+
+
+class _Claimed:
+    """A cell that another sweep is making."""
+
+    def __init__(self, options: Sequence[str], claim: Path) -> None:
+        self.options, self._claim, self._until = options, claim, time.monotonic() + _AGAIN_AFTER
+
+    def free(self) -> bool:
+        return not self._claim.exists() or time.monotonic() > self._until
+
+
+def _freed(claimed: dict[int, _Claimed], wait: bool) -> Cell | None:
+    """Return a cell whose claim is gone, or may be; if none is, wait for one or return None."""
+    while claimed:
+        for number, cell in claimed.items():
+            if cell.free():
+                return number, claimed.pop(number).options
+        if not wait:
+            return None
+        time.sleep(_LOOK_EVERY)
+    return None
+
+
+def crew(options: ClusterOptions, stdout: int | None = None) -> Crew:
+    """Return who makes cells under these options; nothing of dask is imported without one."""
+    if not options.elsewhere:
+        return Crew(stdout)
+    from vprbench.cluster.dask_crew import DaskCrew
+
+    return DaskCrew(options, stdout)
