@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -23,7 +24,9 @@ _AGAIN_AFTER = 20.0  # seconds after which a cell that was claimed is tried agai
 class Crew:
     """Makes cells here, one after the other, each in a process of its own."""
 
-    def __init__(self, stdout: int | None = None) -> None:
+    elsewhere = False  # whether other processes wait for the cells, several at a time
+
+    def __init__(self, stdout: int | None = subprocess.DEVNULL) -> None:
         """Let what cells print go to `stdout`, as for a process."""
         self._stdout = stdout
         self._made: list[tuple[int, Ending]] = []
@@ -103,7 +106,7 @@ def _freed(claimed: dict[int, _Claimed], wait: bool) -> Cell | None:
     return None
 
 
-def crew(options: ClusterOptions, stdout: int | None = None) -> Crew:
+def crew(options: ClusterOptions, stdout: int | None = subprocess.DEVNULL) -> Crew:
     """Return who makes cells under these options; nothing of dask is imported without one."""
     if not options.elsewhere:
         return Crew(stdout)

@@ -45,7 +45,9 @@ _SETTINGS = {
 class DaskCrew(Crew):
     """Makes cells side by side, each in a process of its own that a worker waits for."""
 
-    def __init__(self, options: ClusterOptions, stdout: int | None = None) -> None:
+    elsewhere = True
+
+    def __init__(self, options: ClusterOptions, stdout: int | None = subprocess.DEVNULL) -> None:
         """Start nothing yet: everything may be stored."""
         super().__init__(stdout)
         self._options = options
@@ -73,6 +75,7 @@ class DaskCrew(Crew):
 
     @cached_property
     def _client(self) -> Client:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what becomes of cells is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._told)
@@ -83,7 +86,8 @@ class DaskCrew(Crew):
     def _room(self) -> int:
         if self._options.cluster:
             return self._options.job().maximum
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
     def _start(self, cell: Cell, begins: Begins, heard: Heard | None) -> None:
         self._begins, self._heard = begins, heard or _say
@@ -156,9 +160,13 @@ def _connected(options: ClusterOptions, opened: contextlib.ExitStack) -> Client:
     """
     if options.scheduler is None:
         cluster = started(options.job()) if options.cluster else _local(options.workers or 1)
-        return opened.enter_context(Client(opened.enter_context(cluster)))
+        client = Client(opened.enter_context(cluster))
+        opened.push(client)
+        return client
     try:
-        return opened.enter_context(Client(options.scheduler, timeout="20s"))
+        client = Client(options.scheduler, timeout="20s")
+        opened.push(client)
+        return client
     except (OSError, ValueError) as error:
         raise BadInput(
             f"scheduler={options.scheduler}: no dask scheduler answers there ({error}); start one with dask scheduler"
@@ -172,7 +180,7 @@ def _local(workers: int) -> LocalCluster:
         threads_per_worker=1,
         memory_limit=0,  # what a cell takes is not the worker's
         dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,  # a worker that dies is told of once, by what becomes of its cell
+        silence_logs=logging.CRITICAL,
         preload="vprbench.cluster.cell",
     )
 

@@ -74,7 +74,7 @@ def run_apart(
         given |= {MARKED: "1"} if heard else {}
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
         stderr = subprocess.PIPE if heard else None
-        while in_sweep and slot.taken() and not signals:
+        while in_sweep and slot.taken() and not signals and not (stopped and stopped()):
             time.sleep(slot.LOOK_EVERY)
         kills = oom_kills()
         with (
