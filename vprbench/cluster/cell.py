@@ -5,16 +5,18 @@ from __future__ import annotations
 import socket
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from distributed import Worker, get_worker
 
 import vprbench
 from vprbench.cluster.gathered import Parcel, packed
 from vprbench.errors import BadInput
+from vprbench.run import machine
 from vprbench.run.processes import Ending, run_apart
 
 _stopped: dict[str, Event] = {}  # by sweep
@@ -69,6 +71,12 @@ def make(order: Order) -> Done:
         said.seek(0)
         text = said.read().decode(errors="replace")
     return Done(ending, text, packed(own) if order.gather else None)
+
+
+def on_one_thread(attempt: Callable[[Any], Any], task: Any) -> Any:
+    """Return what an attempt at a task in this process gives."""
+    machine.pin_threads(1)
+    return attempt(task)
 
 
 def stop(sweep: str) -> None:

@@ -50,7 +50,7 @@ class Crew:
         claimed: dict[int, _Claimed] = {}
         running: dict[int, Sequence[str]] = {}
         while True:
-            while len(running) < (self._room() if running or claimed else 1):
+            while len(running) < (self.room() if running or claimed else 1):
                 cell = next(coming, None) or _freed(claimed, wait=not running)
                 if cell is None:
                     break
@@ -65,7 +65,7 @@ class Crew:
                 else:
                     yield number, ending
 
-    def _room(self) -> int:
+    def room(self) -> int:
         """Return how many cells may run at a time."""
         return 1
 

@@ -11,6 +11,8 @@ import subprocess
 import sys
 import threading
 import uuid
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +24,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster, TimeoutError
 
 from vprbench import __version__
 from vprbench.cluster.batch import started
-from vprbench.cluster.cell import Done, Order, make, results_of, stop
+from vprbench.cluster.cell import Done, Order, make, on_one_thread, results_of, stop
 from vprbench.cluster.crew import Begins, Cell, Crew, Heard
 from vprbench.cluster.gathered import unpack
 from vprbench.cluster.options import ClusterOptions
@@ -83,7 +85,8 @@ class DaskCrew(Crew):
         logger.info("dask's dashboard: %s%s", client.dashboard_link, bokeh)
         return client
 
-    def _room(self) -> int:
+    def room(self) -> int:
+        """Return how many cells or tasks may run at a time."""
         if self._options.cluster:
             return self._options.job().maximum
         threads: dict[str, int] = self._client.nthreads()
@@ -104,15 +107,33 @@ class DaskCrew(Crew):
         self._running[self._client.submit(make, order, key=key, pure=False)] = cell
 
     def _ended(self) -> list[tuple[int, Ending]]:
+        return [(self._running[future][0], self._ending(future)) for future in self._done(self._running)]
+
+    def answers(
+        self, attempt: Callable[[Any], Any], tasks: Sequence[Any], begins: Callable[[int], None]
+    ) -> Iterator[tuple[int, Any, str]]:
+        """Yield of each task, as they end, its number and what `attempt` returns, or None and why there is nothing."""
+        waiting, running = deque(enumerate(tasks)), dict[Future[Any], int]()
+        while waiting or running:
+            while waiting and len(running) < self.room():
+                number, task = waiting.popleft()
+                begins(number)
+                running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
+            for future in self._done(running):
+                number, error = running.pop(future), future.exception()
+                yield number, *((future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}"))
+
+    def _done(self, running: Iterable[Future[Any]]) -> set[Future[Any]]:
+        """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
         try:
-            done = wait([*self._running], timeout=1, return_when="FIRST_COMPLETED").done
+            done: set[Future[Any]] = wait([*running], timeout=1, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             done = set()
         except CancelledError as error:
             raise self._lost() from error
         if self._client.status != "running":
             raise self._lost()
-        return [(self._running[future][0], self._ending(future)) for future in done]
+        return done
 
     def _ending(self, future: Future[Done]) -> Ending:
         """Return how a cell ended; raises BadInput for workers that can make none."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -111,7 +111,8 @@ class LiveTable:
             words += f", {len(running)} running, {self._total - self._steps - len(running)} waiting"
         words += f", {self._failed} failed" * bool(self._failed)
         bar.add_row(ProgressBar(total=max(self._total, 1), completed=done, width=40), words + self._left(running))
-        return Group(*([table, Text()] if self._rows else []), *([at, Text()] if elsewhere else []), bar)
+        parts: list[RenderableType] = [table, Text()] if self._rows else []
+        return Group(*parts, *([at, Text()] if elsewhere else []), bar)
 
     def _left(self, running: Sequence[_Step]) -> str:
         """Return how long the rest takes, if it takes as long as what was made until now, as many at a time."""
