@@ -84,9 +84,9 @@ def alone() -> Iterator[Callable[[], bool]]:
                     time.sleep(LOOK_EVERY)
                 quiet = not beside
             ending.tell(queued=time.monotonic() - began)
-            moment = time.time()
+            since = undisturbed()
             try:
-                yield lambda: quiet and not beside_since(moment)
+                yield lambda: quiet and since()
             finally:
                 fcntl.flock(file, fcntl.LOCK_UN)  # a fork of this process may hold the file open
     finally:
@@ -112,9 +112,11 @@ def others() -> bool:
     return found
 
 
-def beside_since(moment: float) -> bool:
-    """Tell whether another cell has run on this host at any time since `moment`, by `time.time()`."""
-    return others() or any(path.exists() and path.stat().st_mtime > moment for path in (_slot(), _ended()))
+def undisturbed() -> Callable[[], bool]:
+    """Return what tells whether this host was this cell's own from now on: no other cell ran, or was timed."""
+    moment = time.time()
+    marks = (_slot(), _ended())
+    return lambda: not (others() or any(path.exists() and path.stat().st_mtime > moment for path in marks))
 
 
 def folder() -> Path:
