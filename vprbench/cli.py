@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import os
 import re
 import signal
@@ -119,7 +120,8 @@ def _run(config: DictConfig) -> int:
     asked = {name: plain[name] for name in RECORDED}
     asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
     from vprbench.run import machine
-    from vprbench.run.find_or_make import answer
+    from vprbench.run.claims import HeldElsewhereError
+    from vprbench.run.find_or_make import FailedElsewhereError, answer
     from vprbench.run.record import Failure
     from vprbench.run.store import Store
 
@@ -134,6 +136,15 @@ def _run(config: DictConfig) -> int:
             return answer(choices["method"], asked, settings, store, say)
         except KeyboardInterrupt:
             raise
+        except HeldElsewhereError as error:  # whoever waits asks again
+            logging.info("%s: it is left to that", error)
+            ending.tell(held=str(error.claim))
+            return 0
+        except FailedElsewhereError as error:
+            ending.tell(recorded=True, missing=error.failure.missing)
+            if output == "json":
+                say(as_json(error.failure))
+            return _complain(str(error), 1)
         except BaseException as error:  # whatever a plug-in raises
             ending.leave_if_forked(process)
             failure = Failure(

@@ -159,7 +159,7 @@ def sweep(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sweep:
     monkeypatch.setattr(
         crew,
         "run_apart",
-        lambda options, stdout=None: (
+        lambda options, stdout=None, **_: (
             sweep(options) if stdout is None else Apart()(smaller(list(options)))  # whose answers are shown, or not
         ),
     )

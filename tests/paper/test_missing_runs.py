@@ -55,7 +55,7 @@ class Children:
         self.answers = list(answers)
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
+    def __call__(self, options: Sequence[str], **_: object) -> Ending:
         self.asked.append(list(options))
         return self.answers.pop(0)
 
@@ -262,7 +262,7 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> s
 def talking(lines: Sequence[str], then: Ending | KeyboardInterrupt) -> Callable[..., Ending]:
     """Return what stands in for a process that says some lines and ends."""
 
-    def run(_: object, stdout: int | None = None, heard: Callable[[str], None] = print) -> Ending:
+    def run(_: object, heard: Callable[[str], None] = print, **__: object) -> Ending:
         for line in lines:
             heard(line)
         if isinstance(then, KeyboardInterrupt):

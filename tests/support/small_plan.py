@@ -61,7 +61,7 @@ class Apart:
     def __init__(self) -> None:
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
+    def __call__(self, options: Sequence[str], **_: object) -> Ending:
         self.asked.append(list(options))
         words: dict[str, Any] = {}
         with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:

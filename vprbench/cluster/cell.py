@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -31,6 +31,7 @@ class Order:
     options: tuple[str, ...]
     folder: str  # in which the client works
     shows: bool  # whether what it prints is wanted
+    since: float  # when the sweep began, by the clock of the disk that holds its results
     gather: bool  # whether what it stores is wanted, for the client does not see it
     version: str = vprbench.__version__
 
@@ -66,6 +67,7 @@ def make(order: Order) -> Done:
             stdout=said.fileno() if order.shows else subprocess.DEVNULL,
             heard=tell,
             stopped=stopped.is_set,
+            since=None if order.gather else order.since,
             folder=order.folder if Path(order.folder).is_dir() else None,
         )
         said.seek(0)
@@ -89,9 +91,3 @@ def dask_setup(_: Worker) -> None:
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def results_of(options: Sequence[str]) -> Path:
-    """Return the results folder of a cell."""
-    given = [option.partition("=")[2] for option in options if option.startswith("results=")]
-    return Path(given[-1] if given else "results").expanduser()

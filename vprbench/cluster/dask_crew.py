@@ -24,8 +24,8 @@ from distributed import Client, Future, KilledWorker, LocalCluster, TimeoutError
 
 from vprbench import __version__
 from vprbench.cluster.batch import started
-from vprbench.cluster.cell import Done, Order, make, on_one_thread, results_of, stop
-from vprbench.cluster.crew import Begins, Cell, Crew, Heard
+from vprbench.cluster.cell import Done, Order, make, on_one_thread, stop
+from vprbench.cluster.crew import Begins, Cell, Crew, Heard, results_of
 from vprbench.cluster.gathered import unpack
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput, ClusterLostError
@@ -101,6 +101,7 @@ class DaskCrew(Crew):
             options=tuple(options),
             folder=str(Path.cwd()),
             shows=self._stdout != subprocess.DEVNULL,
+            since=self._since,
             gather=self._options.gather,
         )
         key = f"cell-{self._sweep}-{next(self._numbers)}"

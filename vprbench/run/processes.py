@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from vprbench.run.record import Failure
 
 IN_SWEEP = "VPRBENCH_IN_SWEEP"  # set for the runs of a sweep: they record even a failure that is the user's
+SINCE = "VPRBENCH_SWEEP_SINCE"  # and when it began: what another process failed at since then is not tried again
 _PATIENCE = 1.0  # seconds after which a second interruption ends what the first did not
 
 
@@ -44,7 +45,7 @@ class Ending:
     error: str = ""
     recorded: bool = False  # whether the store knows of the error
     key: str = ""  # of the run that is stored
-    held: str = ""  # the claim of another process that makes the run now
+    held: str = ""  # the claim of another process that makes the run now: ask again once it is gone
 
 
 def run_apart(
@@ -54,11 +55,13 @@ def run_apart(
     heard: Callable[[str], None] | None = None,
     stopped: Callable[[], bool] | None = None,
     folder: str | None = None,
+    since: float | None = None,
 ) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
     `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. Once
-    `stopped` says so it is interrupted. It works in `folder`; None: where this process does.
+    `stopped` says so it is interrupted. It works in `folder`; None: where this process does. `since` is when the sweep
+    began, in seconds by the clock of the disk: a run that failed elsewhere meanwhile has failed.
     A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
     Any thread may wait so, but signals reach the main thread alone. The process is stopped while another cell of this
     host is timed. Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
@@ -71,7 +74,7 @@ def run_apart(
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     with _slip() as left, _signals_passed_on() as (watched, signals):
         given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
-        given |= {MARKED: "1"} if heard else {}
+        given |= ({MARKED: "1"} if heard else {}) | ({} if since is None else {SINCE: repr(since)})
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
         stderr = subprocess.PIPE if heard else None
         while in_sweep and slot.taken() and not signals and not (stopped and stopped()):
