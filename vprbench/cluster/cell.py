@@ -5,16 +5,18 @@ from __future__ import annotations
 import socket
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from distributed import Worker, get_worker
 
 import vprbench
 from vprbench.cluster.gathered import Parcel, packed
 from vprbench.errors import BadInput
+from vprbench.run import machine
 from vprbench.run.processes import Ending, run_apart
 
 _stopped: dict[str, Event] = {}  # by sweep
@@ -29,6 +31,7 @@ class Order:
     options: tuple[str, ...]
     folder: str  # in which the client works
     shows: bool  # whether what it prints is wanted
+    since: float  # when the sweep began, by the clock of the disk that holds its results
     gather: bool  # whether what it stores is wanted, for the client does not see it
     version: str = vprbench.__version__
 
@@ -64,11 +67,18 @@ def make(order: Order) -> Done:
             stdout=said.fileno() if order.shows else subprocess.DEVNULL,
             heard=tell,
             stopped=stopped.is_set,
+            since=None if order.gather else order.since,
             folder=order.folder if Path(order.folder).is_dir() else None,
         )
         said.seek(0)
         text = said.read().decode(errors="replace")
     return Done(ending, text, packed(own) if order.gather else None)
+
+
+def on_one_thread(attempt: Callable[[Any], Any], task: Any) -> Any:
+    """Return what an attempt at a task in this process gives."""
+    machine.pin_threads(1)
+    return attempt(task)
 
 
 def stop(sweep: str) -> None:
@@ -81,9 +91,3 @@ def dask_setup(_: Worker) -> None:
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def results_of(options: Sequence[str]) -> Path:
-    """Return the results folder of a cell."""
-    given = [option.partition("=")[2] for option in options if option.startswith("results=")]
-    return Path(given[-1] if given else "results").expanduser()

@@ -11,6 +11,8 @@ import subprocess
 import sys
 import threading
 import uuid
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from functools import cached_property
 from pathlib import Path
@@ -22,8 +24,8 @@ from distributed import Client, Future, KilledWorker, LocalCluster, TimeoutError
 
 from vprbench import __version__
 from vprbench.cluster.batch import started
-from vprbench.cluster.cell import Done, Order, make, results_of, stop
-from vprbench.cluster.crew import Begins, Cell, Crew, Heard
+from vprbench.cluster.cell import Done, Order, make, on_one_thread, stop
+from vprbench.cluster.crew import Begins, Cell, Crew, Heard, results_of
 from vprbench.cluster.gathered import unpack
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput, ClusterLostError
@@ -45,7 +47,9 @@ _SETTINGS = {
 class DaskCrew(Crew):
     """Makes cells side by side, each in a process of its own that a worker waits for."""
 
-    def __init__(self, options: ClusterOptions, stdout: int | None = None) -> None:
+    elsewhere = True
+
+    def __init__(self, options: ClusterOptions, stdout: int | None = subprocess.DEVNULL) -> None:
         """Start nothing yet: everything may be stored."""
         super().__init__(stdout)
         self._options = options
@@ -73,6 +77,7 @@ class DaskCrew(Crew):
 
     @cached_property
     def _client(self) -> Client:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what becomes of cells is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._told)
@@ -80,10 +85,12 @@ class DaskCrew(Crew):
         logger.info("dask's dashboard: %s%s", client.dashboard_link, bokeh)
         return client
 
-    def _room(self) -> int:
+    def room(self) -> int:
+        """Return how many cells or tasks may run at a time."""
         if self._options.cluster:
             return self._options.job().maximum
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
     def _start(self, cell: Cell, begins: Begins, heard: Heard | None) -> None:
         self._begins, self._heard = begins, heard or _say
@@ -94,21 +101,40 @@ class DaskCrew(Crew):
             options=tuple(options),
             folder=str(Path.cwd()),
             shows=self._stdout != subprocess.DEVNULL,
+            since=self._since,
             gather=self._options.gather,
         )
         key = f"cell-{self._sweep}-{next(self._numbers)}"
         self._running[self._client.submit(make, order, key=key, pure=False)] = cell
 
     def _ended(self) -> list[tuple[int, Ending]]:
+        return [(self._running[future][0], self._ending(future)) for future in self._done(self._running)]
+
+    def answers(
+        self, attempt: Callable[[Any], Any], tasks: Sequence[Any], begins: Callable[[int], None]
+    ) -> Iterator[tuple[int, Any, str]]:
+        """Yield of each task, as they end, its number and what `attempt` returns, or None and why there is nothing."""
+        waiting, running = deque(enumerate(tasks)), dict[Future[Any], int]()
+        while waiting or running:
+            while waiting and len(running) < self.room():
+                number, task = waiting.popleft()
+                begins(number)
+                running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
+            for future in self._done(running):
+                number, error = running.pop(future), future.exception()
+                yield number, *((future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}"))
+
+    def _done(self, running: Iterable[Future[Any]]) -> set[Future[Any]]:
+        """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
         try:
-            done = wait([*self._running], timeout=1, return_when="FIRST_COMPLETED").done
+            done: set[Future[Any]] = wait([*running], timeout=1, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             done = set()
         except CancelledError as error:
             raise self._lost() from error
         if self._client.status != "running":
             raise self._lost()
-        return [(self._running[future][0], self._ending(future)) for future in done]
+        return done
 
     def _ending(self, future: Future[Done]) -> Ending:
         """Return how a cell ended; raises BadInput for workers that can make none."""
@@ -156,9 +182,13 @@ def _connected(options: ClusterOptions, opened: contextlib.ExitStack) -> Client:
     """
     if options.scheduler is None:
         cluster = started(options.job()) if options.cluster else _local(options.workers or 1)
-        return opened.enter_context(Client(opened.enter_context(cluster)))
+        client = Client(opened.enter_context(cluster))
+        opened.push(client)
+        return client
     try:
-        return opened.enter_context(Client(options.scheduler, timeout="20s"))
+        client = Client(options.scheduler, timeout="20s")
+        opened.push(client)
+        return client
     except (OSError, ValueError) as error:
         raise BadInput(
             f"scheduler={options.scheduler}: no dask scheduler answers there ({error}); start one with dask scheduler"
@@ -172,7 +202,7 @@ def _local(workers: int) -> LocalCluster:
         threads_per_worker=1,
         memory_limit=0,  # what a cell takes is not the worker's
         dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,  # a worker that dies is told of once, by what becomes of its cell
+        silence_logs=logging.CRITICAL,
         preload="vprbench.cluster.cell",
     )
 

@@ -42,6 +42,12 @@ class ClusterOptions:
         if self.cluster:
             self.job()
 
+    @classmethod
+    def has(cls, option: str) -> bool:
+        """Tell whether `name=value` is an option of this class."""
+        name = option.partition("=")[0]
+        return name in cls.__dataclass_fields__ or name.startswith("cluster.")
+
     @property
     def elsewhere(self) -> bool:
         """Whether cells are made in other processes, side by side."""

@@ -45,6 +45,9 @@ class Settings:
 
 KNOWN = (*Settings.__dataclass_fields__, "method", "dataset")
 
+#: What a record tells of how a run was asked for.
+RECORDED = ("method", "dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+
 
 def checked_settings(config: Mapping[str, Any]) -> Settings:
     """Return the settings of a configuration; raises BadInput that names the option that does not fit."""
