@@ -65,8 +65,6 @@ class Chaos:
             f"corruptions=[{','.join(corruptions)}]",
             "dataset=synthetic",
             "dataset.places=30",
-            "timing=quick",
-            "timing.total_seconds=0.4",
             "threads=1",
             "frames=false",
         ]
@@ -97,7 +95,8 @@ class Chaos:
     def client(self, results: Path) -> subprocess.Popen[bytes]:
         """Give the command, with workers of its own or on the cluster."""
         elsewhere = self.drawn.choice([f"workers={N_WORKERS}", f"scheduler={self.scheduler}"])
-        return self.begin("client", "vprbench", *self.command, f"results={results}", elsewhere)
+        timing = ["timing=quick", "timing.total_seconds=0.4"]  # while a cell is timed the others are stopped
+        return self.begin("client", "vprbench", *self.command, *timing, f"results={results}", elsewhere)
 
     def keep_cluster(self) -> None:
         """Begin again what is gone of scheduler and workers."""
@@ -247,7 +246,7 @@ def main() -> int:
     home = Path(tempfile.mkdtemp(prefix="chaos-"))
     chaos = Chaos(home, asked.cells, asked.seed)
     serial, began = ROOT / "build" / "chaos" / f"serial-{chaos.n_cells}", time.monotonic()
-    code = chaos.begin("serial", "vprbench", *chaos.command, f"results={serial}").wait()
+    code = chaos.begin("serial", "vprbench", *chaos.command, "timing=none", f"results={serial}").wait()
     right = stored(serial)
     print(f"serial run: {len(right)} cells in {time.monotonic() - began:.0f} s", flush=True)
     if code or len(right) != chaos.n_cells:

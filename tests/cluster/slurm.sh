@@ -31,7 +31,6 @@ end() {
     kill "${daemons[@]}" 2>/dev/null || true
     for _ in $(seq 50); do kill -0 "${daemons[@]}" 2>/dev/null || break; sleep 0.2; done
     kill -9 "${daemons[@]}" 2>/dev/null || true
-    if [ "$code" -ne 0 ]; then tail -n 20 "$home"/*.log >&2 2>/dev/null || true; fi
     rm -rf "$home"
     exit "$code"
 }
@@ -86,7 +85,9 @@ for n in $(seq "$nodes"); do
     slurmd -D -N "node$n" >"$home/slurmd.out.$n.log" 2>&1 &
     daemons+=($!)
 done
-for _ in $(seq 100); do [ "$(sinfo --noheader --format=%D --states=idle 2>/dev/null)" = "$nodes" ] && break; sleep 0.2; done
+idle() { [ "$(sinfo --noheader --format=%D --states=idle 2>/dev/null)" = "$nodes" ]; }
+for _ in $(seq 100); do idle && break; sleep 0.2; done
+idle || { tail -n 20 "$home"/*.log >&2; echo "no node came up" >&2; exit 1; }
 sinfo --Node --long >&2
 
 watch() { # squeue, as often as it changes

@@ -25,10 +25,11 @@ ASKED = {
     "prologue": ["module load cuda"],
 }
 WANTED = {  # as the manuals of sbatch, qsub (OpenPBS), bsub and qsub (Grid Engine) have them
+    # 32 GB are 29.8 of their GB, 30,517.6 of their MB
     "slurm": ["-p long", "-A robots", "--cpus-per-task=6", "--mem=30G", "-t 12:30:00", "--gres=gpu:2"],
-    "pbs": ["-q long", "-A robots", "-l select=1:ncpus=6:mem=32gb:ngpus=2", "-l walltime=12:30:00"],
+    "pbs": ["-q long", "-A robots", "-l select=1:ncpus=6:mem=30518mb:ngpus=2", "-l walltime=12:30:00"],
     "lsf": ["-q long", '-P "robots"', "-n 6", "-M 32000000", "-W 12:30", '-gpu "num=2"'],
-    "sge": ["-q long", "-P robots", "-pe smp 6", "-l mem_free=32G", "-l h_rt=12:30:00", "-l gpu=2"],
+    "sge": ["-q long", "-P robots", "-pe smp 6", "-l mem_free=30518M", "-l h_rt=12:30:00", "-l gpu=2"],
 }
 SENTINEL = {"slurm": "#SBATCH", "pbs": "#PBS", "lsf": "#BSUB", "sge": "#$"}
 
@@ -89,8 +90,7 @@ def test_a_script_begins_one_worker_in_the_folder_and_environment_of_the_client(
     assert said.stdout == f"{home} /data of all/frames\n"
 
 
-def test_memory_is_the_same_in_all_units(tmp_path: Path) -> None:
-    """Half a gigabyte, in the units of dask, which are those of yaml files and of the documentation."""
+def test_memory_is_the_same_in_the_units_of_all_systems(tmp_path: Path) -> None:
     found = {system: " ".join(directives(script(tmp_path, system, memory="512MiB"), system)) for system in WANTED}
     assert "--mem=512M" in found["slurm"]
     assert re.search("mem=512mb", found["pbs"], re.IGNORECASE)
