@@ -117,7 +117,7 @@ class Claims:
 
     def __init__(self, root: Path) -> None:
         """Look at the results folder `root`."""
-        self.folder = root / FOLDER
+        self.folder = root.absolute() / FOLDER  # a method may change the working folder
 
     def take(self, key: str, about: Mapping[str, Any]) -> Claim | Held:
         """Claim the run `key`, with what others may read `about` it, or return who has it; never waits.
@@ -187,9 +187,7 @@ def look(path: Path) -> Held | None:
     except OSError:  # it is gone, or the disk is
         return None
     silent = max(0.0, _disk_clock(path.parent) - beat_ns / 1e9)
-    lives = None
-    if words.get("machine") == owner.this_process()["machine"] and words.get("process") != os.getpid():
-        lives = owner.lives(words.get("process"), words.get("started"))
+    lives = owner.lives(words)
     return Held(path, words, beat_ns, silent, silent <= EXPIRES_SECONDS if lives is None else lives)
 
 

@@ -95,16 +95,15 @@ def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[s
     While another process makes it this one waits; in a sweep it raises HeldElsewhereError instead. Raises
     FailedElsewhereError if that failed meanwhile.
     """
-    since = os.environ.get(SINCE)
-    began = None if since is None else float(since)
+    since = float(os.environ[SINCE]) if SINCE in os.environ else None
     while True:
         try:
-            return _found_or_made(request, settings, store, tuned_on, began)
+            return _found_or_made(request, settings, store, tuned_on, since)
         except HeldElsewhereError as error:
             if os.environ.get(IN_SWEEP):
                 raise
             logging.info("%s: waiting for it", error)
-            began = began or Claims(store.root).now()
+            since = since or Claims(store.root).now()
             wait(error.claim)
 
 

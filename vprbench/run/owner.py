@@ -7,6 +7,7 @@ import functools
 import getpass
 import os
 import socket
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +40,22 @@ def _started(process: int) -> int | None:
     return None
 
 
-def lives(process: Any, started: Any) -> bool | None:
-    """Tell whether a process of this host, which started at that time, lives; None if that cannot be told, as of another user's."""
-    if os.name != "posix" or not isinstance(process, int) or process < 1:
+def lives(words: Mapping[str, Any]) -> bool | None:
+    """Tell whether the process with these words lives; None if that cannot be told here, or if it is this one."""
+    process = words.get("process")
+    if os.name != "posix" or words.get("machine") != _host()["machine"]:
+        return None
+    if not isinstance(process, int) or process in (0, os.getpid()):
         return None
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:
+    except OSError:  # another user's
         return None
-    return bool(_started(process) == started)
+    return bool(_started(process) == words.get("started"))
+
+
+def is_ours(words: Mapping[str, Any]) -> bool:
+    """Tell whether these are words of this process, or of one that it has started."""
+    return words.get("machine") == _host()["machine"] and os.getpid() in (words.get("process"), words.get("parent"))
