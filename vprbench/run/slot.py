@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import math
 import os
+import re
+import subprocess
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -93,6 +96,26 @@ def alone() -> Iterator[Callable[[], bool]]:
         ending.tell(timing=False)
 
 
+@contextlib.contextmanager
+def gpu(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+    """Wait for a GPU that no other cell of this host uses, if `options` ask for one; yields the variables that name it.
+
+    A GPU asked for by its number is waited for, and nothing is named. There is none, and no waiting, once `given_up`.
+    """
+    asked = [found for option in options if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][-1:]
+    number = asked[0][1] if asked else None
+    names = _gpus() if asked and asked[0][0].startswith("device=cuda") else []
+    names = names if number is None else names[int(number) : int(number) + 1]
+    while names and not given_up():
+        for name in names:
+            with (folder() / f"gpu-{name}").open("ab") as file:
+                if _locked(file):
+                    yield {"CUDA_VISIBLE_DEVICES": name} if number is None else {}
+                    return
+        time.sleep(LOOK_EVERY)
+    yield {}
+
+
 def taken() -> bool:
     """Tell whether a cell of this host is timed, or about to be; one that was stopped itself, as by Ctrl-Z, is not."""
     with _slot().open("ab") as file:
@@ -126,6 +149,20 @@ def folder() -> Path:
     return path
 
 
+@functools.cache
+def _gpus() -> list[str]:
+    """Return the GPUs that a process started here sees, by names that hold in every process of this host."""
+    found = []
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        told = ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"]
+        found = subprocess.run(told, capture_output=True, text=True, timeout=30, check=False).stdout.split()
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is None:
+        return found
+    names = filter(None, map(str.strip, visible.split(",")))
+    return [found[int(name)] if name.isdigit() and int(name) < len(found) else name for name in names]
+
+
 def _running() -> Path:
     path = folder() / "running"
     path.mkdir(exist_ok=True)
@@ -151,10 +188,9 @@ def _queued(file: IO[bytes]) -> bool:
 
 def _suspended() -> bool:
     """Tell whether the process that holds the slot is stopped."""
-    import psutil  # not needed where nobody is timed
-
-    with contextlib.suppress(OSError, ValueError, psutil.Error):
-        return bool(psutil.Process(int(_slot().read_bytes())).status() == psutil.STATUS_STOPPED)
+    with contextlib.suppress(OSError, ValueError):  # where there is no /proc, or it has just ended
+        status = Path(f"/proc/{int(_slot().read_bytes())}/stat").read_bytes()
+        return status.rpartition(b")")[2].split()[0] == b"T"
     return False
 
 
