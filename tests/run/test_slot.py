@@ -96,13 +96,13 @@ def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for() ->
 def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
     slot._gpus.cache_clear()
-    with slot.gpu(["device=cpu", "device=cuda"], lambda: False) as first:
+    with slot.turn(["device=cpu", "device=cuda"], lambda: False) as first:
         assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
-        with slot.gpu(["device=cuda:1"], lambda: False) as numbered, slot.gpu(["seed=1"], lambda: False) as none:
+        with slot.turn(["device=cuda:1"], lambda: False) as numbered, slot.turn(["seed=1"], lambda: False) as none:
             assert numbered == none == {}
             looks = iter([False, True])
-            with slot.gpu(["device=cuda"], lambda: next(looks)) as given_up:
+            with slot.turn(["device=cuda"], lambda: next(looks)) as given_up:
                 assert given_up == {}
-        with slot.gpu(["device=cuda"], lambda: False) as second:
+        with slot.turn(["device=cuda"], lambda: False) as second:
             assert second == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
     slot._gpus.cache_clear()

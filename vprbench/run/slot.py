@@ -97,11 +97,13 @@ def alone() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def gpu(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
-    """Wait for a GPU that no other cell of this host uses, if `options` ask for one; yields the variables that name it.
+def turn(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+    """Wait until a cell may begin: nobody is timed, and a GPU is free if `options` ask for one, or it is `given_up`.
 
-    A GPU asked for by its number is waited for, and nothing is named. There is none, and no waiting, once `given_up`.
+    Yields the variables that name the GPU to the cell's process; one asked for by its number needs no name.
     """
+    while taken() and not given_up():
+        time.sleep(LOOK_EVERY)
     asked = [found for option in options if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][-1:]
     number = asked[0][1] if asked else None
     names = _gpus() if asked and asked[0][0].startswith("device=cuda") else []
