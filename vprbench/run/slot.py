@@ -28,7 +28,7 @@ class Place:
 
     def __init__(self, process: int) -> None:
         """Keep the place of a process, which is not taken yet."""
-        self._process = process
+        self._process, self._entered = process, False
         self._held: tuple[Path, IO[bytes]] | None = None
 
     def enter(self) -> None:
@@ -38,7 +38,7 @@ class Place:
             hidden = folder() / path.name  # until it is locked, or it would be taken for one that is left behind
             file = hidden.open("ab")
             _locked(file)
-            self._held = hidden.rename(path), file
+            self._held, self._entered = (hidden.rename(path), file), True
 
     def leave(self) -> None:
         """Be seen no more, stopped or timed."""
@@ -50,7 +50,8 @@ class Place:
     def end(self) -> None:
         """Leave for good; others learn that it was there."""
         self.leave()
-        _ended().touch()
+        if self._entered:
+            _ended().touch()
 
 
 @contextlib.contextmanager
