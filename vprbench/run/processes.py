@@ -12,7 +12,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -82,7 +81,7 @@ def run_apart(
             return stopped is not None and stopped()
 
         with (
-            slot.turn(arguments, given_up) if in_sweep else nullcontext({}) as gpu,
+            slot.turn(arguments if in_sweep else None, given_up) as gpu,
             subprocess.Popen(command, env=given | gpu, stdout=stdout, stderr=stderr, cwd=folder) as child,
             _lines_passed_on(child.stderr, heard),
         ):

@@ -98,14 +98,17 @@ def alone() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def turn(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+def turn(options: Sequence[str] | None, given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
     """Wait until a cell may begin: nobody is timed, and a GPU is free if `options` ask for one, or it is `given_up`.
 
-    Yields the variables that name the GPU to the cell's process; one asked for by its number needs no name.
+    Yields the variables that name the GPU to the cell's process; one asked for by its number needs no name. Without
+    options there is no cell, and no waiting.
     """
-    while taken() and not given_up():
+    while options is not None and taken() and not given_up():
         time.sleep(LOOK_EVERY)
-    asked = [found for option in options if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][-1:]
+    asked = [found for option in options or () if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][
+        -1:
+    ]
     number = asked[0][1] if asked else None
     names = _gpus() if asked and asked[0][0].startswith("device=cuda") else []
     names = names if number is None else names[int(number) : int(number) + 1]
