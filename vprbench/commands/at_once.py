@@ -38,6 +38,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "new": Command("vprbench.commands.working:new", "vprbench.plugins.new:Settings", words="method|dataset NAME"),
     "doctor": Command("vprbench.commands.working:doctor", groups=("dataset",), run=("output",)),
+    "status": Command("vprbench.commands.at_once:show_status", "vprbench.run.status:Asked"),
     "fetch": Command("vprbench.commands.working:fetch", "vprbench.data.fetch.command:Settings", words="[NAME]"),
     "table": Command("vprbench.commands.working:table", "vprbench.paper.gather:TableRequest", ("timing",), None),
     "figures": Command("vprbench.commands.working:figures", "vprbench.paper.gather:TableRequest", ("timing",), None),
@@ -72,6 +73,8 @@ def answered(arguments: Sequence[str]) -> int | None:
         _help(options if name == "help" else [each for each in arguments if each not in ("--help", "-h")])
     elif name == "list":
         show_list(["wide=true" if option == "--wide" else option for option in options])
+    elif name == "status":
+        show_status(["wide=true" if option == "--wide" else option for option in options])
     elif name == "completion":
         show_completion(options)
     else:
@@ -107,6 +110,24 @@ def show_list(words: Sequence[str]) -> None:
             show_table([f"{group}s", ""], rows, asked.wide or not console().is_terminal)
     for provider, reason in broken_plugins() if not words else ():
         print(printable(f"plug-in {provider} BROKEN: {reason}"))
+
+
+def show_status(words: Sequence[str]) -> None:
+    """Show which runs of a results folder are made now, by whom and how far, and how many are stored."""
+    from vprbench.plugins.options import chosen
+    from vprbench.run.status import Asked, row, status
+    from vprbench.terminal.console import console, show_table
+
+    asked = chosen(Asked, words, {})
+    found = status(asked.results)
+    if asked.output == "json":
+        print(json.dumps(found))
+        return
+    print(printable("{results}: {runs} runs and {failures} failures are stored".format(**found)))
+    if lines := [row(claim) for claim in found["claims"]]:
+        show_table([*lines[0]], [[*line.values()] for line in lines], asked.wide or not console().is_terminal)
+    else:
+        print("no run is being made")
 
 
 def _origin(provider: str) -> str:
