@@ -59,7 +59,7 @@ def _resources(job: Job) -> dict[str, Any]:
     """Return what PBS has to be asked for in one piece."""
     if job.system != "pbs" or not job.gpus:
         return {}
-    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={job.memory.lower()}:ngpus={job.gpus}"}
+    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb:ngpus={job.gpus}"}
 
 
 def _more(job: Job) -> list[str]:
@@ -68,5 +68,12 @@ def _more(job: Job) -> list[str]:
     lines = [gpus[job.system]] if job.gpus and job.system in gpus else []
     if job.system == "sge":
         lines += [f"-pe smp {job.cores}"] * (job.cores > 1)
-        lines += [f"-l mem_free={job.memory.removesuffix('B')}"]
+        lines += [f"-l mem_free={_mebibytes(job)}M"]
     return lines
+
+
+def _mebibytes(job: Job) -> int:
+    """Return the memory of a job as batch systems count it, whose MB is 1024 times 1024 bytes."""
+    from dask.utils import parse_bytes
+
+    return -(-int(parse_bytes(job.memory)) // 2**20)

@@ -29,7 +29,9 @@ from vprbench.cluster.crew import Begins, Cell, Crew, Heard, results_of
 from vprbench.cluster.gathered import unpack
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput, ClusterLostError
+from vprbench.plugins.entries import as_asked
 from vprbench.progress import answer_stream, marked
+from vprbench.run import claims
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.text import printable
@@ -40,7 +42,9 @@ _ATTEMPTS = 4  # at a cell whose worker dies: it is tried again three times
 _PATIENCE = 20.0  # seconds that interrupted cells have to end
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
+    "distributed.scheduler.default-task-durations": {"cell": "1h"},  # a job for each cell, if there may be so many
     "distributed.nanny.pre-spawn-environ": {},  # a cell pins its own threads
+    "distributed.worker.profile.enabled": False,  # a worker only waits
 }
 
 
@@ -71,9 +75,11 @@ class DaskCrew(Crew):
         """End what was begun: cells are interrupted first, so that they leave nothing behind."""
         with self._opened:
             if self._running and self._client.status == "running":
-                with contextlib.suppress(Exception):  # of workers that are gone
+                with contextlib.suppress(Exception):  # of workers that are gone, or of cells that take too long
                     self._client.run(stop, self._sweep, on_error="ignore")
                     wait([*self._running], timeout=_PATIENCE)
+        for root in {results_of(options) for _, options in self._running.values()}:
+            claims.Claims(root).tidy()  # of cells that had to be killed
 
     @cached_property
     def _client(self) -> Client:
@@ -98,7 +104,7 @@ class DaskCrew(Crew):
         order = Order(
             sweep=self._sweep,
             number=number,
-            options=tuple(options),
+            options=tuple(map(as_asked, options)),  # a loose file has its name in this process alone
             folder=str(Path.cwd()),
             shows=self._stdout != subprocess.DEVNULL,
             since=self._since,
