@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Timer
 
@@ -32,7 +32,8 @@ def held_elsewhere() -> Iterator[psutil.Popen]:
         try:
             yield process
         finally:
-            process.kill()
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
 
 
 def test_who_wants_to_be_alone_waits_for_the_others() -> None:

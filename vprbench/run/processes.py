@@ -12,7 +12,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -60,12 +59,11 @@ def run_apart(
 ) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
-    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. It works in
-    `folder`, or where this process does. `since` is when the sweep began, in seconds by the clock of the disk: a run
+    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. It works
+    in `folder`, or where this process does. `since` is when the sweep began, in seconds by the clock of the disk: a run
     that failed elsewhere meanwhile has failed. A process that dies without a word is a failure: one line on standard
-    error, and a record if it had begun a run. It is stopped while another cell of this host is timed. Any thread may
-    wait so; signals reach the main thread alone, `stopped` any. Raises KeyboardInterrupt, with the signal, where this
-    process was told to end meanwhile.
+    error, and a record if it had begun a run. It is stopped while another cell of this host is timed. Signals reach the
+    main thread alone, `stopped` any. Raises KeyboardInterrupt, with the signal, where this process was told to end.
     """
     if in_sweep:
         from vprbench.plugins.entries import as_asked
@@ -83,7 +81,7 @@ def run_apart(
             return stopped is not None and stopped()
 
         with (
-            slot.turn(arguments, given_up) if in_sweep else nullcontext({}) as gpu,
+            slot.turn(arguments if in_sweep else None, given_up) as gpu,
             subprocess.Popen(command, env=given | gpu, stdout=stdout, stderr=stderr, cwd=folder) as child,
             _lines_passed_on(child.stderr, heard),
         ):
