@@ -54,6 +54,7 @@ def _arguments(job: Job) -> dict[str, Any]:
         "worker_extra_args": ["--nthreads", "1", "--memory-limit", "0"],  # the job's limit is that of its cell
         "interface": job.interface,
         "log_directory": str(logs),
+        "scheduler_options": {"dashboard_address": ":0"},  # the usual port may be taken by another sweep
         **_resources(job),
     }
 
