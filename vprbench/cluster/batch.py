@@ -69,9 +69,9 @@ def _arguments(job: Job) -> dict[str, Any]:
 
 def _resources(job: Job) -> dict[str, Any]:
     """Return what PBS has to be asked for in one piece."""
-    if job.system != "pbs" or not job.gpus:
-        return {}
-    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb:ngpus={job.gpus}"}
+    gpus = f":ngpus={job.gpus}" * (job.gpus > 0)
+    spec = f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb{gpus}"
+    return {"resource_spec": spec} if job.system == "pbs" else {}
 
 
 def _more(job: Job) -> list[str]:
