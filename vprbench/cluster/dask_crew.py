@@ -83,7 +83,8 @@ class DaskCrew(Crew):
 
     @cached_property
     def _client(self) -> Client:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what becomes of cells is told here
+        for name in ("distributed", "distributed.client", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what becomes of cells is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._told)
