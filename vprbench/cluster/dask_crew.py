@@ -129,7 +129,9 @@ class DaskCrew(Crew):
                 running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
             for future in self._done(running):
                 number, error = running.pop(future), future.exception()
-                yield number, *((future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}"))
+                given = (future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}")
+                future.release()
+                yield number, *given
 
     def _done(self, running: Iterable[Future[Any]]) -> set[Future[Any]]:
         """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
@@ -156,6 +158,7 @@ class DaskCrew(Crew):
         if error is not None:
             return Ending(1, error=f"{type(error).__name__} on {host}: {error}")
         done = future.result()
+        future.release()  # or it would be made again when its worker dies
         if done.parcel is not None:
             unpack(done.parcel, Store(results_of(options)))
         if done.said:
