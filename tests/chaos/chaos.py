@@ -10,6 +10,7 @@ cell at the same time, and if no claim, no temporary file and no process is left
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,21 @@ from vprbench.run.store import Store
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-METHODS = {
-    name: f"watched_{name.lower()}"
-    for name in ("SAD", "RandomProjection", "FlyHash", "PCA", "HyperDimensional", "Gabor")
+sys.path.append(str(HERE.parent / "support"))
+from plugged_in import plugin  # noqa: E402
+
+METHODS = {  # each is compared under as many seeds as make the cells
+    "watched_gaussian": "RandomProjection\ncomponents: 256",
+    "watched_signs": "RandomProjection\ncomponents: 256\ndirections: signs",
+    "watched_flyhash": "FlyHash\nunits: 2000\nwinners: 100",
+    "watched_flyhash_sparse": "FlyHash\nunits: 2000\nwinners: 20",
+    "watched_pca": "PCA\ncomponents: 16",
+    "watched_hyperdimensional": "HyperDimensional\ncomponents: 512",
 }
-CORRUPTIONS = [f"{kind}-{strength}" for strength in (1, 2, 3) for kind in ("shift", "noise", "blur", "brightness")]
 N_WORKERS = 4
 KILLS = {"worker": 16, "scheduler": 1, "client": 3}  # how often each kind is chosen
 PAUSE = (2.0, 14.0)  # seconds from one kill to the next
-PEACE = 900.0  # seconds that a sweep has to end once nothing is killed
+PEACE = 1800.0  # seconds that a sweep has to end once nothing is killed
 MARK = "CHAOS_HOME"  # environment variable of all processes that are begun here
 
 
@@ -53,44 +60,39 @@ class Chaos:
         self.kills: Counter[str] = Counter()
         self.ends: Counter[str] = Counter()
         self.faults: list[str] = []
-        self._tail: dict[str, Any] = {}  # processes by what they are
+        self._cluster: dict[str, Any] = {}  # processes by what they are
         self._begun: Counter[str] = Counter()
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.scheduler = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        corruptions = CORRUPTIONS[: n_cells // len(METHODS) - 1]
         self.command = [
             "compare",
-            f"methods=[{','.join(METHODS.values())}]",
-            f"corruptions=[{','.join(corruptions)}]",
+            f"methods=[{','.join(METHODS)}]",
+            f"seeds={n_cells // len(METHODS)}",
             "dataset=synthetic",
             "dataset.places=30",
             "threads=1",
             "frames=false",
         ]
-        self.n_cells = len(METHODS) * (len(corruptions) + 1)
-        for folder in ("tmp", "logs", "watch", "cache", "plugin/watched_conf/method", "plugin/watched-1.dist-info"):
-            (home / folder).mkdir(parents=True)
-        plugin = home / "plugin"
-        shutil.copy(HERE / "watched.py", plugin)
-        for name, method in METHODS.items():
-            text = f"# {name}\n_target_: watched.{name}\n"
-            (plugin / "watched_conf" / "method" / f"{method}.yaml").write_text(text)
-        about = plugin / "watched-1.dist-info"
-        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: watched\nVersion: 1\n")
-        (about / "entry_points.txt").write_text("[vprbench.conf]\nwatched = watched_conf\n")
+        self.n_cells = n_cells // len(METHODS) * len(METHODS)
+        for folder in ("tmp", "logs", "watch", "cache"):
+            (home / folder).mkdir()
+        yamls = {name: f"_target_: watched.{text}\nseed: ${{seed}}" for name, text in METHODS.items()}
+        plugin(home / "plugin", "watched", "watched", yamls)
+        shutil.copy(HERE / "watched.py", home / "plugin")
         own = {"TMPDIR": "tmp", "CHAOS_WATCH": "watch", MARK: "", "DASK_TEMPORARY_DIRECTORY": "dask"}
         own |= {f"VPRBENCH_{name}": f"cache/{name}" for name in ("FRAMES", "HASHES", "PARTIAL")}
         self.environment = {**os.environ, **{name: str(home / folder) for name, folder in own.items()}}
-        self.environment["PYTHONPATH"] = os.pathsep.join([str(plugin), str(ROOT)])
+        self.environment["PYTHONPATH"] = os.pathsep.join([str(home / "plugin"), str(ROOT)])
 
     def begin(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Begin a process of Python; what it says goes to a file of its own."""
         self._begun[name] += 1
         with (self.home / "logs" / f"{name}-{self._begun[name]}.log").open("wb") as log:
-            command = [sys.executable, "-m", *arguments]
-            given = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log, "env": self.environment}
-            return subprocess.Popen(command, cwd=self.home, start_new_session=True, **given)  # type: ignore[call-overload,no-any-return]
+            command, environment = [sys.executable, "-m", *arguments], self.environment
+            return subprocess.Popen(
+                command, cwd=self.home, env=environment, stdout=log, stderr=log, stdin=subprocess.DEVNULL
+            )
 
     def client(self, results: Path) -> subprocess.Popen[bytes]:
         """Give the command, with workers of its own or on the cluster."""
@@ -103,32 +105,25 @@ class Chaos:
         wanted = {"scheduler": ["scheduler", "--host", "127.0.0.1", "--port", self.scheduler.rpartition(":")[2]]}
         wanted |= {f"worker{n}": ["worker", self.scheduler, "--nthreads", "1"] for n in range(N_WORKERS)}
         for name, arguments in wanted.items():
-            if name not in self._tail or self._tail[name].poll() is not None:
-                self._tail[name] = self.begin(name, "dask", *arguments, "--no-dashboard")
+            if name not in self._cluster or self._cluster[name].poll() is not None:
+                self._cluster[name] = self.begin(name, "dask", *arguments, "--no-dashboard")
 
     def kill_one(self) -> None:
         """Kill a process, chosen at random."""
         kind = self.drawn.choices([*KILLS], [*KILLS.values()])[0]
-        found = [process for process, what in self.processes() if what == kind]
+        found = sorted(process for process, what in self.processes() if what == kind)
         if found:
-            try:
-                os.kill(self.drawn.choice(sorted(found)), signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.drawn.choice(found), signal.SIGKILL)
                 self.kills[kind] += 1
-            except ProcessLookupError:
-                pass
 
     def processes(self) -> Iterator[tuple[int, str]]:
         """Yield all processes of the sweep that live, and what they are."""
         mark = f"{MARK}={self.environment[MARK]}".encode()
         for folder in Path("/proc").glob("[0-9]*"):
-            try:
+            with contextlib.suppress(OSError):  # it has ended
                 if mark in (folder / "environ").read_bytes().split(b"\0"):
-                    yield (
-                        int(folder.name),
-                        _kind((folder / "cmdline").read_bytes().decode(errors="replace").split("\0")),
-                    )
-            except OSError:  # it has ended
-                continue
+                    yield int(folder.name), _kind((folder / "cmdline").read_text(errors="replace").replace("\0", " "))
 
     def disturb(self, seconds: float, right: dict[str, Run]) -> None:
         """Kill and begin again for so many seconds; a sweep that ends is looked at, and the next one begins."""
@@ -162,35 +157,29 @@ class Chaos:
             code, client = client.poll(), None
             if code in (0, None):
                 break
-            self.ends[f"code {code}" if code >= 0 else "killed"] += 1
-        if code is None:
-            self.faults.append(f"the sweep did not end within {PEACE:.0f} s of peace")
-        self.ends["in peace, code " + str(code)] += 1
+        if code != 0:
+            self.faults.append(f"the sweep did not end well in {PEACE:.0f} s of peace, but with {code}")
+        self.ends[f"in peace, code {code}"] += 1
         self.judge(results, right)
 
     def judge(self, results: Path, right: dict[str, Run]) -> None:
         """Compare a store with the serial one."""
-        made = stored(results)
-        failures = [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()]
-        lost = sorted(right.keys() - made.keys())
-        doubled = (self.home / "watch" / "doubled").read_text().splitlines() if self._doubled() else []
-        different = sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key]))
-        other = sorted(made.keys() - right.keys())
-        claims = list((results / ".claims").glob("*"))
-        print(
-            f"{results.name}: {len(made)} of {len(right)} cells, {len(lost)} lost, {len(doubled)} doubled, "
-            f"{len(different)} different, {len(other)} unknown, {len(failures)} failures, {len(claims)} claims",
-            flush=True,
-        )
-        for what in ("lost", "doubled", "different", "other", "failures", "claims"):
-            self.faults += [f"{results.name}, {what}: {each}" for each in locals()[what]]
-
-    def _doubled(self) -> bool:
-        return (self.home / "watch" / "doubled").exists()
+        made, watched = stored(results), self.home / "watch" / "doubled"
+        found = {
+            "lost": sorted(right.keys() - made.keys()),
+            "unknown": sorted(made.keys() - right.keys()),
+            "doubled": watched.read_text().splitlines() if watched.exists() else [],
+            "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
+            "failed": [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()],
+            "claimed": sorted((results / ".claims").glob("*")),
+        }
+        counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
+        print(f"{results.name}: {len(made)} of {len(right)} cells; {counts}", flush=True)
+        self.faults += [f"{results.name}: {what}: {each}" for what, those in found.items() for each in those]
 
     def end(self) -> None:
         """End the cluster and see what is left."""
-        for process in self._tail.values():
+        for process in self._cluster.values():
             process.terminate()
         until = time.monotonic() + 30.0
         while (left := [*self.processes()]) and time.monotonic() < until:
@@ -203,14 +192,9 @@ class Chaos:
             os.kill(process, signal.SIGKILL)
 
 
-def _kind(words: list[str]) -> str:
-    line = " ".join(words)
-    kinds: dict[str, Callable[[], bool]] = {
-        "scheduler": lambda: "dask scheduler" in line,
-        "client": lambda: "vprbench compare" in line,
-        "worker": lambda: "dask worker" in line or "spawn_main" in line,
-    }
-    return next((kind for kind, is_it in kinds.items() if is_it()), line)
+def _kind(line: str) -> str:
+    of = {"dask scheduler": "scheduler", "vprbench compare": "client", "dask worker": "worker", "spawn_main": "worker"}
+    return next((kind for word, kind in of.items() if word in line), line)
 
 
 def _temporary(path: Path) -> bool:
@@ -252,8 +236,10 @@ def main() -> int:
     if code or len(right) != chaos.n_cells:
         print(f"the serial run failed: {(home / 'logs' / 'serial-1.log').read_text()[-2000:]}")
         return 1
-    chaos.disturb(60 * asked.minutes, right)
-    chaos.end()
+    try:
+        chaos.disturb(60 * asked.minutes, right)
+    finally:
+        chaos.end()
     kills = ", ".join(f"{kind} {chaos.kills[kind]}" for kind in KILLS)
     print(f"seed {asked.seed}, {asked.minutes:g} minutes; kills: {kills}; clients ended: {dict(chaos.ends)}")
     if not chaos.faults:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import IO, Any, Self
 
-from vprbench.methods import flyhash, gabor, hyperdimensional, pca, random_projection, sad
+from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
 
 _locks: list[IO[str]] = []  # held until the process ends, however it does
 
@@ -36,10 +36,6 @@ class _Watched:
         return super().match(*given)  # type: ignore[misc]
 
 
-class SAD(_Watched, sad.SAD):
-    """Sum of absolute differences."""
-
-
 class RandomProjection(_Watched, random_projection.RandomProjection):
     """Random projections."""
 
@@ -54,7 +50,3 @@ class PCA(_Watched, pca.PCA):
 
 class HyperDimensional(_Watched, hyperdimensional.HyperDimensional):
     """Hyperdimensional vectors."""
-
-
-class Gabor(_Watched, gabor.Gabor):
-    """Gabor filters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from vprbench.cluster.batch import started
 from vprbench.cluster.jobs import job
+from vprbench.errors import BadInput
 
 ASKED = {
     "queue": "long",
@@ -34,10 +36,23 @@ WANTED = {  # as the manuals of sbatch, qsub (OpenPBS), bsub and qsub (Grid Engi
 SENTINEL = {"slurm": "#SBATCH", "pbs": "#PBS", "lsf": "#BSUB", "sge": "#$"}
 
 
+@pytest.fixture(autouse=True)
+def batch_systems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the commands of all systems take any script, and keep it."""
+    keep = f'cat "$@" >{tmp_path}/submitted; echo "Submitted batch job 1; Job <1> is submitted; 1.host"'
+    commands = dict.fromkeys(("sbatch", "qsub", "bsub"), keep) | dict.fromkeys(("scancel", "qdel", "bkill"), ":")
+    for command, does in commands.items():
+        program = tmp_path / "bin" / command
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(f"#!/bin/sh\n{does}\n")
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}/bin", prepend=os.pathsep)
+
+
 def script(tmp_path: Path, system: str, **given: Any) -> str:
-    """Return the script of a job; nothing is submitted."""
-    with started(job({"name": system, "logs": str(tmp_path / "logs"), **given}, workers=None)) as cluster:
-        return str(cluster.job_script())
+    """Return the script that a system gets of a job."""
+    with started(job({"name": system, "logs": str(tmp_path / "logs"), **given}, workers=None)):
+        return (tmp_path / "submitted").read_text()
 
 
 def directives(text: str, system: str) -> list[str]:
@@ -95,3 +110,14 @@ def test_memory_is_the_same_in_the_units_of_all_systems(tmp_path: Path) -> None:
     assert "--mem=512M" in found["slurm"]
     assert re.search("mem=512mb", found["pbs"], re.IGNORECASE)
     assert re.search(r"mem_free=512M(?!i)", found["sge"])
+
+
+def test_a_system_that_takes_no_job_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho partition long is closed >&2\nexit 1\n")
+    with pytest.raises(BadInput, match=r"^cluster=slurm takes no job: partition long is closed$"):
+        script(tmp_path, "slurm")
+
+
+def test_a_memory_that_is_none_is_said(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"cluster\.memory=lots: give a number and a unit"):
+        script(tmp_path, "slurm", memory="lots")

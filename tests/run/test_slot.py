@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Timer
 
@@ -32,7 +32,8 @@ def held_elsewhere() -> Iterator[psutil.Popen]:
         try:
             yield process
         finally:
-            process.kill()
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
 
 
 def test_who_wants_to_be_alone_waits_for_the_others() -> None:
@@ -96,13 +97,13 @@ def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for() ->
 def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
     slot._gpus.cache_clear()
-    with slot.gpu(["device=cpu", "device=cuda"], lambda: False) as first:
+    with slot.turn(["device=cpu", "device=cuda"], lambda: False) as first:
         assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
-        with slot.gpu(["device=cuda:1"], lambda: False) as numbered, slot.gpu(["seed=1"], lambda: False) as none:
+        with slot.turn(["device=cuda:1"], lambda: False) as numbered, slot.turn(["seed=1"], lambda: False) as none:
             assert numbered == none == {}
             looks = iter([False, True])
-            with slot.gpu(["device=cuda"], lambda: next(looks)) as given_up:
+            with slot.turn(["device=cuda"], lambda: next(looks)) as given_up:
                 assert given_up == {}
-        with slot.gpu(["device=cuda"], lambda: False) as second:
+        with slot.turn(["device=cuda"], lambda: False) as second:
             assert second == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
     slot._gpus.cache_clear()

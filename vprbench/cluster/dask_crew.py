@@ -148,7 +148,7 @@ class DaskCrew(Crew):
     def _ending(self, future: Future[Done]) -> Ending:
         """Return how a cell ended; raises BadInput for workers that can make none."""
         (number, options), error = self._running.pop(future), future.exception()
-        host = (self._hosts.get(number) or ["a worker"])[-1]
+        host = self._hosts.pop(number, ["a worker"])[-1]
         if isinstance(error, KilledWorker):
             return Ending(1, error=f"its worker died each of the {_ATTEMPTS} times it was tried, at last on {host}")
         if isinstance(error, ImportError):

@@ -59,32 +59,30 @@ def run_apart(
 ) -> Ending:
     """Run the command line in a new process, which ends with this one; returns how it ended.
 
-    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. Once
-    `stopped` says so it is interrupted. It works in `folder`; None: where this process does. `since` is when the sweep
-    began, in seconds by the clock of the disk: a run that failed elsewhere meanwhile has failed.
-    A process that dies without a word is a failure: one line on standard error, and a record if it had begun a run.
-    Any thread may wait so, but signals reach the main thread alone. The process is stopped while another cell of this
-    host is timed. Raises KeyboardInterrupt, with the signal, where this process was told to end meanwhile.
+    `heard` is told, in a thread, each line that comes on its standard error, in place of this process's own. It works
+    in `folder`, or where this process does. `since` is when the sweep began, in seconds by the clock of the disk: a run
+    that failed elsewhere meanwhile has failed. A process that dies without a word is a failure: one line on standard
+    error, and a record if it had begun a run. It is stopped while another cell of this host is timed. Signals reach the
+    main thread alone, `stopped` any. Raises KeyboardInterrupt, with the signal, where this process was told to end.
     """
     if in_sweep:
         from vprbench.plugins.entries import as_asked
 
         arguments = [*map(as_asked, arguments)]
-    home = str(checkout_folder())
-    path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    with (
-        _slip() as left,
-        _signals_passed_on() as (watched, signals),
-        slot.gpu(arguments if in_sweep else (), lambda: bool(signals or (stopped and stopped()))) as gpu,
-    ):
-        given = {**os.environ, "PYTHONPATH": path, ending.FILE: str(left)} | ({IN_SWEEP: "1"} if in_sweep else {})
-        given |= ({MARKED: "1"} if heard else {}) | ({} if since is None else {SINCE: repr(since)}) | gpu
+    with _slip() as left, _signals_passed_on() as (watched, signals):
+        more = {IN_SWEEP: in_sweep and "1", MARKED: heard and "1", SINCE: since and repr(since), ending.FILE: str(left)}
+        given = _environment({name: text for name, text in more.items() if text})
         command = [sys.executable, *_flags(), "-m", "vprbench", *arguments]
         stderr = subprocess.PIPE if heard else None
-        while in_sweep and slot.taken() and not signals and not (stopped and stopped()):
-            time.sleep(slot.LOOK_EVERY)
+
+        def given_up() -> bool:
+            if signals:
+                raise KeyboardInterrupt(signals[0])
+            return stopped is not None and stopped()
+
         with (
-            subprocess.Popen(command, env=given, stdout=stdout, stderr=stderr, cwd=folder) as child,
+            slot.turn(arguments if in_sweep else None, given_up) as gpu,
+            subprocess.Popen(command, env=given | gpu, stdout=stdout, stderr=stderr, cwd=folder) as child,
             _lines_passed_on(child.stderr, heard),
         ):
             watched.append(Watched(child, left, in_sweep))
@@ -100,6 +98,12 @@ def run_apart(
         return _dead(how, words, heard)
     known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}
     return Ending(**known)  # what happens to a process after its last word changes nothing of what it has stored
+
+
+def _environment(more: dict[str, str]) -> dict[str, str]:
+    """Return the environment of a child, in which it finds this program."""
+    path = os.pathsep.join(filter(None, [str(checkout_folder()), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, **more}
 
 
 @contextlib.contextmanager

@@ -28,7 +28,7 @@ class Place:
 
     def __init__(self, process: int) -> None:
         """Keep the place of a process, which is not taken yet."""
-        self._process = process
+        self._process, self._entered = process, False
         self._held: tuple[Path, IO[bytes]] | None = None
 
     def enter(self) -> None:
@@ -38,7 +38,7 @@ class Place:
             hidden = folder() / path.name  # until it is locked, or it would be taken for one that is left behind
             file = hidden.open("ab")
             _locked(file)
-            self._held = hidden.rename(path), file
+            self._held, self._entered = (hidden.rename(path), file), True
 
     def leave(self) -> None:
         """Be seen no more, stopped or timed."""
@@ -50,7 +50,8 @@ class Place:
     def end(self) -> None:
         """Leave for good; others learn that it was there."""
         self.leave()
-        _ended().touch()
+        if self._entered:
+            _ended().touch()
 
 
 @contextlib.contextmanager
@@ -97,12 +98,17 @@ def alone() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def gpu(options: Sequence[str], given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
-    """Wait for a GPU that no other cell of this host uses, if `options` ask for one; yields the variables that name it.
+def turn(options: Sequence[str] | None, given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+    """Wait until a cell may begin: nobody is timed, and a GPU is free if `options` ask for one, or it is `given_up`.
 
-    A GPU asked for by its number is waited for, and nothing is named. There is none, and no waiting, once `given_up`.
+    Yields the variables that name the GPU to the cell's process; one asked for by its number needs no name. Without
+    options there is no cell, and no waiting.
     """
-    asked = [found for option in options if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][-1:]
+    while options is not None and taken() and not given_up():
+        time.sleep(LOOK_EVERY)
+    asked = [found for option in options or () if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][
+        -1:
+    ]
     number = asked[0][1] if asked else None
     names = _gpus() if asked and asked[0][0].startswith("device=cuda") else []
     names = names if number is None else names[int(number) : int(number) + 1]

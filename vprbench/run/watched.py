@@ -35,8 +35,8 @@ class Watched:
         try:
             while True:
                 self._look()
-                if stopped is not None and stopped() and not self._ends:
-                    self.end_by(signal.SIGINT)
+                if stopped is not None and stopped():
+                    self.end_by(signal.SIGINT)  # at each look: it may begin only now to listen, and listens once
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     return self._child.wait(slot.LOOK_EVERY)
         finally:
