@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import uuid
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from functools import cached_property
@@ -62,6 +62,7 @@ class DaskCrew(Crew):
         self._numbers = itertools.count()
         self._running: dict[Future[Done], Cell] = {}
         self._hosts: dict[int, list[str]] = {}  # on which a cell was begun
+        self._put_back: Counter[int] = Counter()  # how often, for workers that died while it waited
         self._begins: Begins = lambda *_: None
         self._heard: Heard = _say
 
@@ -83,7 +84,8 @@ class DaskCrew(Crew):
 
     @cached_property
     def _client(self) -> Client:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what becomes of cells is told here
+        for name in ("distributed", "distributed.client", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what becomes of cells is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._told)
@@ -100,6 +102,9 @@ class DaskCrew(Crew):
 
     def _start(self, cell: Cell, begins: Begins, heard: Heard | None) -> None:
         self._begins, self._heard = begins, heard or _say
+        self._submit(cell)
+
+    def _submit(self, cell: Cell) -> None:
         number, options = cell
         order = Order(
             sweep=self._sweep,
@@ -114,7 +119,21 @@ class DaskCrew(Crew):
         self._running[self._client.submit(make, order, key=key, pure=False)] = cell
 
     def _ended(self) -> list[tuple[int, Ending]]:
-        return [(self._running[future][0], self._ending(future)) for future in self._done(self._running)]
+        ended = []
+        for future in self._done(self._running):
+            cell = self._running.pop(future)
+            if self._only_waited(cell[0], future):
+                self._submit(cell)
+            else:
+                ended.append((cell[0], self._ending(cell, future)))
+        return ended
+
+    def _only_waited(self, number: int, future: Future[Done]) -> bool:
+        """Tell whether dask has given up a cell for workers that died while it waited for them, and not of it."""
+        if not isinstance(future.exception(), KilledWorker) or len(self._hosts.get(number, ())) >= _ATTEMPTS:
+            return False
+        self._put_back[number] += 1
+        return self._put_back[number] < _ATTEMPTS
 
     def answers(
         self, attempt: Callable[[Any], Any], tasks: Sequence[Any], begins: Callable[[int], None]
@@ -128,7 +147,9 @@ class DaskCrew(Crew):
                 running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
             for future in self._done(running):
                 number, error = running.pop(future), future.exception()
-                yield number, *((future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}"))
+                given = (future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}")
+                future.release()
+                yield number, *given
 
     def _done(self, running: Iterable[Future[Any]]) -> set[Future[Any]]:
         """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
@@ -142,12 +163,13 @@ class DaskCrew(Crew):
             raise self._lost()
         return done
 
-    def _ending(self, future: Future[Done]) -> Ending:
+    def _ending(self, cell: Cell, future: Future[Done]) -> Ending:
         """Return how a cell ended; raises BadInput for workers that can make none."""
-        (number, options), error = self._running.pop(future), future.exception()
-        host = self._hosts.pop(number, ["a worker"])[-1]
+        (number, options), error = cell, future.exception()
+        begun = self._hosts.pop(number, ["a worker"])
+        host = begun[-1]
         if isinstance(error, KilledWorker):
-            return Ending(1, error=f"its worker died each of the {_ATTEMPTS} times it was tried, at last on {host}")
+            return Ending(1, error=f"its worker died each of the {len(begun)} times it was tried, at last on {host}")
         if isinstance(error, ImportError):
             raise BadInput(f"{host} cannot make cells ({error}): install vprbench {__version__} there") from error
         if isinstance(error, BadInput):
@@ -155,6 +177,7 @@ class DaskCrew(Crew):
         if error is not None:
             return Ending(1, error=f"{type(error).__name__} on {host}: {error}")
         done = future.result()
+        future.release()  # or it would be made again when its worker dies
         if done.parcel is not None:
             unpack(done.parcel, Store(results_of(options)))
         if done.said:

@@ -7,7 +7,6 @@ import fcntl
 import functools
 import math
 import os
-import re
 import subprocess
 import tempfile
 import time
@@ -106,17 +105,16 @@ def turn(options: Sequence[str] | None, given_up: Callable[[], bool]) -> Iterato
     """
     while options is not None and taken() and not given_up():
         time.sleep(LOOK_EVERY)
-    asked = [found for option in options or () if (found := re.fullmatch(r"device=(?:cuda(?::(\d+))?|.*)", option))][
-        -1:
-    ]
-    number = asked[0][1] if asked else None
-    names = _gpus() if asked and asked[0][0].startswith("device=cuda") else []
-    names = names if number is None else names[int(number) : int(number) + 1]
+    device = next((option for option in reversed(options or ()) if option.startswith("device=")), "")
+    kind, _, number = device.removeprefix("device=").partition(":")
+    names = _gpus() if kind == "cuda" else []
+    if number.isdigit():
+        names = names[int(number) :][:1]
     while names and not given_up():
         for name in names:
             with (folder() / f"gpu-{name}").open("ab") as file:
                 if _locked(file):
-                    yield {"CUDA_VISIBLE_DEVICES": name} if number is None else {}
+                    yield {} if number else {"CUDA_VISIBLE_DEVICES": name}
                     return
         time.sleep(LOOK_EVERY)
     yield {}
