@@ -7,7 +7,7 @@ READY := $(VENV)/.installed
 PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt $(PIP_ARGS)
 LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton check docs clean
+.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton chaos check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -48,6 +48,9 @@ test: $(READY) ## Run all tests, a worker with one thread for each core (ARGS pa
 test-triton: $(READY) ## Run the tests of the GPU training in Triton's interpreter, without a GPU; installs triton (280 MB).
 	$(RUN) -c "import triton" 2>/dev/null || $(RUN) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) triton==3.9.0
 	VPRBENCH_INSIST_ON_TRITON=1 $(RUN) -m pytest tests/methods/vprtempo/test_fused_cuda.py $(ARGS)
+
+chaos: $(READY) ## Kill workers, scheduler and client of a sweep for ten minutes, and see that nothing is lost: MINUTES= SEED=
+	$(RUN) tests/chaos/chaos.py $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
 check: $(READY) ## Lint, formatting and types.
 	$(VENV)/bin/ruff check .

@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
 
+import psutil
 import pytest
+from checkout import ROOT
 
 from vprbench import cli
 from vprbench.cluster import crew
-from vprbench.run import processes
+from vprbench.run import processes, slot, watched
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
+from vprbench.storage import owner
 
 RUN = {"method": "little", "dataset": "journey", "config": {"seed": 4}}
+STUCK = """import os, pathlib, sys, time, types
+
+def main():
+    pathlib.Path("it").write_text(str(os.getpid()))
+    time.sleep(60)
+
+sys.modules["vprbench.cli"] = types.SimpleNamespace(main=main)
+"""
 GOOD = '{"code": 0}'
 
 
@@ -95,6 +110,107 @@ def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) ->
         ends(f"kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
     assert ended.value.args == (number,)
     assert signal.getsignal(number) is before
+
+
+@pytest.fixture
+def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work on a host where nothing runs."""
+    monkeypatch.setenv(slot.FOLDER, str(tmp_path / "slot"))
+
+
+@pytest.mark.usefixtures("host")
+def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_stands_still(
+    ends, tmp_path: Path
+) -> None:
+    ticks, words = tmp_path / "ticks", '"$VPRBENCH_ENDING"'
+    limit, bound = tmp_path / "limit", '{"bound": true}'
+    loop = f"for i in 1 2 3 4 5 6 7 8 9 10; do date +%s%N >> {ticks}; cat {limit} >> {words}; sleep 0.1; done"
+    script = f"echo '{bound}' >> {words}; touch {limit}; {loop}; cp {words} {tmp_path}/said; echo '{GOOD}' >> {words}"
+    with ThreadPoolExecutor(1) as pool:
+        ending = pool.submit(ends, script)
+        while not ticks.exists():
+            time.sleep(0.01)
+        limit.write_text(json.dumps({"until": time.monotonic() + 3, "limit_minutes": 0.05}) + "\n")
+        time.sleep(0.2)
+        with slot.alone() as alone:
+            began = time.time_ns()
+            time.sleep(3)
+            ended = time.time_ns()
+            assert alone()
+        assert ending.result() == Ending(0)
+    seen = [*map(int, ticks.read_text().split())]
+    assert len(seen) == 10
+    assert not [moment for moment in seen if began < moment < ended]
+    told = [json.loads(line).get("stopped", 0) for line in (tmp_path / "said").read_text().splitlines()]
+    assert 3 <= max(told) < 4
+
+
+@pytest.mark.usefixtures("host")
+def test_a_stopped_cell_is_interrupted_at_once(ends) -> None:
+    script = """echo '{"bound": true}' > "$VPRBENCH_ENDING"; (sleep 0.5; kill -INT $PPID) & exec sleep 20"""
+    began = threading.Event()
+    over = threading.Event()
+
+    def hold() -> None:
+        time.sleep(0.2)
+        with slot.alone():
+            began.set()
+            over.wait(20)
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(hold)
+        started = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            ends(script)
+        assert began.is_set()
+        over.set()
+    assert time.monotonic() - started < 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes that end with their parent")
+@pytest.mark.usefixtures("host")
+def test_a_stopped_cell_ends_with_a_killed_parent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text(STUCK)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
+    monkeypatch.chdir(tmp_path)
+    waiting = "from vprbench.run.processes import run_apart; run_apart(['seed=1'])"
+    with psutil.Popen([sys.executable, "-c", waiting]) as parent:
+        while not (tmp_path / "it").exists() or not (tmp_path / "it").read_text():
+            time.sleep(0.02)
+        child = psutil.Process(int((tmp_path / "it").read_text()))
+        with slot.alone() as alone:
+            assert alone()
+            assert child.status() == psutil.STATUS_STOPPED
+            parent.kill()
+            child.wait(10)
+
+
+@pytest.mark.parametrize(("after", "words"), [(4, "out of memory on "), (3, "not for want of memory")])
+def test_a_kill_for_want_of_memory_is_told_from_another(
+    ends, after: int, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = iter([3, after])
+    monkeypatch.setattr(watched, "_oom_kills", lambda: {"/proc/vmstat": next(counts)})
+    assert words in ends("kill -KILL $$").error
+
+
+def test_a_dead_child_leaves_no_claim_and_no_half_file(ends, tmp_path: Path) -> None:
+    store, host = tmp_path / "results", owner.mark().partition("-")[0]
+    (store / ".claims").mkdir(parents=True)
+    claim = store / ".claims" / "it"
+    words = json.dumps({**owner.this_process(), "process": 1234567, "started": 7654321})
+    (tmp_path / "words").write_text(words)
+    (tmp_path / "begun").write_text(json.dumps({"claim": str(claim), "results": str(store)}))
+    others = store / f".partial-{owner.mark()}-x"
+    others.touch()
+    ends(
+        "started=$(cut -d' ' -f22 /proc/$$/stat)\n"
+        f'sed "s/1234567/$$/;s/7654321/$started/" {tmp_path}/words | tee {claim} > {tmp_path}/copy\n'
+        f"touch {store}/.partial-{host}-$$-$started-y\n"
+        f'cat {tmp_path}/begun > "$VPRBENCH_ENDING"; kill -KILL $$'
+    )
+    assert json.loads((tmp_path / "copy").read_text())["machine"] == owner.this_process()["machine"]
+    assert [path.name for path in store.iterdir()] == [others.name]
 
 
 @pytest.mark.parametrize("in_sweep", [True, False])

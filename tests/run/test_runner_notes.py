@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,10 +14,13 @@ from little import Lookup, journey, number_in
 from little_runs import QUICK, kinds, run_of, table
 from stopped_clock import Clock
 
-from vprbench.api.arrays import Scores
+from vprbench import ending
+from vprbench.api.arrays import Places, Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
+from vprbench.run import slot
+from vprbench.run.rows import numbers
 from vprbench.run.stopwatch import Protocol
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -148,3 +152,35 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
+
+
+def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(slot.FOLDER, str(tmp_path))
+    monkeypatch.setattr(slot, "_PATIENCE", 0.0)
+    alone = run_of(Lookup(table(12, 4)), journey(12, 4))
+    place = slot.Place(1)
+    place.enter()
+    beside = run_of(Lookup(table(12, 4)), journey(12, 4))
+    place.end()
+    for run, expected in ((alone, True), (beside, False)):
+        told = numbers(run)
+        assert (told["fitted_alone"], told["timed_alone"]) == (expected, expected)
+        assert ({"fitted", "noisy"} <= {*kinds(run)}) is not expected
+
+
+def test_a_stop_is_no_part_of_what_a_run_measures(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    stops = 0.0
+
+    class Stopped(Lookup):
+        def fit(self, references: Images, places: Places) -> None:
+            nonlocal stops
+            clock.spend(7)
+            stops += 5
+            super().fit(references, places)
+
+    monkeypatch.setattr(ending, "stopped", lambda: stops)
+    run = run_of(Stopped(table(12, 4)), journey(12, 4))
+    assert (run.fit_seconds, run.harness_seconds) == (2, 0)
+    assert run.environment["stopped_seconds"] == 5

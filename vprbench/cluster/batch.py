@@ -16,14 +16,17 @@ if TYPE_CHECKING:
 
 
 def started(job: Job) -> JobQueueCluster:
-    """Return a cluster whose jobs are submitted as there are cells; raises BadInput if none can be submitted."""
+    """Return a cluster whose jobs are submitted as there are cells; raises BadInput if the first is not taken."""
     import dask_jobqueue
 
-    cluster: JobQueueCluster = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")(**_arguments(job))
+    first = max(1, job.minimum) if job.adaptive else job.maximum
+    kind = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")
+    try:
+        cluster: JobQueueCluster = kind(n_workers=first, **_arguments(job))
+    except (OSError, RuntimeError, ValueError) as error:  # what submits jobs is not there, or refuses
+        raise BadInput(f"cluster={job.system} takes no job: {str(error).strip().splitlines()[-1]}") from error
     if job.adaptive:
         cluster.adapt(minimum_jobs=job.minimum, maximum_jobs=job.maximum)
-    else:
-        cluster.scale(jobs=job.maximum)
     return cluster
 
 
@@ -42,7 +45,7 @@ def _arguments(job: Job) -> dict[str, Any]:
     return {
         "cores": job.cores,
         "processes": 1,
-        "memory": job.memory,
+        "memory": f"{_mebibytes(job)}MiB",
         "queue": job.queue,
         account: job.account,
         "walltime": job.walltime.rpartition(":")[0] if job.system == "lsf" else job.walltime,
@@ -51,6 +54,7 @@ def _arguments(job: Job) -> dict[str, Any]:
         "worker_extra_args": ["--nthreads", "1", "--memory-limit", "0"],  # the job's limit is that of its cell
         "interface": job.interface,
         "log_directory": str(logs),
+        "scheduler_options": {"dashboard_address": ":0"},  # the usual port may be taken by another sweep
         **_resources(job),
     }
 
@@ -59,7 +63,7 @@ def _resources(job: Job) -> dict[str, Any]:
     """Return what PBS has to be asked for in one piece."""
     if job.system != "pbs" or not job.gpus:
         return {}
-    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={job.memory.lower()}:ngpus={job.gpus}"}
+    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb:ngpus={job.gpus}"}
 
 
 def _more(job: Job) -> list[str]:
@@ -68,5 +72,15 @@ def _more(job: Job) -> list[str]:
     lines = [gpus[job.system]] if job.gpus and job.system in gpus else []
     if job.system == "sge":
         lines += [f"-pe smp {job.cores}"] * (job.cores > 1)
-        lines += [f"-l mem_free={job.memory.removesuffix('B')}"]
+        lines += [f"-l mem_free={_mebibytes(job)}M"]
     return lines
+
+
+def _mebibytes(job: Job) -> int:
+    """Return the memory of a job as batch systems count it, whose MB is 1024 times 1024 bytes; raises BadInput."""
+    from dask.utils import parse_bytes
+
+    try:
+        return -(-int(parse_bytes(job.memory)) // 2**20)
+    except ValueError as error:
+        raise BadInput(f"cluster.memory={job.memory}: give a number and a unit, as in 16GB") from error

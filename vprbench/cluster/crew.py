@@ -77,8 +77,8 @@ class Crew:
         """Begin to make a cell."""
         number, options = cell
         begins(number, socket.gethostname())
-        told = {} if heard is None else {"heard": functools.partial(heard, number)}
-        self._made.append((number, run_apart(options, stdout=self._stdout, since=self._since, **told)))
+        told = None if heard is None else functools.partial(heard, number)
+        self._made.append((number, run_apart(options, stdout=self._stdout, heard=told, since=self._since)))
 
     def _ended(self) -> list[tuple[int, Ending]]:
         """Wait for cells that end and return how; none if there may be room for more."""

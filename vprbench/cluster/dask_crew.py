@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import uuid
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from functools import cached_property
@@ -29,7 +29,9 @@ from vprbench.cluster.crew import Begins, Cell, Crew, Heard, results_of
 from vprbench.cluster.gathered import unpack
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput, ClusterLostError
+from vprbench.plugins.entries import as_asked
 from vprbench.progress import answer_stream, marked
+from vprbench.run import claims
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.text import printable
@@ -40,7 +42,9 @@ _ATTEMPTS = 4  # at a cell whose worker dies: it is tried again three times
 _PATIENCE = 20.0  # seconds that interrupted cells have to end
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
+    "distributed.scheduler.default-task-durations": {"cell": "1h"},  # a job for each cell, if there may be so many
     "distributed.nanny.pre-spawn-environ": {},  # a cell pins its own threads
+    "distributed.worker.profile.enabled": False,  # a worker only waits
 }
 
 
@@ -58,6 +62,7 @@ class DaskCrew(Crew):
         self._numbers = itertools.count()
         self._running: dict[Future[Done], Cell] = {}
         self._hosts: dict[int, list[str]] = {}  # on which a cell was begun
+        self._put_back: Counter[int] = Counter()  # how often, for workers that died while it waited
         self._begins: Begins = lambda *_: None
         self._heard: Heard = _say
 
@@ -71,13 +76,16 @@ class DaskCrew(Crew):
         """End what was begun: cells are interrupted first, so that they leave nothing behind."""
         with self._opened:
             if self._running and self._client.status == "running":
-                with contextlib.suppress(Exception):  # of workers that are gone
+                with contextlib.suppress(Exception):  # of workers that are gone, or of cells that take too long
                     self._client.run(stop, self._sweep, on_error="ignore")
                     wait([*self._running], timeout=_PATIENCE)
+        for root in {results_of(options) for _, options in self._running.values()}:
+            claims.Claims(root).tidy()  # of cells that had to be killed
 
     @cached_property
     def _client(self) -> Client:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what becomes of cells is told here
+        for name in ("distributed", "distributed.client", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what becomes of cells is told here
         self._opened.enter_context(dask.config.set(_SETTINGS))
         client = _connected(self._options, self._opened)
         client.subscribe_topic(self._sweep, self._told)
@@ -94,11 +102,14 @@ class DaskCrew(Crew):
 
     def _start(self, cell: Cell, begins: Begins, heard: Heard | None) -> None:
         self._begins, self._heard = begins, heard or _say
+        self._submit(cell)
+
+    def _submit(self, cell: Cell) -> None:
         number, options = cell
         order = Order(
             sweep=self._sweep,
             number=number,
-            options=tuple(options),
+            options=tuple(map(as_asked, options)),  # a loose file has its name in this process alone
             folder=str(Path.cwd()),
             shows=self._stdout != subprocess.DEVNULL,
             since=self._since,
@@ -108,7 +119,21 @@ class DaskCrew(Crew):
         self._running[self._client.submit(make, order, key=key, pure=False)] = cell
 
     def _ended(self) -> list[tuple[int, Ending]]:
-        return [(self._running[future][0], self._ending(future)) for future in self._done(self._running)]
+        ended = []
+        for future in self._done(self._running):
+            cell = self._running.pop(future)
+            if self._only_waited(cell[0], future):
+                self._submit(cell)
+            else:
+                ended.append((cell[0], self._ending(cell, future)))
+        return ended
+
+    def _only_waited(self, number: int, future: Future[Done]) -> bool:
+        """Tell whether dask has given up a cell for workers that died while it waited for them, and not of it."""
+        if not isinstance(future.exception(), KilledWorker) or len(self._hosts.get(number, ())) >= _ATTEMPTS:
+            return False
+        self._put_back[number] += 1
+        return self._put_back[number] < _ATTEMPTS
 
     def answers(
         self, attempt: Callable[[Any], Any], tasks: Sequence[Any], begins: Callable[[int], None]
@@ -122,7 +147,9 @@ class DaskCrew(Crew):
                 running[self._client.submit(on_one_thread, attempt, task, pure=False)] = number
             for future in self._done(running):
                 number, error = running.pop(future), future.exception()
-                yield number, *((future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}"))
+                given = (future.result(), "") if error is None else (None, f"{type(error).__name__}: {error}")
+                future.release()
+                yield number, *given
 
     def _done(self, running: Iterable[Future[Any]]) -> set[Future[Any]]:
         """Wait for a moment and return which have ended; raises ClusterLostError if none ever will."""
@@ -136,12 +163,13 @@ class DaskCrew(Crew):
             raise self._lost()
         return done
 
-    def _ending(self, future: Future[Done]) -> Ending:
+    def _ending(self, cell: Cell, future: Future[Done]) -> Ending:
         """Return how a cell ended; raises BadInput for workers that can make none."""
-        (number, options), error = self._running.pop(future), future.exception()
-        host = (self._hosts.get(number) or ["a worker"])[-1]
+        (number, options), error = cell, future.exception()
+        begun = self._hosts.pop(number, ["a worker"])
+        host = begun[-1]
         if isinstance(error, KilledWorker):
-            return Ending(1, error=f"its worker died each of the {_ATTEMPTS} times it was tried, at last on {host}")
+            return Ending(1, error=f"its worker died each of the {len(begun)} times it was tried, at last on {host}")
         if isinstance(error, ImportError):
             raise BadInput(f"{host} cannot make cells ({error}): install vprbench {__version__} there") from error
         if isinstance(error, BadInput):
@@ -149,6 +177,7 @@ class DaskCrew(Crew):
         if error is not None:
             return Ending(1, error=f"{type(error).__name__} on {host}: {error}")
         done = future.result()
+        future.release()  # or it would be made again when its worker dies
         if done.parcel is not None:
             unpack(done.parcel, Store(results_of(options)))
         if done.said:

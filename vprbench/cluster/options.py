@@ -19,11 +19,9 @@ logger = logging.getLogger(__name__)
 class ClusterOptions:
     """Where cells are made, without any of these here and one after the other; raises BadInput for what cannot be."""
 
-    workers: int | None = (
-        None  # cells made side by side, in processes of this machine; with cluster= at most so many jobs
-    )
-    scheduler: str | None = None  # address of a dask cluster that is running, as tcp://host:8786: cells are made there
-    cluster: dict[str, Any] = field(default_factory=dict)  # slurm, pbs, lsf, sge or a yaml: cells are made in its jobs
+    workers: int | None = None  # runs made side by side by processes of this machine; of cluster= the most jobs
+    scheduler: str | None = None  # address of a dask cluster that is there, as tcp://host:8786: runs are made on it
+    cluster: dict[str, Any] = field(default_factory=dict)  # slurm, pbs, lsf, sge or a yaml: runs are made in its jobs
     gather: bool = False  # results come back from workers that do not see the results folder, checked by hash
 
     def __post_init__(self) -> None:

@@ -18,7 +18,8 @@ from vprbench.terminal.help import Command, show_commands, show_options
 from vprbench.text import near, printable
 
 _SPEED, _TIMING = "vprbench.speed", "vprbench.run.timing_protocol.Protocol"
-RUN = Command("vprbench.cli:run_or_sweep", groups=("method", "dataset", "timing"), run=None)
+_CLUSTER = "vprbench.cluster.options:ClusterOptions"
+RUN = Command("vprbench.cli:run_or_sweep", _CLUSTER, groups=("method", "dataset", "timing"), run=None)
 
 #: What may stand in place of a run's options.
 COMMANDS: dict[str, Command] = {
@@ -158,6 +159,9 @@ def _options(command: Command, given: Sequence[str]) -> list[Option]:
         found[group] = Option(group, "name", usual * (command is RUN or group in command.usual), f"one of {names}")
         entry = _of_entry(group, chosen.split(",")[0], conf)
         found |= {name: replace(each, name=name) for each in entry for name in [f"{group}.{each.name}"]}
+    if "cluster" in found:
+        chosen = next((each.partition("=")[2] for each in given if each.startswith("cluster=")), "")
+        found |= {option.name: option for option in _of_cluster(chosen, conf)}
     for option in of_run:
         if option.name in (command.run or ()) or (command.run is None and _allowed(option, command)):
             found.setdefault(option.name, option)
@@ -187,6 +191,13 @@ def _of_entry(group: str, name: str, conf: Path) -> list[Option]:
     return together(merged.values(), of_class(":".join(str(values.get("_target_", _TIMING)).rsplit(".", 1))))
 
 
+def _of_cluster(name: str, conf: Path) -> list[Option]:
+    """Return the options of the jobs of a batch system; none if it is unknown."""
+    path = conf / "cluster" / f"{name}.yaml"
+    found = together(of_yaml(path), of_class("vprbench.cluster.jobs:Job")) if path.is_file() else []
+    return [replace(option, name=f"cluster.{option.name}") for option in found]
+
+
 def _values(name: str) -> Iterator[str]:
     """Yield the names that an option of this name may have as values."""
     conf = conf_folders()["vprbench"]
@@ -194,8 +205,8 @@ def _values(name: str) -> Iterator[str]:
     for group in ("method", "dataset"):
         if name in (group, f"{group}s"):
             yield from entries(group)
-    if name == "timing":
-        yield from (path.stem for path in sorted((conf / "timing").glob("*.yaml")))
+    if name in ("timing", "cluster"):
+        yield from (path.stem for path in sorted((conf / name).glob("*.yaml")))
     if name in ("device", "devices"):
         yield from ("cpu", "cuda")
     if name == "corruption":

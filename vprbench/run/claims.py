@@ -19,7 +19,7 @@ from threading import Event, Thread
 from typing import Any, Self
 
 from vprbench import ending
-from vprbench.run import owner
+from vprbench.storage import owner
 from vprbench.storage.atomic import PARTIAL, unfinished
 
 logger = logging.getLogger(__name__)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import math
 import os
+import subprocess
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -25,7 +27,7 @@ class Place:
 
     def __init__(self, process: int) -> None:
         """Keep the place of a process, which is not taken yet."""
-        self._process = process
+        self._process, self._entered = process, False
         self._held: tuple[Path, IO[bytes]] | None = None
 
     def enter(self) -> None:
@@ -35,7 +37,7 @@ class Place:
             hidden = folder() / path.name  # until it is locked, or it would be taken for one that is left behind
             file = hidden.open("ab")
             _locked(file)
-            self._held = hidden.rename(path), file
+            self._held, self._entered = (hidden.rename(path), file), True
 
     def leave(self) -> None:
         """Be seen no more, stopped or timed."""
@@ -47,7 +49,8 @@ class Place:
     def end(self) -> None:
         """Leave for good; others learn that it was there."""
         self.leave()
-        _ended().touch()
+        if self._entered:
+            _ended().touch()
 
 
 @contextlib.contextmanager
@@ -93,6 +96,30 @@ def alone() -> Iterator[Callable[[], bool]]:
         ending.tell(timing=False)
 
 
+@contextlib.contextmanager
+def turn(options: Sequence[str] | None, given_up: Callable[[], bool]) -> Iterator[dict[str, str]]:
+    """Wait until a cell may begin: nobody is timed, and a GPU is free if `options` ask for one, or it is `given_up`.
+
+    Yields the variables that name the GPU to the cell's process; one asked for by its number needs no name. Without
+    options there is no cell, and no waiting.
+    """
+    while options is not None and taken() and not given_up():
+        time.sleep(LOOK_EVERY)
+    device = next((option for option in reversed(options or ()) if option.startswith("device=")), "")
+    kind, _, number = device.removeprefix("device=").partition(":")
+    names = _gpus() if kind == "cuda" else []
+    if number.isdigit():
+        names = names[int(number) :][:1]
+    while names and not given_up():
+        for name in names:
+            with (folder() / f"gpu-{name}").open("ab") as file:
+                if _locked(file):
+                    yield {} if number else {"CUDA_VISIBLE_DEVICES": name}
+                    return
+        time.sleep(LOOK_EVERY)
+    yield {}
+
+
 def taken() -> bool:
     """Tell whether a cell of this host is timed, or about to be; one that was stopped itself, as by Ctrl-Z, is not."""
     with _slot().open("ab") as file:
@@ -126,6 +153,20 @@ def folder() -> Path:
     return path
 
 
+@functools.cache
+def _gpus() -> list[str]:
+    """Return the GPUs that a process started here sees, by names that hold in every process of this host."""
+    found = []
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        told = ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"]
+        found = subprocess.run(told, capture_output=True, text=True, timeout=30, check=False).stdout.split()
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is None:
+        return found
+    names = filter(None, map(str.strip, visible.split(",")))
+    return [found[int(name)] if name.isdigit() and int(name) < len(found) else name for name in names]
+
+
 def _running() -> Path:
     path = folder() / "running"
     path.mkdir(exist_ok=True)
@@ -151,10 +192,9 @@ def _queued(file: IO[bytes]) -> bool:
 
 def _suspended() -> bool:
     """Tell whether the process that holds the slot is stopped."""
-    import psutil  # not needed where nobody is timed
-
-    with contextlib.suppress(OSError, ValueError, psutil.Error):
-        return bool(psutil.Process(int(_slot().read_bytes())).status() == psutil.STATUS_STOPPED)
+    with contextlib.suppress(OSError, ValueError):  # where there is no /proc, or it has just ended
+        status = Path(f"/proc/{int(_slot().read_bytes())}/stat").read_bytes()
+        return status.rpartition(b")")[2].split()[0] == b"T"
     return False
 
 

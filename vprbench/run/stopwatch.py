@@ -112,8 +112,7 @@ class Stopwatch:
     def first_query(self, method: Method, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand."""
         first, stopped = images[:1].in_memory(), ending.stopped()
-        encode, match, _ = self._call(method, first)
-        return encode + match - (ending.stopped() - stopped)
+        return sum(self._call(method, first)[:2]) + stopped - ending.stopped()
 
     def measure(self, method: Method, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.

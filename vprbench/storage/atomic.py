@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from vprbench.storage import owner
+
 PARTIAL = ".partial-"  # how the names of what is being written begin: no reader looks at them
 REPLACED = "-replaced-"  # within such a name: a whole folder whose replacement was about to arrive
 FORGOTTEN_SECONDS = 86400.0  # nobody needs so long from one byte of a file to the next
@@ -20,14 +22,14 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 def unfinished(folder: Path, ending: str = "") -> Path:
     """Return a name in a folder that nobody else has, for what is being written there."""
-    return folder / f"{PARTIAL}{uuid.uuid4().hex}{ending}"
+    return folder / f"{PARTIAL}{owner.mark()}-{uuid.uuid4().hex}{ending}"
 
 
 def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
-    """Yield what was begun to be written in a folder and was not touched for a day; raises OSError for the folder.
+    """Yield what was begun to be written in a folder by a process of this host that is dead, or not touched for a day.
 
-    Age alone tells, by the clock of the disk: the number of a process says nothing of one in another container or on
-    another machine, and several of them may have the same name.
+    Of processes in other containers or on other machines age alone tells, by the clock of the disk. Raises OSError for
+    the folder.
     """
     found = [
         path
@@ -42,7 +44,8 @@ def leftovers(folder: Path, ending: str = "") -> Iterator[Path]:
     probe.unlink()
     for path in found:
         with suppress(OSError):  # its writer has just finished
-            if now - max(part.stat().st_mtime for part in (path, *path.rglob("*"))) > FORGOTTEN_SECONDS:
+            touched = max(part.stat().st_mtime for part in (path, *path.rglob("*")))
+            if owner.is_dead(path.name.removeprefix(PARTIAL)) or now - touched > FORGOTTEN_SECONDS:
                 yield path
 
 

@@ -130,6 +130,8 @@ def _typed(annotation: ast.expr | None, module: str) -> str:
         text = ast.unparse(defined[2])
     if choice := re.search(r"Literal\[(.*?)\]", text):
         return " or ".join(word.strip().strip("'") for word in choice[1].split(","))
+    if text.startswith("dict["):
+        return "name"  # of a configuration, whose options are options of this one
     return _words(text) if "\n" not in text else "mapping"
 
 

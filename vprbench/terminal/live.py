@@ -111,8 +111,9 @@ class LiveTable:
             words += f", {len(running)} running, {self._total - self._steps - len(running)} waiting"
         words += f", {self._failed} failed" * bool(self._failed)
         bar.add_row(ProgressBar(total=max(self._total, 1), completed=done, width=40), words + self._left(running))
-        parts: list[RenderableType] = [table, Text()] if self._rows else []
-        return Group(*parts, *([at, Text()] if elsewhere else []), bar)
+        above: list[RenderableType] = [table, Text()] if self._rows else []
+        running_at: list[RenderableType] = [at, Text()] if elsewhere else []
+        return Group(*above, *running_at, bar)
 
     def _left(self, running: Sequence[_Step]) -> str:
         """Return how long the rest takes, if it takes as long as what was made until now, as many at a time."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import getpass
+import hashlib
 import os
 import socket
 from collections.abc import Mapping
@@ -38,6 +39,32 @@ def _started(process: int) -> int | None:
         fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
         return None if fields[0] in "ZX" else int(fields[19])
     return None
+
+
+def mark() -> str:
+    """Return a short name of this process, for the names of its unfinished files."""
+    return _marked(os.getpid())
+
+
+@functools.cache
+def _marked(process: int) -> str:
+    return f"{_number_of_host()}-{process}-{_started(process) or 0}"
+
+
+@functools.cache
+def _number_of_host() -> str:
+    return hashlib.sha256(_host()["machine"].encode()).hexdigest()[:8]
+
+
+def is_dead(name: str) -> bool:
+    """Tell whether a name begins with the mark of a process of this host that lives no more."""
+    host, _, rest = name.partition("-")
+    process, _, rest = rest.partition("-")
+    started = rest.partition("-")[0]
+    if host != _number_of_host() or not (process.isdigit() and started.isdigit()):
+        return False
+    words = {"machine": _host()["machine"], "process": int(process), "started": int(started) or None}
+    return lives(words) is False
 
 
 def lives(words: Mapping[str, Any]) -> bool | None:

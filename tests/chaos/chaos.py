@@ -1,0 +1,254 @@
+"""A sweep whose workers, schedulers and clients are killed at random, and what it leaves: `make chaos`.
+
+A serial run tells what is right; it is kept in build/chaos, and made again if code changed. Then, until the minutes are
+over, clients are given one and the same command again and again, now with workers of their own, now on a dask cluster
+of other processes, while one process after the other is killed. In peace the command then ends, and everything it left
+is looked at. The exit code is 0 if every cell is stored once and equal to the serial run, if no two processes made one
+cell at the same time, and if no claim, no temporary file and no process is left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vprbench.run.record import Run
+from vprbench.run.store import Store
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path.append(str(HERE.parent / "support"))
+from plugged_in import plugin  # noqa: E402
+
+METHODS = {  # each is compared under as many seeds as make the cells
+    "watched_gaussian": "RandomProjection\ncomponents: 256",
+    "watched_signs": "RandomProjection\ncomponents: 256\ndirections: signs",
+    "watched_flyhash": "FlyHash\nunits: 2000\nwinners: 100",
+    "watched_flyhash_sparse": "FlyHash\nunits: 2000\nwinners: 20",
+    "watched_pca": "PCA\ncomponents: 16",
+    "watched_hyperdimensional": "HyperDimensional\ncomponents: 512",
+}
+N_WORKERS = 4
+KILLS = {"worker": 16, "scheduler": 1, "client": 3}  # how often each kind is chosen
+PAUSE = (2.0, 14.0)  # seconds from one kill to the next
+PEACE = 1800.0  # seconds that a sweep has to end once nothing is killed
+MARK = "CHAOS_HOME"  # environment variable of all processes that are begun here
+
+
+class Chaos:
+    """The processes of the sweep, and who kills them."""
+
+    def __init__(self, home: Path, n_cells: int, seed: int) -> None:
+        """Use a folder of its own."""
+        self.home = home
+        self.drawn = random.Random(seed)
+        self.kills: Counter[str] = Counter()
+        self.ends: Counter[str] = Counter()
+        self.faults: list[str] = []
+        self._cluster: dict[str, Any] = {}  # processes by what they are
+        self._begun: Counter[str] = Counter()
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.scheduler = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        self.command = [
+            "compare",
+            f"methods=[{','.join(METHODS)}]",
+            f"seeds={n_cells // len(METHODS)}",
+            "dataset=synthetic",
+            "dataset.places=30",
+            "threads=1",
+            "frames=false",
+        ]
+        self.n_cells = n_cells // len(METHODS) * len(METHODS)
+        for folder in ("tmp", "logs", "watch", "cache"):
+            (home / folder).mkdir()
+        yamls = {name: f"_target_: watched.{text}\nseed: ${{seed}}" for name, text in METHODS.items()}
+        plugin(home / "plugin", "watched", "watched", yamls)
+        shutil.copy(HERE / "watched.py", home / "plugin")
+        own = {"TMPDIR": "tmp", "CHAOS_WATCH": "watch", MARK: "", "DASK_TEMPORARY_DIRECTORY": "dask"}
+        own |= {f"VPRBENCH_{name}": f"cache/{name}" for name in ("FRAMES", "HASHES", "PARTIAL")}
+        self.environment = {**os.environ, **{name: str(home / folder) for name, folder in own.items()}}
+        self.environment["PYTHONPATH"] = os.pathsep.join([str(home / "plugin"), str(ROOT)])
+
+    def begin(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Begin a process of Python; what it says goes to a file of its own."""
+        self._begun[name] += 1
+        with (self.home / "logs" / f"{name}-{self._begun[name]}.log").open("wb") as log:
+            command, environment = [sys.executable, "-m", *arguments], self.environment
+            return subprocess.Popen(
+                command, cwd=self.home, env=environment, stdout=log, stderr=log, stdin=subprocess.DEVNULL
+            )
+
+    def client(self, results: Path) -> subprocess.Popen[bytes]:
+        """Give the command, with workers of its own or on the cluster."""
+        elsewhere = self.drawn.choice([f"workers={N_WORKERS}", f"scheduler={self.scheduler}"])
+        timing = ["timing=quick", "timing.total_seconds=0.4"]  # while a cell is timed the others are stopped
+        return self.begin("client", "vprbench", *self.command, *timing, f"results={results}", elsewhere)
+
+    def keep_cluster(self) -> None:
+        """Begin again what is gone of scheduler and workers."""
+        wanted = {"scheduler": ["scheduler", "--host", "127.0.0.1", "--port", self.scheduler.rpartition(":")[2]]}
+        wanted |= {f"worker{n}": ["worker", self.scheduler, "--nthreads", "1"] for n in range(N_WORKERS)}
+        for name, arguments in wanted.items():
+            if name not in self._cluster or self._cluster[name].poll() is not None:
+                self._cluster[name] = self.begin(name, "dask", *arguments, "--no-dashboard")
+
+    def kill_one(self) -> None:
+        """Kill a process, chosen at random."""
+        kind = self.drawn.choices([*KILLS], [*KILLS.values()])[0]
+        found = sorted(process for process, what in self.processes() if what == kind)
+        if found:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.drawn.choice(found), signal.SIGKILL)
+                self.kills[kind] += 1
+
+    def processes(self) -> Iterator[tuple[int, str]]:
+        """Yield all processes of the sweep that live, and what they are."""
+        mark = f"{MARK}={self.environment[MARK]}".encode()
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):  # it has ended
+                if mark in (folder / "environ").read_bytes().split(b"\0"):
+                    yield int(folder.name), _kind((folder / "cmdline").read_text(errors="replace").replace("\0", " "))
+
+    def disturb(self, seconds: float, right: dict[str, Run]) -> None:
+        """Kill and begin again for so many seconds; a sweep that ends is looked at, and the next one begins."""
+        until = time.monotonic() + seconds
+        round_number, client = 0, None
+        kill_at = time.monotonic() + self.drawn.uniform(*PAUSE) + 10.0
+        while (now := time.monotonic()) < until:
+            self.keep_cluster()
+            results = self.home / f"results-{round_number}"
+            if client is None:
+                client = self.client(results)
+            if (code := client.poll()) is not None:
+                client = None
+                self.ends[f"code {code}" if code >= 0 else "killed"] += 1
+                if code == 0:
+                    self.judge(results, right)
+                    round_number += 1
+            if now > kill_at:
+                self.kill_one()
+                kill_at = now + self.drawn.uniform(*PAUSE)
+            time.sleep(0.2)
+        self.end_in_peace(client, self.home / f"results-{round_number}", right)
+
+    def end_in_peace(self, client: subprocess.Popen[bytes] | None, results: Path, right: dict[str, Run]) -> None:
+        """Let the sweep end, by the same command if need be, and look at it."""
+        until, code = time.monotonic() + PEACE, None
+        for _ in range(3):  # the first may have lost its scheduler, the second meet what that left
+            while (client := client or self.client(results)).poll() is None and time.monotonic() < until:
+                self.keep_cluster()
+                time.sleep(0.2)
+            code, client = client.poll(), None
+            if code in (0, None):
+                break
+        if code != 0:
+            self.faults.append(f"the sweep did not end well in {PEACE:.0f} s of peace, but with {code}")
+        self.ends[f"in peace, code {code}"] += 1
+        self.judge(results, right)
+
+    def judge(self, results: Path, right: dict[str, Run]) -> None:
+        """Compare a store with the serial one."""
+        made, watched = stored(results), self.home / "watch" / "doubled"
+        found = {
+            "lost": sorted(right.keys() - made.keys()),
+            "unknown": sorted(made.keys() - right.keys()),
+            "doubled": watched.read_text().splitlines() if watched.exists() else [],
+            "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
+            "failed": [f"{each.method}: {each.error}" for each in Store(results, read_only=True).failures()],
+            "claimed": sorted((results / ".claims").glob("*")),
+        }
+        counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
+        print(f"{results.name}: {len(made)} of {len(right)} cells; {counts}", flush=True)
+        self.faults += [f"{results.name}: {what}: {each}" for what, those in found.items() for each in those]
+
+    def end(self) -> None:
+        """End the cluster and see what is left."""
+        for process in self._cluster.values():
+            process.terminate()
+        until = time.monotonic() + 30.0
+        while (left := [*self.processes()]) and time.monotonic() < until:
+            time.sleep(0.5)
+        files = [path for path in self.home.rglob("*") if _temporary(path.relative_to(self.home))]
+        print(f"left: {len(files)} temporary files, {len(left)} processes", flush=True)
+        self.faults += [f"left: process {process}, {what}" for process, what in left]
+        self.faults += [f"left: {path}" for path in files]
+        for process, _ in left:
+            os.kill(process, signal.SIGKILL)
+
+
+def _kind(line: str) -> str:
+    of = {"dask scheduler": "scheduler", "vprbench compare": "client", "dask worker": "worker", "spawn_main": "worker"}
+    return next((kind for word, kind in of.items() if word in line), line)
+
+
+def _temporary(path: Path) -> bool:
+    """Tell whether a file should not be left: of dask's own folders it clears away itself, when it starts again."""
+    first = path.parts[0]
+    if first == "tmp":
+        return len(path.parts) == 2 and not path.name.startswith(("vprbench-slot", "dask-"))
+    return first not in ("dask", "watch", "logs") and (path.name.startswith(".") or path.suffix == ".tmp")
+
+
+def stored(results: Path) -> dict[str, Run]:
+    """Return the runs of a store by the names of their folders."""
+    return {f"{run.dataset}/{run.method}-{run.key}": run for run in Store(results, read_only=True).runs()}
+
+
+def _equal(left: Run, right: Run) -> bool:
+    """Tell whether two runs gave the same answers, bit for bit."""
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for one, other in ((left, right), (left.outcome, right.outcome))
+        for name in vars(one)
+        if name in ("top_places", "top_scores", *vars(left.outcome))
+    )
+
+
+def main() -> int:
+    """Make the serial run, disturb, report; returns the exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--minutes", type=float, default=10.0, help="of disturbance")
+    parser.add_argument("--seed", type=int, default=0, help="of what is killed, and when")
+    parser.add_argument("--cells", type=int, default=60, help=f"in steps of {len(METHODS)}")
+    asked = parser.parse_args()
+    home = Path(tempfile.mkdtemp(prefix="chaos-"))
+    chaos = Chaos(home, asked.cells, asked.seed)
+    serial, began = ROOT / "build" / "chaos" / f"serial-{chaos.n_cells}", time.monotonic()
+    code = chaos.begin("serial", "vprbench", *chaos.command, "timing=none", f"results={serial}").wait()
+    right = stored(serial)
+    print(f"serial run: {len(right)} cells in {time.monotonic() - began:.0f} s", flush=True)
+    if code or len(right) != chaos.n_cells:
+        print(f"the serial run failed: {(home / 'logs' / 'serial-1.log').read_text()[-2000:]}")
+        return 1
+    try:
+        chaos.disturb(60 * asked.minutes, right)
+    finally:
+        chaos.end()
+    kills = ", ".join(f"{kind} {chaos.kills[kind]}" for kind in KILLS)
+    print(f"seed {asked.seed}, {asked.minutes:g} minutes; kills: {kills}; clients ended: {dict(chaos.ends)}")
+    if not chaos.faults:
+        shutil.rmtree(home)
+    for fault in chaos.faults:
+        print(f"FAULT {fault}")
+    print(f"failed: {len(chaos.faults)} faults; logs in {home}" if chaos.faults else "passed")
+    return 1 if chaos.faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
