@@ -48,7 +48,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
-        first_query = stopwatch.first_query(method, queries)
+        first_query = stopwatch.first_query(scoring.asked, queries)
         answers.method_seconds += first_query
         from_cache = scoring.score(described)
         elsewhere = learnt.seconds + answers.method_seconds + queries.reading.seconds - read
@@ -63,6 +63,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         *learnt.notes,
         *noted("method", method.notes()),
         *_cache_notes(dataset, learnt.from_cache, from_cache),
+        *scoring.notes(),
     )
     scored = replace(
         _scored(request, key, learnt, answers, measured),
@@ -73,7 +74,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         return scored
     keep(scored)
     watch.look_again()
-    timing = stopwatch.measure(method, queries, first_query)
+    timing = stopwatch.measure(scoring.asked, queries, first_query)
     progress.report("timing", 1.0)
     config = {**scored.config, "timing": asdict(request.protocol)}
     timed = replace(scored, config=config, timing=timing, **watch.seen())
@@ -145,11 +146,13 @@ def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measur
     )
 
 
-def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[Note]:
-    """Yield which descriptors were not encoded because they were kept."""
-    kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
+def _cache_notes(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
+    """Yield how many descriptors were not encoded because they were kept."""
+    traverses = (("references", references, len(dataset.references)), ("queries", queries, len(dataset.queries)))
+    kept = [f"{n if n == of else f'{n} of {of}'} {images}" for images, n, of in traverses if n]
     if kept:
-        nothing = "nothing was encoded" if references and queries else "none of these was encoded"
+        everything = all(n == of for _, n, of in traverses)
+        nothing = "nothing was encoded" if everything else "none of these was encoded"
         text = f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
         yield Note("described", text)
 
