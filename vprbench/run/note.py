@@ -14,6 +14,7 @@ NoteKind = Literal[
     "resumed",  # an interrupted fit that went on
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
+    "fitted",  # a fit beside other runs
     "late",  # work of the fit that the first query did
     "noisy",  # a machine that did other things too
     "invalid",  # too few laps

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import progress
+from vprbench import ending, progress
 from vprbench.api.images import Images
 from vprbench.api.method import held_together
 from vprbench.run.shortlist import Answer, Asked, best_place
@@ -101,18 +101,19 @@ class Stopwatch:
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
-        """Time the block, in seconds appended to the list it yields, the device idle at both ends."""
+        """Time the block, in seconds appended to the list it yields, the device idle at both ends; no stop counts."""
         seconds: list[float] = []
         self._synchronise()
-        start = self._clock()
+        start, stopped = self._clock(), ending.stopped()
         yield seconds
         self._synchronise()
-        seconds.append((self._clock() - start) / 1e9)
+        seconds.append((self._clock() - start) / 1e9 - (ending.stopped() - stopped))
 
     def first_query(self, method: Asked, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand."""
-        encode, match, _ = self._call(method, images[:1].in_memory())
-        return encode + match
+        first, stopped = images[:1].in_memory(), ending.stopped()
+        encode, match, _ = self._call(method, first)
+        return encode + match - (ending.stopped() - stopped)
 
     def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
