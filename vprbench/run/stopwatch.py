@@ -160,8 +160,7 @@ class Stopwatch:
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
             encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
-            laps.append(encode + match)
-            usual = laps[-1]
+            laps.append(usual := encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
