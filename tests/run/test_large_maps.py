@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import journey, number_in, pictures
+from little import Angles, journey, pictures
 from little_runs import QUICK, asked_for, kinds, run_of
 
 from vprbench.api import descriptor
 from vprbench.api.arrays import Scores
 from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.images import Images
 from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
 from vprbench.run import fitting, runner, shortlist
 from vprbench.run.record import Run
@@ -25,16 +24,6 @@ from vprbench.storage import shards
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 N_QUERIES, N_PLACES, DEPTH = 30, 90, 6
-
-
-@dataclass
-class Angles(DescriptorMethod):
-    """Describes image number i by cosines of i, in 16 dimensions; images of every 20th number look alike."""
-
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
-        numbers = np.array([number_in(image) for image in images]) % 20
-        vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
 
 
 class Shortlisted(Angles):

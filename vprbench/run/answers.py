@@ -160,7 +160,10 @@ class Scoring:
         """Yield that the best places alone were asked for, if they were."""
         if isinstance(self.asked, Shortlisting):
             best = f"of {self._n_places:,} places the best {self.asked.depth} of each query are kept"
-            yield Note("shortlist", f"large map: {best}; a right place that is none of these counts as no candidate")
+            others = "" if self.asked.mapped is map else "; the workers of a cluster searched"
+            yield Note(
+                "shortlist", f"large map: {best}, and a right place that is none of these is no candidate{others}"
+            )
 
     def _encode(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:

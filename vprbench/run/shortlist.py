@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,13 +22,26 @@ LARGE_MAP = 1 << 18  # places: of more, a run keeps the best ones of each query 
 TOGETHER = 1024  # queries compared with such a map at once
 
 
+_mapped: ContextVar[Mapped] = ContextVar("who_searches_large_maps", default=map)
+
+
+@contextmanager
+def searching(mapped: Mapped) -> Iterator[None]:
+    """Let `mapped` stand in for `map` where large maps are searched inside the block: a cluster's, for instance."""
+    token = _mapped.set(mapped)
+    try:
+        yield
+    finally:
+        _mapped.reset(token)
+
+
 @dataclass(frozen=True)
 class Shortlisting:
     """Stands in for a method where it is asked: its answer to a query is the best `depth` places."""
 
     method: DescriptorMethod
     depth: int
-    mapped: Mapped = map  # a cluster may stand in
+    mapped: Mapped
 
     @property
     def code_bytes(self) -> int:
@@ -50,7 +66,7 @@ def best_place(answer: Answer) -> int:
     return int(answer.places[0, 0] if isinstance(answer, Nearest) else answer[0].argmax())
 
 
-def asked(method: Method, n_places: int, depth: int, whole: bool = False, mapped: Mapped = map) -> Asked:
+def asked(method: Method, n_places: int, depth: int, whole: bool = False) -> Asked:
     """Return how a run asks a fitted method: for the best places alone if the map is large and the method names them.
 
     A method that matches in its own way, and says nothing of `nearest`, is asked for all scores, and so is any if all
@@ -61,4 +77,4 @@ def asked(method: Method, n_places: int, depth: int, whole: bool = False, mapped
     match, nearest = (
         next(kind for kind in type(method).__mro__ if name in vars(kind)) for name in ("match", "nearest")
     )
-    return Shortlisting(method, min(depth, n_places), mapped) if issubclass(nearest, match) else method
+    return Shortlisting(method, min(depth, n_places), _mapped.get()) if issubclass(nearest, match) else method
