@@ -82,7 +82,7 @@ def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described
         text = f"calibrated on {len(held_out.queries)} held-out queries of {held_out.n_places} places"
         told.append(Note("calibrated", text))
     if from_cache:
-        return Learnt(load_seconds=fit[0], notes=tuple(told), from_cache=True)
+        return Learnt(load_seconds=fit[0], notes=tuple(told), from_cache=from_cache)
     return Learnt(
         fit_seconds=seconds, fit_compute_seconds=computing, earlier_seconds=resumed.seconds, notes=tuple(told)
     )
