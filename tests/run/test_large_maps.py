@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +14,11 @@ from little import Angles, journey, pictures
 from little_runs import QUICK, asked_for, kinds, run_of
 
 from vprbench.api import descriptor
-from vprbench.api.arrays import Scores
+from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
-from vprbench.run import fitting, runner, shortlist
+from vprbench.run import descriptors, fitting, runner, shortlist
 from vprbench.run.record import Run
 from vprbench.storage import shards
 
@@ -109,6 +110,21 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
     own = on(OwnWay())
     assert own.scores is not None
     assert "shortlist" not in kinds(own)
+
+
+def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Learning(Angles):
+        def fit(self, references: Images, places: Places) -> Self:
+            return super().fit(references, places)
+
+    kept = []
+    for n_places, method in ((N_PLACES, Angles()), (N_PLACES - 1, Angles()), (N_PLACES - 1, Learning())):
+        monkeypatch.setattr(descriptors, "LARGE_MAP", n_places)
+        runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / f"{len(kept)}"), "key")
+        kept.append(len(list((tmp_path / f"{len(kept)}").glob("*/*.npy"))))
+    assert kept == [0, 2, 0]
 
 
 @pytest.mark.parametrize("cached", [False, True])

@@ -15,6 +15,7 @@ from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.run import machine
 from vprbench.run.record import content_key
+from vprbench.run.shortlist import LARGE_MAP
 from vprbench.run.sources import source_hash
 from vprbench.storage.shards import Shards, Writer
 
@@ -28,12 +29,17 @@ class Described:
         self._origin = origin
 
     @classmethod
-    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any]) -> Described | None:
+    def of(cls, folder: Path | None, method: Method, config: Mapping[str, Any], n_places: int) -> Described | None:
         """Return what gives the descriptors of a run's method; None if none are kept.
 
-        The path and the name of a file of weights do not count, for its content does.
+        Those of a large map are kept however fast they are made, so that a killed run goes on, unless a method may
+        learn what they are. The path and the name of a file of weights do not count, for its content does.
         """
-        if folder is None or not isinstance(method, DescriptorMethod) or not method.keeps_descriptors():
+        if folder is None or not isinstance(method, DescriptorMethod):
+            return None
+        own = ("fit", "calibrate", "keeps_descriptors")
+        fixed = all(getattr(type(method), name) is getattr(DescriptorMethod, name) for name in own)
+        if not (method.keeps_descriptors() or (fixed and n_places > LARGE_MAP)):
             return None
         apart = {"_target_", "device", *method.query_arguments, *method.search_arguments}
         apart |= {name for name in config["method"] if isinstance(getattr(method, name, None), Weights)}

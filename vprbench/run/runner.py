@@ -44,7 +44,8 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
 
-    described = Described.of(request.cache if request.files.load is None else None, method, request.config)
+    cache = request.cache if request.files.load is None else None
+    described = Described.of(cache, method, request.config, dataset.n_places)
     with ledger() as resumed:
         learnt = learn(request, key, stopwatch, described, resumed)
         read = queries.reading.seconds
