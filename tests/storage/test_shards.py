@@ -37,7 +37,7 @@ def written(folder: Path, rows: Array) -> tuple[Shards, list[int]]:
 def test_shards_hold_the_rows_of_an_array(tmp_path: Path, rows: Array, kind: str) -> None:
     kept = written(tmp_path, rows)[0] if kind == "files" else Shards.of(rows)
     assert (kept.shape, len(kept), kept.nbytes) == ((N, D), N, rows.nbytes)
-    assert [(first, part.tolist()) for first, part in kept.parts()] == [
+    assert [(piece.first, piece.rows().tolist()) for piece in kept.pieces] == [
         (first, rows[first : first + 64].tolist()) for first in (0, 64, 128, 192, 256)
     ]
     for part in (

@@ -84,11 +84,6 @@ class Shards:
         """The bytes of all rows."""
         return 4 * self.shape[0] * self.shape[1]
 
-    def parts(self) -> Iterator[tuple[int, Array]]:
-        """Yield of each shard its first row and its rows, mapped when it is reached."""
-        for piece in self.pieces:
-            yield piece.first, piece.rows()
-
     def __getitem__(self, rows: slice) -> Array:
         """Return consecutive rows: a view if the memory or one shard has them, else a copy."""
         first, last, step = rows.indices(len(self))
