@@ -160,11 +160,12 @@ def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_i
 
 
 def test_a_killed_encoding_goes_on_with_the_shard_that_it_had_not_finished(tmp_path: Path) -> None:
-    killed = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-    assert killed.stdout is not None
-    assert killed.stdout.readline() == "1088\n"  # one shard of 1024 images, and 64 of the next
-    killed.kill()
-    killed.wait()
+    command = [sys.executable, "-c", KILLED, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout is not None
+        said = killed.stdout.readline()
+        killed.kill()
+    assert said == "1088\n"  # one shard of 1024 images, and 64 of the next
     encoded: list[int] = []
 
     def counted(images: Images) -> Array:
