@@ -25,6 +25,7 @@ _COMPARED = 1 << 17  # images together
 _LINKS = 16  # of an image to others, binary_hnsw; twice as many on the lowest layer
 _CANDIDATES = 128  # that binary_hnsw follows at a query, at least
 
+_TRAINED_PER_LIST = 16  # images: with more, lists take long to learn and find hardly more
 _LISTS_OF_ROOT = 4  # rabitq: so many times sqrt(n_images) lists, each of 39 images or more
 _LISTS_LOOKED_AT, _FEWEST_LISTS = 64, 16  # one in so many, and at least these
 _ROTATED = 2048  # dimensions, at most: more are even enough, and a rotation would take long
@@ -119,7 +120,7 @@ class RaBitQ(Retrieving):
             self._rotation.init(0)
         self._length = length
         self._index = lists
-        lists.train(self._prepared(sample(references, TRAINED_PER_CENTROID * n_lists)))
+        lists.train(self._prepared(sample(references, _TRAINED_PER_LIST * n_lists)))
         for rows in parts(n_images, rows_together(references)):
             lists.add(self._prepared(references[rows]))
         rotation = 0 if self._rotation is None else 4 * n_dimensions * length

@@ -31,6 +31,8 @@ from vprbench.storage.shards import Shards
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
+_BEST = 10  # places that an audit compares
+
 #: Applies a function to each part of a map and gives the results in their order, as `map` does; a cluster may stand in.
 Mapped = Callable[[Callable[[Part], Nearest], Sequence[Part]], Iterable[Nearest]]
 
@@ -57,9 +59,13 @@ class Audit:
 class Search:
     """Scores places by the inner product with the most similar of their images.
 
-    `exact` compares every reference. `sq8` does so too, but in 8 bits a number: a quarter of the memory. `hnsw` (a
-    graph) and `ivfpq` (inverted lists of codes of a few bytes) retrieve the `neighbours` most similar images or nearly
-    those; a place without any of them scores -inf: no candidate. The same references give the same index.
+    `exact` compares every reference. `sq8` does so too, but in 8 bits a number: a quarter of the memory. The others
+    retrieve the `neighbours` most similar images or nearly those; a place without any of them scores -inf: no
+    candidate. `hnsw` is a graph that holds the vectors; `ivfpq` (codes of a few bytes) and `rabitq` (a bit a dimension)
+    are inverted lists, of which a query looks at `probes` (0: a share that the index chooses); `binary` (a bit a
+    dimension) compares all images, `binary_hnsw` is a graph of these. Of any approximate index, the `rerank` images
+    that it finds best are compared again by the vectors, exactly, and these alone are candidates. The same references
+    give the same index.
     """
 
     def __init__(
@@ -143,6 +149,19 @@ class Search:
         else:
             best = best_of_part(codes, n, self._whole(self._index, self._shown))
         return best.similarity, best.places
+
+    def audit(self, exact: Search, codes: Vectors) -> Audit:
+        """Return the share of the places found by exact search of the same references that this one finds too.
+
+        Of places that are exactly as good as the last one wanted each counts as found, up to as many again.
+        """
+        shares = []
+        _, own = self.nearest(codes, _BEST)
+        similarity, places = exact.nearest(codes, 2 * _BEST)
+        for n in (1, min(_BEST, self._n_places)):
+            wanted = np.where(similarity >= similarity[:, n - 1, None] - ROUNDING, places, -2)
+            shares.append((own[:, :n, None] == wanted[:, None]).any(2).mean())
+        return Audit(*map(float, shares))
 
     def exactly(self) -> Search:
         """Return exact search of the same references."""
