@@ -34,15 +34,18 @@ class DescriptorMethod(Method):
     """A method whose codes are unit vectors: only `encode` -> float32 (n_images, n_dimensions) is left to write.
 
     A place scores the inner product with its most similar image. `index` chooses how they are found; approximate ones
-    (`hnsw`, `ivfpq`) retrieve `neighbours` images, and a place without any of these scores -inf.
+    retrieve `neighbours` images, or `rerank` ones whose inner products are then computed exactly, and a place without
+    any of these scores -inf; `sq8` without `rerank` scores all. `probes` lists are looked at, see `Search`.
     """
 
-    query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
+    query_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours", "rerank", "probes"})
     #: Arguments that do not change descriptors: cached descriptors stay valid whatever the values of these arguments.
-    search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours"})
+    search_arguments: ClassVar[frozenset[str]] = frozenset({"index", "neighbours", "rerank", "probes"})
 
     index: Kind = "exact"
     neighbours: int = 100
+    rerank: int = 0
+    probes: int = 0
 
     #: The indexed references; None before `fit`, and None in a subclass that matches in its own way.
     searched: Search | None = field(default=None, init=False, repr=False, compare=False)
@@ -74,7 +77,7 @@ class DescriptorMethod(Method):
         be made of them.
         """
         self.searched = None
-        self.searched = Search(descriptors, places.copy(), self.index, self.neighbours)
+        self.searched = Search(descriptors, places.copy(), self.index, self.neighbours, self.rerank, self.probes)
         return self
 
     def _in_scratch(self, references: Images) -> Shards:
@@ -94,7 +97,7 @@ class DescriptorMethod(Method):
 
     def insist_on_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
-        check_index(self.index, self.neighbours, n_references)
+        check_index(self.index, self.neighbours, n_references, self.rerank, self.probes)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
@@ -120,6 +123,8 @@ class DescriptorMethod(Method):
         if index.kind == "exact":
             return Audit(1.0, 1.0)
         exact = index.exactly()
+        if type(self).match is DescriptorMethod.match:
+            return index.audit(exact, codes)
         blocks = [*index.blocks(codes)]
         shares = [agreement(self._matched(index, block), self._matched(exact, block)) for block in blocks]
         return Audit(*np.concatenate(shares).mean(0).tolist())

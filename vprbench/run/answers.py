@@ -130,7 +130,10 @@ class Audited:
         if index is None or not isinstance(self._method, DescriptorMethod):
             return None
         audit = Audit(1.0, 1.0) if index.kind == "exact" else self._method.audit(np.concatenate(self._codes))
-        return {"index": index.kind, "bytes_per_place": index.bytes_per_place, **asdict(audit)}
+        found = {"index": index.kind, "bytes_per_place": index.bytes_per_place, **asdict(audit)}
+        return (
+            found if index.kind == "exact" else {**found, "rerank": index.rerank, "build_seconds": index.build_seconds}
+        )
 
 
 class Scoring:

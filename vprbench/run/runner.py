@@ -203,10 +203,13 @@ def _notes_on(run: Run) -> Iterator[Note]:
     if run.timing is not None:
         yield from _notes_on_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":
+        found = run.search
+        again = f", the best {found['rerank']} compared again" if found["rerank"] else ""
         yield Note(
             "index",
-            f"index {run.search['index']}: {100 * run.search['recall_at_1']:.1f} % of the exactly best places found, "
-            f"{100 * run.search['recall_at_10']:.1f} % of the best 10; {run.search['bytes_per_place']:,} bytes a place",
+            f"index {found['index']}{again}: {100 * found['recall_at_1']:.1f} % of the exactly best places found, "
+            f"{100 * found['recall_at_10']:.1f} % of the best 10; {found['bytes_per_place']:,} bytes a place, "
+            f"built in {found['build_seconds']:.1f} s",
         )
 
 
