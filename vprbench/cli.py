@@ -24,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import ending
+from vprbench.cluster.search import spread_over
 from vprbench.cluster.sweep import divided, swept
 from vprbench.commands import working
 from vprbench.commands.at_once import COMMANDS, answered
@@ -133,7 +134,8 @@ def _run(config: DictConfig) -> int:
         ending.tell(limit_minutes=settings.limit_minutes, until=time.monotonic() + 60 * settings.limit_minutes)
     with answers_alone() as say:
         try:
-            return answer(choices["method"], asked, settings, store, say)
+            with spread_over(settings.search_scheduler):
+                return answer(choices["method"], asked, settings, store, say)
         except KeyboardInterrupt:
             raise
         except HeldElsewhereError as error:  # whoever waits asks again

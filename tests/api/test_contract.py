@@ -158,7 +158,7 @@ def test_a_search_that_cannot_be_is_bad_input(arguments, wanted):
 
 
 def test_arguments_of_the_search_fit_any_network_and_come_by_name_alone():
-    assert Drawn.query_arguments == {"index", "neighbours"}
+    assert Drawn.query_arguments == {"index", "neighbours", "rerank", "probes"}
     assert Drawn(5).n_dimensions == 5
     with pytest.raises(TypeError):
         Drawn(5, "hnsw")

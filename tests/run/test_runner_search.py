@@ -108,9 +108,19 @@ def test_what_an_index_misses_is_recorded_and_said() -> None:
     (note,) = (note.text for note in run.notes if note.kind == "index")
     assert re.fullmatch(
         r"index hnsw: (100\.0|9\d\.\d) % of the exactly best places found, (50\.0|4\d\.\d) % of the best 10; "
-        r"3\d\d bytes a place",
+        r"3\d\d bytes a place, built in \d\.\d s",
         note,
     )
+
+
+def test_what_is_compared_again_and_how_long_an_index_took_is_recorded_and_said() -> None:
+    run = searching("binary", rerank=40)
+    assert run.search is not None
+    assert (run.search["rerank"], run.search["bytes_per_place"]) == (40, 8)  # 16 bits in a word
+    assert 0 < run.search["build_seconds"] < 60
+    assert np.isneginf(run.scores).sum(1).tolist() == [260] * 300
+    (note,) = (note.text for note in run.notes if note.kind == "index")
+    assert note.startswith("index binary, the best 40 compared again: ")
 
 
 def test_exact_search_goes_without_saying_and_a_method_that_matches_in_its_own_way_records_none() -> None:

@@ -2,18 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
+from time import perf_counter
 from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.search_indexes import BITS, CELLS, INDEXES, Flat, Kind, Retrieving, Vectors, parts
+from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
+from vprbench.api.nearest import (
+    CELLS,
+    ROUNDING,
+    Nearest,
+    Numbers,
+    Part,
+    Vectors,
+    best_of_part,
+    best_places,
+    merged,
+    parts,
+    parts_of_map,
+)
+from vprbench.api.search_indexes import BITS, EightBits, Exact, Flat, Graph, Kind, ProductCodes, Retrieving
 from vprbench.errors import BadInput
+from vprbench.storage.shards import Shards
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
-_ROUNDING = 1e-6  # of inner products of unit vectors
+
+_BEST = 10  # places that an audit compares
+
+#: Applies a function to each part of a map and gives the results in their order, as `map` does; a cluster may stand in.
+Mapped = Callable[[Callable[[Part], Nearest], Sequence[Part]], Iterable[Nearest]]
+
+
+_INDEXES: dict[Kind, Callable[[Shards, int], Flat | Retrieving]] = {
+    "exact": lambda references, _: Exact(references),
+    "sq8": lambda references, _: EightBits(references),
+    "hnsw": lambda references, _: Graph(references),
+    "ivfpq": ProductCodes,
+    "rabitq": RaBitQ,
+    "binary": lambda references, _: Bits(references),
+    "binary_hnsw": lambda references, _: BitGraph(references),
+}
 
 
 @dataclass(frozen=True)
@@ -27,32 +59,53 @@ class Audit:
 class Search:
     """Scores places by the inner product with the most similar of their images.
 
-    `exact` compares every reference. `sq8` does so too, but in 8 bits a number: a quarter of the memory. `hnsw` (a
-    graph) and `ivfpq` (inverted lists of codes of a few bytes) retrieve the `neighbours` most similar images or nearly
-    those; a place without any of them scores -inf: no candidate. The same references give the same index.
+    `exact` compares every reference. `sq8` does so too, but in 8 bits a number: a quarter of the memory. The others
+    retrieve the `neighbours` most similar images or nearly those; a place without any of them scores -inf: no
+    candidate. `hnsw` is a graph that holds the vectors; `ivfpq` (codes of a few bytes) and `rabitq` (a bit a dimension)
+    are inverted lists, of which a query looks at `probes` (0: a share that the index chooses); `binary` (a bit a
+    dimension) compares all images, `binary_hnsw` is a graph of these. Of any approximate index, the `rerank` images
+    that it finds best are compared again by the vectors, exactly, and these alone are candidates. The same references
+    give the same index.
     """
 
     def __init__(
-        self, references: Vectors, places: npt.NDArray[np.int64], kind: Kind = "exact", neighbours: int = 100
+        self,
+        references: Vectors | Shards,
+        places: Numbers,
+        kind: Kind = "exact",
+        neighbours: int = 100,
+        rerank: int = 0,
+        probes: int = 0,
     ) -> None:
-        """Index `references`, which stay where they are (they may be memory-mapped), with the place of each.
+        """Index `references`, which stay where they are (memory-mapped or in shards), with the place of each.
 
-        An approximate index answers without them; they are kept to be compared with. Raises BadInput as `check_index`
-        does, and for places that are not one for each reference.
+        An approximate index answers without them, but to compare exactly the `rerank` images that it finds best; they
+        are kept to be compared with. Raises BadInput as `check_index` does, and for places that are not one for each
+        reference.
         """
-        check_index(kind, neighbours, len(references))
-        if references.ndim != 2 or places.shape != (len(references),):
+        check_index(kind, neighbours, len(references), rerank, probes)
+        if len(references.shape) != 2 or places.shape != (len(references),):
             raise BadInput(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
                 "image or more, and a place for each"
             )
-        self.references: Vectors = np.ascontiguousarray(references, np.float32)
+        if isinstance(references, np.ndarray):
+            references = Shards.of(np.ascontiguousarray(references, np.float32))
+        self.references = references
         self.places = places
         self.kind = kind
         self._n_places = int(places.max()) + 1
-        self._neighbours = min(neighbours, len(references))
-        self._index: Flat | Retrieving = INDEXES[kind](self.references)
+        self._neighbours = min(rerank or neighbours, len(references))
+        self.rerank = 0 if kind == "exact" else rerank
+        if self.rerank:
+            from vprbench.api.rows import Rows  # here, for it needs PyTorch
+
+            self._rows = Rows(references)
+        started = perf_counter()
+        self._index = _INDEXES[kind](references, probes)
+        self.build_seconds = perf_counter() - started
         one_each = np.array_equal(places, np.arange(len(places)))
+        self._shown = None if one_each else places
         self._blocks = None if one_each else [*_blocks_of_places(places)]
 
     @property
@@ -66,8 +119,8 @@ class Search:
         Beside the result, memory is bounded: about 200 MB. Raises ValueError for codes of another length.
         """
         codes = self._checked(codes)
-        if isinstance(self._index, Retrieving):
-            return self._best_of_retrieved(codes, self._index)
+        if self.rerank or isinstance(self._index, Retrieving):
+            return self._best_of_retrieved(codes)
         if self._blocks is None:
             return self._index.similarity(codes, 0, len(self.references))
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
@@ -78,6 +131,38 @@ class Search:
                 scores[queries, block.places] = np.maximum(scores[queries, block.places], best)
         return scores
 
+    def nearest(self, codes: Vectors, n: int, mapped: Mapped = map) -> tuple[Vectors, Numbers]:
+        """Return the similarity of the `n` best places, (n_queries, n), and these places, best first.
+
+        Of places as good as one another the lower comes first; where there is none, the similarity is -inf and the
+        place -1. Exact similarities are sums in float64, then rounded: the same in any batch, on any number of
+        machines. `mapped` searches the parts of the map, whose borders depend on nothing else. Raises ValueError for
+        codes of another length.
+        """
+        codes = self._checked(codes)
+        if self.rerank or isinstance(self._index, Retrieving):
+            best = best_places(*self._retrieved(codes), len(codes), n)
+        elif self.kind == "exact":
+            best = reduce(
+                merged, mapped(partial(best_of_part, codes, n), [*parts_of_map(self.references, self._shown)])
+            )
+        else:
+            best = best_of_part(codes, n, self._whole(self._index, self._shown))
+        return best.similarity, best.places
+
+    def audit(self, exact: Search, codes: Vectors) -> Audit:
+        """Return the share of the places found by exact search of the same references that this one finds too.
+
+        Of places that are exactly as good as the last one wanted each counts as found, up to as many again.
+        """
+        shares = []
+        _, own = self.nearest(codes, _BEST)
+        similarity, places = exact.nearest(codes, 2 * _BEST)
+        for n in (1, min(_BEST, self._n_places)):
+            wanted = np.where(similarity >= similarity[:, n - 1, None] - ROUNDING, places, -2)
+            shares.append((own[:, :n, None] == wanted[:, None]).any(2).mean())
+        return Audit(*map(float, shares))
+
     def exactly(self) -> Search:
         """Return exact search of the same references."""
         return Search(self.references, self.places)
@@ -87,12 +172,28 @@ class Search:
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
-    def _best_of_retrieved(self, codes: Vectors, index: Retrieving) -> Vectors:
+    def _whole(self, index: Flat, places: Numbers | None) -> Part:
+        """Return what an index that compares all images searches; without `places`, images are found."""
+        n_images, n_dimensions = self.references.shape
+        return Part(0, n_images, max(1, CELLS // n_dimensions), places, index.similarity, None)
+
+    def _best_of_retrieved(self, codes: Vectors) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
-        similarity, images = index.retrieve(codes, self._neighbours)
-        rows, columns = np.nonzero(images >= 0)
-        np.maximum.at(scores, (rows, self.places[images[rows, columns]]), similarity[rows, columns])
+        rows, similarity, places = self._retrieved(codes)
+        np.maximum.at(scores, (rows, places), similarity)
         return scores
+
+    def _retrieved(self, codes: Vectors) -> tuple[Numbers, Vectors, Numbers]:
+        """Return the query, the similarity and the place of each image that an index finds."""
+        if isinstance(self._index, Retrieving):
+            similarity, images = self._index.retrieve(codes, self._neighbours)
+        else:
+            found = best_of_part(codes, self._neighbours, self._whole(self._index, None))
+            similarity, images = found.similarity, found.places
+        rows, columns = np.nonzero(images >= 0)
+        chosen = images[rows, columns]
+        values = self._rows.products(codes, rows, chosen) if self.rerank else similarity[rows, columns]
+        return rows, values, self.places[chosen]
 
     def _checked(self, codes: Vectors) -> Vectors:
         n_dimensions = self.references.shape[1]
@@ -101,12 +202,15 @@ class Search:
         return np.ascontiguousarray(codes, np.float32)
 
 
-def check_index(kind: str, neighbours: int, n_images: int) -> None:
-    """Raise BadInput for an unknown kind, for fewer than one neighbour, and for too few images."""
+def check_index(kind: str, neighbours: int, n_images: int, rerank: int = 0, probes: int = 0) -> None:
+    """Raise BadInput for an unknown kind, for numbers out of their range, and for too few images."""
     if kind not in get_args(Kind):
         raise BadInput(f"method.index={kind} is unknown: give {', '.join(get_args(Kind))}")
     if neighbours < 1:
         raise BadInput(f"method.neighbours={neighbours}: give at least 1")
+    for name, number in (("rerank", rerank), ("probes", probes)):
+        if number < 0:
+            raise BadInput(f"method.{name}={number}: give 0 or more")
     if n_images < (least := 1 << BITS if kind == "ivfpq" else 1):
         raise BadInput(
             f"method.index={kind} needs at least {least} reference images, {n_images} came"
@@ -127,7 +231,7 @@ def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
             np.take_along_axis(scores, best, axis=1) > -np.inf, np.take_along_axis(exact, best, axis=1), -np.inf
         )
         least = np.partition(exact, n_places - n, axis=1)[:, n_places - n, None]
-        shares.append((own >= least - _ROUNDING).mean(1))
+        shares.append((own >= least - ROUNDING).mean(1))
     return np.stack(shares, axis=1)
 
 

@@ -58,7 +58,7 @@ class Run:
     fit_compute_seconds: float | None  # without the time that the method waited for images
     load_seconds: float | None  # wall time of reading, checking and restoring those
     network: str | None  # SHA-256 of the file that was loaded
-    search: Mapping[str, Any] | None  # of descriptors: index, bytes_per_place, recall_at_1, recall_at_10; None: no such
+    search: Mapping[str, Any] | None  # of descriptors: index, bytes_per_place, recall_at_1, ...; None: no such
     peak_memory_bytes: int
     harness_seconds: float  # spent neither in the method nor in reading images
     method_seconds: float  # spent in the method

@@ -101,6 +101,8 @@ class _Search(_Part):
     bytes_per_place: _Number
     recall_at_1: _Share | None = None
     recall_at_10: _Share | None = None
+    rerank: _Count = 0
+    build_seconds: _Amount | None = None
 
 
 class _Layer(_Part):

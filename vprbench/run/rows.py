@@ -92,6 +92,7 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "index_recall_at_1": search.get("recall_at_1"),
         "index_recall_at_10": search.get("recall_at_10"),
         "index_bytes_per_place": search.get("bytes_per_place"),
+        "index_build_seconds": search.get("build_seconds"),
         "peak_memory_bytes": run.peak_memory_bytes,
         "harness_seconds": run.harness_seconds,
         "method_seconds": run.method_seconds,

@@ -44,13 +44,14 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
 
-    described = Described.of(request.cache if request.files.load is None else None, method, request.config)
+    cache = request.cache if request.files.load is None else None
+    described = Described.of(cache, method, request.config, dataset.n_places)
     with ledger() as resumed:
         learnt = learn(request, key, stopwatch, described, resumed)
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
-        first_query = stopwatch.first_query(method, queries)
+        first_query = stopwatch.first_query(scoring.asked, queries)
         watch.fitted()
         answers.method_seconds += first_query
         from_cache = scoring.score(described)
@@ -66,6 +67,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         *learnt.notes,
         *noted("method", method.notes()),
         *_cache_notes(dataset, learnt.from_cache, from_cache),
+        *scoring.notes(),
     )
     scored = replace(
         _scored(request, key, learnt, answers, measured),
@@ -76,7 +78,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         return scored
     keep(scored)
     with watch.alone():
-        timing = stopwatch.measure(method, queries, first_query)
+        timing = stopwatch.measure(scoring.asked, queries, first_query)
         timed = replace(scored, timing=timing, **watch.seen())
     progress.report("timing", 1.0)
     timed = replace(timed, config={**scored.config, "timing": asdict(request.protocol)})
@@ -169,11 +171,13 @@ def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measur
     )
 
 
-def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[Note]:
-    """Yield which descriptors were not encoded because they were kept."""
-    kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
+def _cache_notes(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
+    """Yield how many descriptors were not encoded because they were kept."""
+    traverses = (("references", references, len(dataset.references)), ("queries", queries, len(dataset.queries)))
+    kept = [f"{n if n == of else f'{n} of {of}'} {images}" for images, n, of in traverses if n]
     if kept:
-        nothing = "nothing was encoded" if references and queries else "none of these was encoded"
+        everything = all(n == of for _, n, of in traverses)
+        nothing = "nothing was encoded" if everything else "none of these was encoded"
         text = f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
         yield Note("described", text)
 
@@ -199,10 +203,13 @@ def _notes_on(run: Run) -> Iterator[Note]:
     if run.timing is not None:
         yield from _notes_on_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":
+        found = run.search
+        again = f", the best {found['rerank']} compared again" if found["rerank"] else ""
         yield Note(
             "index",
-            f"index {run.search['index']}: {100 * run.search['recall_at_1']:.1f} % of the exactly best places found, "
-            f"{100 * run.search['recall_at_10']:.1f} % of the best 10; {run.search['bytes_per_place']:,} bytes a place",
+            f"index {found['index']}{again}: {100 * found['recall_at_1']:.1f} % of the exactly best places found, "
+            f"{100 * found['recall_at_10']:.1f} % of the best 10; {found['bytes_per_place']:,} bytes a place, "
+            f"built in {found['build_seconds']:.1f} s",
         )
 
 
