@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
@@ -67,7 +67,7 @@ def image_list(
         truth = by_radius(np.concatenate([table.metres(kind) for table in mapped]), asked.metres(kind), radius_metres)
     return dataset_of_files(
         name,
-        [image for table in mapped for image in table.images],
+        Paths.joined(table.images for table in mapped),
         asked.images,
         truth,
         unmatched,
@@ -86,7 +86,7 @@ class _Table:
     """The rows of one CSV."""
 
     file: Path
-    images: list[Path]
+    images: Paths
     cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
 
     def labels(self) -> list[str | int]:
@@ -130,8 +130,8 @@ def _table(file: Path, root: str | None) -> _Table:
     if not table.rows:
         raise BadInput(f"{file} lists no image: give it a row for each")
     cells = {name: [row[place] for row in table.rows] for place, name in enumerate(columns)}
-    names = _Table(file, [], cells)._words("image")
-    images = [(file.parent if root is None else Path(root).expanduser()) / name for name in names]
+    names = _Table(file, Paths.of([]), cells)._words("image")
+    images = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
     check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
     return _Table(file, images, cells)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import names_hash
 from vprbench.api.method import Method, calibration
 from vprbench.plugins import networks
 from vprbench.run import harness, machine, sources
@@ -127,14 +128,14 @@ def data_record(dataset: Dataset) -> DataRecord:
 
     Raises BadInput if a file cannot be read.
     """
-    names = [*dataset.references.names, *dataset.queries.names]
+    names = dataset.references.names, dataset.queries.names
     references, queries = dataset.references.file_hashes(), dataset.queries.file_hashes()
-    files = None if references is None or queries is None else [*references, *queries]
+    files = None if references is None or queries is None else (references, queries)
     return {
-        "names_sha256": hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest(),
+        "names_sha256": names_hash(*names).hexdigest(),
         "content_sha256": None if files is None else hashlib.sha256(b"".join(f.sha256 for f in files)).hexdigest(),
-        "images": len(names),
-        "bytes": None if files is None else sum(file.size_bytes for file in files),
+        "images": sum(map(len, names)),
+        "bytes": None if files is None else sum(int(f.sizes.sum()) for f in files),
     }
 
 
