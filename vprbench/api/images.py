@@ -211,14 +211,14 @@ class Images(Sequence[Image]):
         """Return the hash of the file behind each image; None if there are no files."""
         return None if self._files is None else file_hashes(self._files)
 
-    def fingerprint(self) -> str:
+    def fingerprint(self, hashed: HashedFiles | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
-        Files count by name, size and content. Of images that have neither files nor a stamp sixteen are decoded, of
-        those in memory all count.
+        Files count by name, size and content, which `hashed` holds if they were looked at just now. Of images that have
+        neither files nor a stamp sixteen are decoded, of those in memory all count.
         """
         digest = names_hash(self.names)
-        files = self.file_hashes()
+        files = hashed or self.file_hashes()
         for size_bytes, sha256 in files or ():
             digest.update(b"%d" % size_bytes + sha256)
         if self._stamp is not None:

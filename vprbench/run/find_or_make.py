@@ -25,7 +25,7 @@ from vprbench.progress import progress_shown
 from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.corrupted_frames import corrupted
-from vprbench.run.identity import Request, fingerprint
+from vprbench.run.identity import Request, data_record, fingerprint, hashed
 from vprbench.run.record import Run
 from vprbench.run.sequences import views
 from vprbench.run.settings import Settings, n_threads
@@ -155,12 +155,23 @@ def requested(
             asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
             method = build(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
-        images = fingerprint(dataset)
+        frames = hashed(dataset)
+        images, data = fingerprint(dataset, frames), data_record(dataset, frames)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
     cache = store.root.absolute() / "descriptors" if settings.cache else None
     return Request(
-        name, method, dataset, asked, images, settings.timing, threads, files, cache, readouts=settings.readouts
+        name,
+        method,
+        dataset,
+        asked,
+        images,
+        settings.timing,
+        threads,
+        files,
+        cache,
+        readouts=settings.readouts,
+        data=data,
     )
 
 

@@ -52,7 +52,7 @@ class FileHash(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class HashedFiles(Sequence[FileHash]):
+class HashedFiles:
     """What files hold, in short, in little memory."""
 
     sizes: npt.NDArray[np.int64]  # (n,), bytes

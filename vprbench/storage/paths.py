@@ -87,7 +87,7 @@ class Paths(Sequence[Path]):
     def __getitem__(self, index: int | slice | npt.NDArray[Any]) -> Path | Paths:
         """Return one path, or several."""
         if isinstance(index, int | np.integer):
-            return self.folders[self.numbers[index]] / self.names[index]
+            return self.folders[int(self.numbers[index])] / self.names[index]
         return Paths(self.folders, self.numbers[index], chosen_names(self.names, index))
 
     def absolute(self) -> Paths:
@@ -114,7 +114,7 @@ class Paths(Sequence[Path]):
         return order[is_first], which
 
     def in_folders(self) -> Iterator[tuple[Path, npt.NDArray[np.int64]]]:
-        """Yield each folder that holds any of the files and the positions of these, ascending; in order of the first."""
+        """Yield each folder that holds any of the files, and their positions, ascending; in order of the first."""
         order = np.argsort(self.numbers, kind="stable")
         ends = np.flatnonzero(np.diff(self.numbers[order])) + 1
         for group in sorted(filter(len, np.split(order, ends)), key=lambda group: int(group[0])):
