@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
@@ -49,20 +50,20 @@ class Paths(Sequence[Path]):
     @classmethod
     def below(cls, top: Path, texts: Sequence[str]) -> Paths:
         """Return the paths `top / text`."""
-        known: dict[str, Path] = {}
-        parents, names = [], []
+        folders: dict[Path, int] = {}
+        known: dict[str, int] = {}  # by their texts
+        numbers, names = array("i"), []
         for text in texts:
             folder, _, name = text.rpartition("/")
-            if os.sep != "/" or not folder or name in ("", "."):  # a name alone, /name, a folder, another system
+            number = known.get(folder)
+            if number is None or name in ("", "."):
                 whole = top / text
-                parent, name = whole.parent, whole.name
-            elif (found := known.get(folder)) is not None:
-                parent = found
-            else:
-                parent = known[folder] = top / folder
-            parents.append(parent)
+                number, name = folders.setdefault(whole.parent, len(folders)), whole.name
+                if folder and os.sep == "/" and text.endswith(f"/{name}"):
+                    known[folder] = number
+            numbers.append(number)
             names.append(name)
-        return cls.grouped(parents, names)
+        return cls([*folders], np.array(numbers, np.int32), names)
 
     @classmethod
     def joined(cls, parts: Iterable[Paths]) -> Paths:

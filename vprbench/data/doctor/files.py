@@ -65,7 +65,7 @@ def contents(folder: FrameFolder, n_folders: int) -> Contents | None:
     used = {name: sizes[name] for name in wanted if name in sizes}
     missing = [name for name in wanted if name not in sizes]
     unfit = _unfit(folder.path, used, min(_SPREAD, max(1, _SPREAD_IN_ALL // n_folders)))
-    return Contents(folder, sizes, images, sorted({*images} - {*wanted}), used, missing, unfit)
+    return Contents(folder, sizes, images, [name for name in images if name not in wanted], used, missing, unfit)
 
 
 def _unfit(path: Path, used: Mapping[str, int], spread: int) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from .finding import Finding
 from .traverse import Traverse, one_by_one
 
 _HALF = 0.5
-_AT_ONCE = 1000  # names whose order is looked at
+_AT_ONCE = 10_000  # names whose order is looked at
 _ANY_DIGIT = str.maketrans("123456789", "0" * 9)
 
 
