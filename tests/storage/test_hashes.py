@@ -113,6 +113,19 @@ def test_a_second_call_reads_what_came_since_alone(
     assert read == {"3.png": 1, "4.png": 1}
 
 
+@pytest.mark.parametrize("asked", [[0, 20, 39], [*range(40)], [39, 3, 39, 20]], ids=["few", "all", "some twice"])
+def test_what_is_known_is_found_among_much_or_little_else(
+    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch, asked: list[int]
+) -> None:
+    monkeypatch.setattr(file_hashes, "_ASKED", 3)
+    paths = files(tmp_path, 40)
+    later(folder).of(paths)
+    read.clear()
+    chosen = [paths[number] for number in asked]
+    assert [*later(folder).of(chosen)] == expected(chosen)
+    assert not read
+
+
 def test_a_file_is_known_by_its_relative_name_too(
     tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
