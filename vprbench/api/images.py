@@ -219,8 +219,8 @@ class Images(Sequence[Image]):
         """
         digest = names_hash(self.names)
         files = hashed or self.file_hashes()
-        for size_bytes, sha256 in files or ():
-            digest.update(b"%d" % size_bytes + sha256)
+        for part in files.told() if files else ():
+            digest.update(part)
         if self._stamp is not None:
             for i in range(len(self)):
                 digest.update(self._stamp(i))

@@ -67,11 +67,13 @@ class HashedFiles:
         at = range(len(self))[index] * _SHA256_BYTES
         return FileHash(int(self.sizes[index]), self.sha256[at : at + _SHA256_BYTES])
 
-    def __iter__(self) -> Iterator[FileHash]:
-        """Yield the hash of each file."""
-        starts = range(0, len(self.sha256), _SHA256_BYTES)
-        for at, size_bytes in zip(starts, self.sizes.tolist(), strict=True):
-            yield FileHash(size_bytes, self.sha256[at : at + _SHA256_BYTES])
+    def told(self) -> Iterator[bytes]:
+        """Yield what changes with the size or the content of any of the files, in parts."""
+        for first in range(0, len(self), _ASKED):
+            sizes = self.sizes[first : first + _ASKED].tolist()
+            starts = range(first * _SHA256_BYTES, len(self.sha256), _SHA256_BYTES)
+            hashes = (self.sha256[start : start + _SHA256_BYTES] for start in starts)
+            yield b"".join([b"%d%b" % each for each in zip(sizes, hashes, strict=False)])
 
 
 class FileHashes:
