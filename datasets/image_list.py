@@ -136,7 +136,7 @@ def _table(file: Path, root: str | None) -> _Table:
     names = _Table(file, Paths.of([]), cells)._words("image")
     images = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
     check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
-    return _Table(file, images, cells)
+    return _Table(file, images, {**cells, "image": ()})  # the images hold them in less memory
 
 
 def _kind_of_all(tables: Sequence[_Table]) -> Kind:
