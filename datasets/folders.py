@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.image_files import images_in
@@ -42,7 +42,7 @@ def folders(
             "pass dataset.references=[/path/to/first,/path/to/second] dataset.queries=/path/to/queries"
         )
     traverses = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
-    mapped = [path for files in traverses for path in files]
+    mapped = Paths.joined(traverses)
     asked = images_in(queries, "dataset.queries", _ADVICE)
     chosen: dict[str, float] = {}
     if ground_truth == "index":
@@ -67,7 +67,7 @@ def folders(
     )
 
 
-def _by_index(traverses: list[list[Path]], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
+def _by_index(traverses: list[Paths], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
     """Return the place of every reference and the right places of every query, by their number in the traverse."""
     counts = {len(files) for files in traverses}
     if len(counts) > 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files
@@ -67,7 +68,7 @@ def image_list(
         truth = by_radius(np.concatenate([table.metres(kind) for table in mapped]), asked.metres(kind), radius_metres)
     return dataset_of_files(
         name,
-        [image for table in mapped for image in table.images],
+        Paths.joined(table.images for table in mapped),
         asked.images,
         truth,
         unmatched,
@@ -86,7 +87,7 @@ class _Table:
     """The rows of one CSV."""
 
     file: Path
-    images: list[Path]
+    images: Paths
     cells: Mapping[str, Sequence[str]]  # of every row, by our names of the columns
 
     def labels(self) -> list[str | int]:
@@ -101,15 +102,17 @@ class _Table:
 
     def _numbers(self, column: str) -> npt.NDArray[np.float64]:
         most = {"lat": 90.0, "lon": 180.0}.get(column, MOST_METRES)
-        numbers = np.empty(len(self.images))
-        for row, word in enumerate(self._words(column)):
+        numbers = array("d")
+        for word in self._words(column):
             try:
-                numbers[row] = float(word)
+                number = float(word)
             except ValueError:
-                numbers[row] = np.nan
-            if not abs(numbers[row]) <= most:
-                raise BadInput(f"{column} {word} in row {row + 1} of {self.file}: wanted is -{most:g} to {most:g}")
-        return numbers
+                number = np.nan
+            if not abs(number) <= most:
+                row = len(numbers) + 1
+                raise BadInput(f"{column} {word} in row {row} of {self.file}: wanted is -{most:g} to {most:g}")
+            numbers.append(number)
+        return np.array(numbers)
 
     def _words(self, column: str) -> list[str]:
         words = [word.strip() for word in self.cells[column]]
@@ -127,13 +130,13 @@ def _table(file: Path, root: str | None) -> _Table:
     columns = [_ALIASES.get(column, column) for column in plain]
     if "image" not in columns or any(columns.count(name) > 1 for name in _KNOWN):
         raise BadInput(f"{file} has the columns {table.told}; wanted are {_WANTED}, each once")
-    if not table.rows:
+    if not table.lines:
         raise BadInput(f"{file} lists no image: give it a row for each")
-    cells = {name: [row[place] for row in table.rows] for place, name in enumerate(columns)}
-    names = _Table(file, [], cells)._words("image")
-    images = [(file.parent if root is None else Path(root).expanduser()) / name for name in names]
+    cells = dict(zip(columns, table.columns, strict=True))
+    names = _Table(file, Paths.of([]), cells)._words("image")
+    images = Paths.below(file.parent if root is None else Path(root).expanduser(), names)
     check_listed(images, file.name, "correct the paths, or set dataset.root to the folder that they start from")
-    return _Table(file, images, cells)
+    return _Table(file, images, {**cells, "image": ()})  # the images hold them in less memory
 
 
 def _kind_of_all(tables: Sequence[_Table]) -> Kind:

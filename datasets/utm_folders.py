@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.frame_folders import root_folder
@@ -81,7 +81,7 @@ def _holding(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tup
     )
 
 
-def _images(folder: Path, layout: str) -> list[Path]:
+def _images(folder: Path, layout: str) -> Paths:
     """Return the images of a folder: the images of the list beside it, if there is a list, else all, by their paths."""
     beside = _list_beside(folder)
     if not beside.is_file():
@@ -92,7 +92,7 @@ def _images(folder: Path, layout: str) -> list[Path]:
         raise BadInput(f"{beside} is no text in UTF-8 ({error}): save it as such, or delete it") from error
     if not named:
         raise NotThere(f"{beside} names no image: delete it to use all images of {folder}")
-    files = [folder / line for line in named]
+    files = Paths.below(folder, named)
     check_listed(files, beside.name, f"restore them, or delete {beside} to use all images of the folder")
     return files
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, NotThere
+from vprbench.api import BadInput, Dataset, NotThere, Paths
 
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, each_a_place
 from .readers.frame_folders import root_folder
@@ -48,7 +48,7 @@ def gardens_point(
         f"set dataset.root to the folder that holds {', '.join([*traverses, query])}"
     )
     top = root_folder(name, root, "the traverses", layout)
-    mapped = [path for traverse in traverses for path in _first(top / traverse, images, layout)]
+    mapped = Paths.joined(_first(top / traverse, images, layout) for traverse in traverses)
     return dataset_of_files(
         name,
         mapped,
@@ -98,7 +98,7 @@ def with_matrix(
     )
 
 
-def _first(folder: Path, count: int, layout: str) -> list[Path]:
+def _first(folder: Path, count: int, layout: str) -> Paths:
     """Return the first images of a folder; raises NotThere if there are fewer."""
     files = images_in(folder, "dataset.root", layout, deep=False)
     if len(files) < count:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +19,12 @@ class CsvTable:
     """The cells of a CSV file, all of them text."""
 
     header: list[str]
-    rows: list[list[str]]  # each as long as the header; blank lines are none
-    lines: list[int]  # of each row, the line of the file that it ends in, from 1
+    columns: list[list[str]]  # each as long as there are rows; blank lines are none
+    lines: Sequence[int]  # of each row, the line of the file that it ends in, from 1
 
     def column(self, name: str) -> list[str]:
         """Return the cells of the first column of a name in the header."""
-        place = self.header.index(name)
-        return [row[place] for row in self.rows]
+        return self.columns[self.header.index(name)]
 
     @property
     def told(self) -> str:
@@ -34,14 +35,14 @@ class CsvTable:
 
 def read_csv(file: Path, wanted: str) -> CsvTable:
     """Read a CSV file in UTF-8 whose first row is its header; raises BadInput, with `wanted`, for any other file."""
-    rows: list[list[str]] = []
-    lines: list[int] = []
+    lines = array("q")
     try:
         with file.open(newline="", encoding="utf-8-sig") as text:
             reader = csv.reader(text, strict=True)
             header = next(filter(None, reader), [])
             if len(header) > _MOST_COLUMNS:
                 raise BadInput(f"{file} has {len(header)} columns, more than {_MOST_COLUMNS}: wanted are {wanted}")
+            columns: list[list[str]] = [[] for _ in header]
             for row in filter(None, reader):
                 if len(row) != len(header):
                     few = "fewer" if len(row) < len(header) else "more"
@@ -49,10 +50,11 @@ def read_csv(file: Path, wanted: str) -> CsvTable:
                         f"line {reader.line_num} of {file} has {few} cells than its header: give it one for every "
                         "column, and put text that holds a comma in quotes"
                     )
-                rows.append(row)
+                for column, cell in zip(columns, row, strict=True):
+                    column.append(cell)
                 lines.append(reader.line_num)
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadInput(f"{file} cannot be read as a CSV ({error}): wanted are the columns {wanted}") from error
     except OSError as error:
         raise BadInput(f"{file} cannot be read ({error.strerror}): wanted is a CSV with {wanted}") from error
-    return CsvTable(header, rows, lines)
+    return CsvTable(header, columns, lines)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, FrameFolder, Images, Places
+from vprbench.api import BadInput, Dataset, FrameFolder, Images, Paths, Places
 
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 
@@ -42,8 +42,9 @@ def dataset_of_files(
 
     Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
+    references, queries = Paths.of(references), Paths.of(queries)
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
-    kept = matched if unmatched == "drop" else range(len(queries))
+    kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
     without = len(truth.positives) - len(matched)
     told = f"{without} of {len(queries)} queries have {truth.lacking}"
     if without and unmatched == "error":
@@ -52,25 +53,23 @@ def dataset_of_files(
             f"{told} (first: {queries[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
             "or dataset.unmatched=drop to leave them out"
         )
-    if not kept:
+    if not len(kept):
         raise BadInput(f"{told}, and dataset.unmatched=drop leaves none: check that both folders show the same places")
     outcome = "are left out" if unmatched == "drop" else "count as misses"
     return Dataset(
         name=name,
         references=Images.from_files(references),
         places=truth.places,
-        queries=Images.from_files([queries[query] for query in kept]),
-        positives=tuple(truth.positives[query] for query in kept),
+        queries=Images.from_files(queries[kept]),
+        positives=tuple(truth.positives[query] for query in kept.tolist()),
         protocol={**protocol, "unmatched": unmatched},
         query_breaks=np.flatnonzero(np.diff(matched) > 1) + 1 if unmatched == "drop" else None,
-        folders=folders_of([*references, *queries]),
+        folders=folders_of(Paths.joined([references, queries])),
         notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
     )
 
 
 def folders_of(files: Sequence[Path]) -> tuple[FrameFolder, ...]:
     """Return the folders that hold the files, in order of appearance, each with the names used of it, each once."""
-    names: dict[Path, dict[str, None]] = {}
-    for path in files:
-        names.setdefault(path.parent, {})[path.name] = None
-    return tuple(FrameFolder(folder, tuple(used)) for folder, used in names.items())
+    files = Paths.of(files)
+    return tuple(FrameFolder(folder, tuple(dict.fromkeys(files[which].names))) for folder, which in files.in_folders())

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Literal
 
-from natsort import natsorted
+import numpy as np
 
-from vprbench.api import IMAGE_SUFFIXES, BadInput, NotThere, is_beside, is_folder_beside, is_image_name
+from vprbench.api import (
+    IMAGE_SUFFIXES,
+    BadInput,
+    NotThere,
+    Paths,
+    is_beside,
+    is_folder_beside,
+    is_image_name,
+    natural_keys,
+)
+
+_BLOCK = 10_000  # files that are looked for together
 
 
 def images_in(
@@ -19,7 +30,7 @@ def images_in(
     *,
     order: Literal["natural", "plain"] = "natural",
     deep: bool = True,
-) -> list[Path]:
+) -> Paths:
     """Return the image files of a folder, with `deep` those of its sub-folders too, links followed.
 
     Left out are lists and what systems put beside frames, such as names that begin with a dot (._1.jpg). A link to a
@@ -31,27 +42,33 @@ def images_in(
     top = Path(folder).expanduser()
     if not str(folder) or not top.is_dir():
         raise NotThere(f"{option}: {folder or 'nothing'} is no folder: {advice}")
-    files: list[Path] = []
-    strangers: list[Path] = []
-    for path in _entries(top, deep):
-        is_frame = is_image_name(path.name) and (path.is_file() or not path.exists())
-        (files if is_frame else strangers).append(path)
-    if not files:
+    frames, strangers = _entries(top, deep)
+    if not frames:
         raise NotThere(f"{option}: {folder} holds no images ({', '.join(IMAGE_SUFFIXES)}): {advice}")
     if strangers:
         raise _stranger(option, min(strangers), len(strangers))
     if order == "plain":
-        return sorted(files, key=str)
-    # Sorted first, so that names which count as equal (1.png, 01.png) have an order too.
-    return [Path(path) for path in natsorted(sorted(files))]
+        frames.sort()
+    else:
+        # Sorted first, so that names which count as equal (1.png, 01.png) have an order too.
+        frames.sort(key=lambda frame: frame.replace(os.sep, "\0"))
+        keys = natural_keys(frames)
+        frames = [frames[number] for number in sorted(range(len(frames)), key=keys.__getitem__)]
+        del keys  # as large as the list
+    return Paths.below(top, frames)
 
 
-def check_listed(files: list[Path], listed_in: str, advice: str) -> None:
+def check_listed(files: Sequence[Path], listed_in: str, advice: str) -> None:
     """Raise NotThere, with the first of them and `advice`, if files that a list names are missing."""
-    missing = [path for path in files if not path.is_file()]
+    files = Paths.of(files)
+    missing: list[int] = []
+    for first in range(0, len(files), _BLOCK):
+        block = np.arange(first, min(first + _BLOCK, len(files)))
+        missing += [n for n, path in zip(block, files.encoded(block), strict=True) if not os.path.isfile(path)]  # noqa: PTH113 - quicker
     if missing:
         raise NotThere(
-            f"{missing[0]} does not exist ({len(missing)} of {len(files)} images in {listed_in} are missing): {advice}"
+            f"{files[missing[0]]} does not exist ({len(missing)} of {len(files)} images in {listed_in} are missing): "
+            f"{advice}"
         )
 
 
@@ -70,33 +87,66 @@ def _stranger(option: str, first: Path, count: int) -> BadInput:
     )
 
 
-def _entries(top: Path, deep: bool) -> Iterator[Path]:
-    """Yield the files of a folder, with `deep` of its sub-folders too, but for what is known to lie beside frames.
+def _entries(top: Path, deep: bool) -> tuple[list[str], list[Path]]:
+    """Return the frames in a folder, by their paths from it, and what is none and not known to lie beside frames.
 
-    A sub-folder under the name of an image is yielded in place of what it holds. Raises BadInput if links lead to
-    one folder twice; a link to a folder that it lies in, by other links too, ends there.
+    With `deep` those of its sub-folders too; one under the name of an image stands for what it holds. Raises NotThere
+    for a folder that cannot be read, BadInput if links lead to one folder twice; a link to a folder that it lies in, by
+    other links too, ends there.
     """
+    frames: list[str] = []
+    strangers: list[Path] = []
     real: dict[Path, Path] = {}  # of every folder met, by its path here
     met: dict[Path, Path] = {}
-    for folder, inner, names in os.walk(top, onerror=_refuse, followlinks=True):
-        here = Path(folder)
+    waiting = [top]
+    while waiting:
+        here = waiting.pop()
         real[here] = here.resolve()
         if real[here] in met:
             raise BadInput(
                 f"{here} is {met[real[here]]} once more, by way of a link: remove the link, or its frames count twice"
             )
         met[real[here]] = here
+        below = "" if here == top else f"{here.relative_to(top)}{os.sep}"
+        inner = []
+        try:
+            with os.scandir(here) as entries:
+                for entry in entries:
+                    name = entry.name
+                    if _is_folder(entry):
+                        inner.append(name)
+                    elif not is_image_name(name):
+                        strangers += [] if is_beside(name) else [here / name]
+                    elif _is_frame(entry):
+                        frames.append(below + name)
+                    elif not is_beside(name):
+                        strangers.append(here / name)
+        except OSError as error:
+            raise NotThere(
+                f"{error.filename} cannot be read ({error.strerror}): make it readable; none is skipped"
+            ) from error
+        inner = [name for name in inner if not is_folder_beside(name)]
+        strangers += [here / name for name in inner if is_image_name(name)]
         around = [real[above] for above in (here, *here.parents) if above in real]
-        yield from (here / name for name in names if not is_beside(name))
-        inner[:] = [name for name in inner if not is_folder_beside(name)]
-        yield from (here / name for name in inner if is_image_name(name))
-        inner[:] = [name for name in inner if deep and not is_image_name(name) and not _leads_back(here / name, around)]
+        further = [here / name for name in inner if deep and not is_image_name(name)]
+        waiting += [folder for folder in reversed(further) if not _leads_back(folder, around)]
+    return frames, strangers
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
+
+
+def _is_frame(entry: os.DirEntry[str]) -> bool:
+    """Tell whether an entry under the name of an image is a file, or a link to one that is gone."""
+    if entry.name.startswith("."):
+        return False
+    return entry.is_file(follow_symlinks=False) or (path := Path(entry.path)).is_file() or not path.exists()
 
 
 def _leads_back(folder: Path, around: list[Path]) -> bool:
     """Tell whether a folder is a link to one that it lies in; `around` are the real paths on the way to it."""
     return folder.is_symlink() and any(above.is_relative_to(folder.resolve()) for above in around)
-
-
-def _refuse(error: OSError) -> NoReturn:
-    raise NotThere(f"{error.filename} cannot be read ({error.strerror}): make it readable; none is skipped") from error

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -11,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from vprbench.api import BadInput
+from vprbench.api import BadInput, Paths
 
 from .file_dataset import GroundTruth, each_a_place
 
@@ -76,13 +78,12 @@ def by_names(
 
     Raises BadInput for a name without a position, and for names of several UTM zones unless they are kept apart.
     """
-    named = [[position_in(path) for path in files] for files in (references, queries)]
-    grids = {
-        position.grid: path for path, position in zip([*references, *queries], [*named[0], *named[1]], strict=True)
-    }
+    listed = [Paths.of(files) for files in (references, queries)]
+    grids: dict[str, str] = {}  # each with the last name that holds it
+    named = [_positions(files, grids) for files in listed]
     several = [grid for grid in grids if grid] if zones == "error" else [*grids] if "" in grids else []
     if len(several) > 1:
-        first, second = (f"{grids[grid].name} in {grid or 'no zone'}" for grid in several[:2])
+        first, second = (f"{grids[grid]} in {grid or 'no zone'}" for grid in several[:2])
         raise BadInput(
             f"names of {len(several)} UTM zones came ({first}, {second}), whose metres do not compare: "
             + (
@@ -92,24 +93,53 @@ def by_names(
                 else "with dataset.zones=apart every name has to hold its zone"
             )
         )
-    shelf = {grid: number * _APART_METRES for number, grid in enumerate(grids)} if zones == "apart" else {}
+    if zones == "apart":
+        shelf = np.arange(len(grids)) * _APART_METRES
+        named = [(np.column_stack([metres, shelf[of_each]]), of_each) for metres, of_each in named]
+    return by_radius(named[0][0], named[1][0], radius_metres)
 
-    def metres(positions: list[Position]) -> Metres:
-        return np.array([(east, north, shelf.get(grid, 0.0)) for east, north, grid in positions])
 
-    return by_radius(metres(named[0]), metres(named[1]), radius_metres)
+def _positions(files: Paths, grids: dict[str, str]) -> tuple[Metres, npt.NDArray[np.int32]]:
+    """Return what the names of files say, (n, 2) and (n,): east and north, and the number of the grid in `grids`.
+
+    New grids are added, and each learns the last name that holds it. Raises what `position_in` raises.
+    """
+    metres, of_each = array("d"), array("i")
+    numbers = {grid: number for number, grid in enumerate(grids)}
+    for number, name in enumerate(files.names):
+        try:
+            east, north, grid = _said_by(name)
+        except ValueError as error:
+            raise BadInput(f"{files[number]} names {error}") from error
+        metres.append(east)
+        metres.append(north)
+        of_each.append(numbers.setdefault(grid, len(numbers)))
+        grids[grid] = name
+    return np.array(metres).reshape(-1, 2), np.array(of_each)
 
 
 def position_in(path: Path) -> Position:
     """Return the position that the base name of a file holds; raises BadInput with the name if it holds none."""
-    parts = path.name.split("@")
+    try:
+        return Position(*_said_by(path.name))
+    except ValueError as error:
+        raise BadInput(f"{path} names {error}") from error
+
+
+def _said_by(name: str) -> tuple[float, float, str]:
+    """Return the fields of a Position; raises ValueError with what the name says instead."""
+    parts = name.split("@", 5)
     try:
         east, north = float(parts[1]), float(parts[2])
     except (IndexError, ValueError) as error:
-        raise BadInput(f"{path} names no position: a name has to begin with @UTM_east@UTM_north@") from error
-    if not are_metres([east, north]):
-        raise BadInput(f"{path} names the position {east}, {north}: wanted are metres from -1e8 to 1e8")
-    zone, letter = (parts[3], parts[4].upper()) if len(parts) > 4 else ("", "")
+        raise ValueError("no position: a name has to begin with @UTM_east@UTM_north@") from error
+    if not (abs(east) <= MOST_METRES and abs(north) <= MOST_METRES):
+        raise ValueError(f"the position {east}, {north}: wanted are metres from -1e8 to 1e8")
+    return east, north, _grid(parts[3], parts[4].upper()) if len(parts) > 4 else ""
+
+
+@lru_cache(1000)  # names may hold anything there
+def _grid(zone: str, letter: str) -> str:
     if not (zone.isascii() and zone.isdigit() and 1 <= int(zone) <= 60 and _BAND.fullmatch(letter)):
-        return Position(east, north, "")
-    return Position(east, north, f"{int(zone)} {'north' if letter >= 'N' else 'south'}")
+        return ""
+    return f"{int(zone)} {'north' if letter >= 'N' else 'south'}"

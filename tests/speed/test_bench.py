@@ -79,6 +79,7 @@ SECTIONS = {
     "A training step": ["paper", "reference"],
     "The fit that users ask for": ["paper", "reference"],
     "Reading frames": ["40x24"],
+    "Reading names": ["40"] * 2,
     "Preprocessing": ["64x32"] * 4 + ["40x24"] * 4,
     "Queries at": [
         "sad",

@@ -17,10 +17,13 @@ from vprbench.api import images
 from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
+from vprbench.progress import listening
+from vprbench.speed import files as many_files
 from vprbench.speed import frames, measure
 from vprbench.speed.frames import ReadingCell, drawn, frame_files, in_own_process, reading_cell
 from vprbench.speed.report import Failed, measured
 from vprbench.speed.settings import QUICK, Settings
+from vprbench.storage import hashes
 
 N_FRAMES, N_FILES = 260, 5  # of quick=true
 
@@ -128,3 +131,22 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
     monkeypatch.setattr(frames, "frame_files", fails)
     assert list(measured("reading", frames.reading(bench))) == [failed]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VPRBENCH_HASHES", "")  # which measuring sets
+    monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)
+    hashes._shared.cache_clear()
+    many_files.town(tmp_path, 1200, seed=0)
+    told: list[str] = []
+    cells = []
+    for which in ("first", "second"):
+        with listening(lambda stage, done: told.append(stage)):
+            cells.append(many_files.files_cell(tmp_path, 1200, which))
+        assert (told != []) == (which == "first")
+        told.clear()
+    assert [len(list((tmp_path / "database" / folder).iterdir())) for folder in ("00000", "00001")] == [1000, 200]
+    for cell in cells:
+        assert len(cell.seconds) == 4
+        assert min(cell.seconds.values()) > 0
+        assert 0 < cell.memory_before_bytes <= cell.peak_memory_bytes

@@ -93,7 +93,7 @@ def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_on
     tmp_path: Path, folder: Path, read: Counter[str]
 ) -> None:
     a, b, c = files(tmp_path, 3)
-    assert later(folder).of([c, a, c, b, a]) == expected([c, a, c, b, a])
+    assert [*later(folder).of([c, a, c, b, a])] == expected([c, a, c, b, a])
     assert set(read.values()) == {1}
 
 
@@ -105,12 +105,25 @@ def test_a_second_call_reads_what_came_since_alone(
     tmp_path: Path, folder: Path, read: Counter[str], again: bool
 ) -> None:
     paths, first = files(tmp_path, 5), later(folder)
-    assert first.of([]) == []
+    assert [*first.of([])] == []
     assert not folder.exists()
     first.of(paths[:3])
     read.clear()
-    assert (first if again else later(folder)).of(paths) == expected(paths)
+    assert [*(first if again else later(folder)).of(paths)] == expected(paths)
     assert read == {"3.png": 1, "4.png": 1}
+
+
+@pytest.mark.parametrize("asked", [[0, 20, 39], [*range(40)], [39, 3, 39, 20]], ids=["few", "all", "some twice"])
+def test_what_is_known_is_found_among_much_or_little_else(
+    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch, asked: list[int]
+) -> None:
+    monkeypatch.setattr(file_hashes, "_ASKED", 3)
+    paths = files(tmp_path, 40)
+    later(folder).of(paths)
+    read.clear()
+    chosen = [paths[number] for number in asked]
+    assert [*later(folder).of(chosen)] == expected(chosen)
+    assert not read
 
 
 def test_a_file_is_known_by_its_relative_name_too(
@@ -118,7 +131,7 @@ def test_a_file_is_known_by_its_relative_name_too(
 ) -> None:
     later(folder).of(files(tmp_path, 1))
     monkeypatch.chdir(tmp_path / "frames")
-    assert later(folder).of([Path("0.png")]) == expected([Path("0.png")])
+    assert [*later(folder).of([Path("0.png")])] == expected([Path("0.png")])
     assert read == {"0.png": 1}
 
 
@@ -137,7 +150,7 @@ def test_hashes_that_were_read_before_an_error_are_kept(
         patch.setattr(file_hashes, "file_digest", broken)
         assert refused(later(folder), paths) == f"{paths[9]} cannot be read (Input/output error): restore the file"
     read.clear()
-    assert later(folder).of(paths[:8]) == expected(paths[:8])
+    assert [*later(folder).of(paths[:8])] == expected(paths[:8])
     assert not read
 
 
@@ -166,7 +179,7 @@ def test_a_file_that_is_not_as_it_was_is_read_again(
     os.utime(path, ns=(0, 0))
     later(folder).of([path])
     changed = change(path)
-    assert later(folder).of([changed]) == expected([changed])
+    assert [*later(folder).of([changed])] == expected([changed])
     assert read.total() == 2
 
 
@@ -194,7 +207,7 @@ def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(
     os.utime(path, ns=(0, 0))  # the change of its content is long ago, that of its times is not
     now = path.stat().st_ctime_ns + int(seconds * SECOND)
     hashes = FileHashes(folder, lambda: now)
-    assert [hashes.of([path]) for _ in range(2)] == [expected([path])] * 2
+    assert [[*hashes.of([path])] for _ in range(2)] == [expected([path])] * 2
     assert read == {"0.png": times_read}
 
 
@@ -214,7 +227,7 @@ def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever
 
     monkeypatch.setattr(file_hashes, "file_digest", overtaken)
     if times == 2:
-        assert later(folder).of([path]) == [FileHash(14, hashlib.sha256(b"half more more").digest())]
+        assert [*later(folder).of([path])] == [FileHash(14, hashlib.sha256(b"half more more").digest())]
     else:
         assert refused(later(folder), [path]).startswith(f"{path} changes while it is read")
 
@@ -248,11 +261,11 @@ def test_a_damaged_database_is_begun_anew(
     later(folder).of(paths)
     (database,) = folder.iterdir()
     database.write_bytes(damaged(database.read_bytes()))
-    assert later(folder).of(paths) == expected(paths)
+    assert [*later(folder).of(paths)] == expected(paths)
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(f"{database} is damaged (")
     read.clear()
-    assert later(folder).of(paths) == expected(paths)
+    assert [*later(folder).of(paths)] == expected(paths)
     assert not read
 
 
@@ -268,7 +281,7 @@ def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stor
     paths = files(tmp_path, 2)
     later(folder).of(paths)
     ask(folder, f"UPDATE files SET sha256 = {stored}")
-    assert later(folder).of(paths) == expected(paths)
+    assert [*later(folder).of(paths)] == expected(paths)
 
 
 def test_a_database_of_another_kind_is_left_alone(
@@ -277,7 +290,7 @@ def test_a_database_of_another_kind_is_left_alone(
     paths = files(tmp_path, 2)
     later(folder).of(paths)
     ask(folder, "DROP TABLE files", "CREATE TABLE files (recipe TEXT)", "INSERT INTO files VALUES ('soup')")
-    assert later(folder).of(paths) == expected(paths)
+    assert [*later(folder).of(paths)] == expected(paths)
     assert "no hashes of files are kept" in caplog.text
     assert ask(folder, "SELECT recipe FROM files") == [("soup",)]
 
@@ -297,8 +310,8 @@ def test_a_locked_database_costs_one_line_and_never_the_hashes(
     with closing(sqlite3.connect(path)) as other:
         other.execute("PRAGMA locking_mode=EXCLUSIVE")
         other.execute("BEGIN EXCLUSIVE")
-        assert hashes.of(paths[:2]) == expected(paths[:2])
-        assert hashes.of(paths) == expected(paths)
+        assert [*hashes.of(paths[:2])] == expected(paths[:2])
+        assert [*hashes.of(paths)] == expected(paths)
     assert [record.getMessage() for record in caplog.records] == [
         f"no hashes of files are kept in {path} (database is locked): the next run reads them again"
     ]
@@ -315,7 +328,7 @@ def test_where_no_database_can_be_made_the_hashes_are_right(
 ) -> None:
     hinder(folder)
     paths, hashes = files(tmp_path, 3), later(folder)
-    assert [hashes.of(paths), hashes.of(paths[:1])] == [expected(paths), expected(paths[:1])]
+    assert [[*hashes.of(paths)], [*hashes.of(paths[:1])]] == [expected(paths), expected(paths[:1])]
     assert len(caplog.records) == 1
 
 
@@ -325,7 +338,7 @@ def test_where_no_database_can_be_made_the_hashes_are_right(
 def test_several_threads_share_the_hashes(tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     paths, hashes = files(tmp_path, 40), later(folder)
     with ThreadPoolExecutor(6) as threads:
-        found = [*threads.map(lambda i: hashes.of(paths[i:] + paths[:i]), range(12))]
+        found = [*threads.map(lambda i: [*hashes.of(paths[i:] + paths[:i])], range(12))]
     assert found == [expected(paths[i:] + paths[:i]) for i in range(12)]
     assert caplog.records == []
 
@@ -349,7 +362,7 @@ def test_several_processes_share_the_hashes(tmp_path: Path, folder: Path, read: 
     ]
     wanted = " ".join(file.sha256.hex() for file in expected(paths)) + "\n"
     assert [other.communicate() for other in others] == [(wanted, "")] * 3
-    assert later(folder).of(paths) == expected(paths)
+    assert [*later(folder).of(paths)] == expected(paths)
     assert not read
 
 
@@ -366,7 +379,7 @@ def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
         monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "chosen"))
     paths = files(tmp_path, 2)
     monkeypatch.setattr(file_hashes, "time_ns", lambda: YEAR_2096)
-    assert file_hashes.file_hashes(paths) == expected(paths)
+    assert [*file_hashes.file_hashes(paths)] == expected(paths)
     folder = tmp_path / "chosen" if chosen else tmp_path / "vprbench" / "hashes"
     assert [path.name for path in folder.iterdir()] == ["files-1.sqlite3"]
 

@@ -67,6 +67,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench.storage.atomic import replace_bytes as replace_bytes
     from vprbench.storage.folders import checkout_folder as checkout_folder, data_folder as data_folder
     from vprbench.storage.mat_files import MatFileError as MatFileError, read_mat as read_mat
+    from vprbench.storage.paths import Paths as Paths, natural_keys as natural_keys
 
 
 def _homes() -> dict[str, str]:

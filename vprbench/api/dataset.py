@@ -122,7 +122,9 @@ def _number_of_places(whose: str, references: Images, places: Places) -> int:
     if len(places) != len(references):
         raise BadInput(f"{whose}: {len(references)} reference images but {len(places)} place ids")
     n_places = int(places.max()) + 1
-    unseen = np.setdiff1d(np.arange(n_places), places)
+    seen = np.zeros(max(0, n_places), bool)
+    seen[places[places >= 0]] = True
+    unseen = np.flatnonzero(~seen)
     if len(unseen) or places.min() < 0:
         raise BadInput(
             f"{whose}: place ids must run from 0 to {n_places - 1} without a gap, "

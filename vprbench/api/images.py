@@ -21,11 +21,13 @@ from vprbench.api.decoding import as_rgb, decoded_bytes, read_image
 from vprbench.api.read_ahead import Window
 from vprbench.errors import BadInput
 from vprbench.storage.cores import core_count
-from vprbench.storage.hashes import FileHash, file_hashes
+from vprbench.storage.hashes import HashedFiles, file_hashes
+from vprbench.storage.paths import Paths, chosen_names
 
 _BLOCK_BYTES = 1 << 28  # of decoded images that are held together, unless a single one has more
 _REPORT_EVERY = 50  # images
 _FINGERPRINT_SAMPLE = 16
+_NAMES_AT_ONCE = 10_000  # in a hash
 _READERS = min(64, core_count())
 
 
@@ -73,7 +75,7 @@ class Images(Sequence[Image]):
         `content_hash` decodes every image.
         """
         self._read = read
-        self._files = files
+        self._files = None if files is None else Paths.of(files)
         self._stamp = stamp
         self._content = content
         self._in_memory = in_memory
@@ -84,8 +86,8 @@ class Images(Sequence[Image]):
     @classmethod
     def from_files(cls, paths: Sequence[Path]) -> Images:
         """Decode image files; an unreadable or truncated one raises BadInput with its path when it is read."""
-        paths = list(paths)
-        return cls(lambda i: read_image(paths[i]), [path.name for path in paths], files=paths)
+        paths = Paths.of(paths)
+        return cls(lambda i: read_image(paths[i]), paths.names, files=paths)
 
     @classmethod
     def from_arrays(cls, arrays: Sequence[Image], names: Sequence[str] | None = None) -> Images:
@@ -110,14 +112,14 @@ class Images(Sequence[Image]):
                 raise IndexError(f"image {index} of {len(self)}")
             with self.reading.waiting():
                 return self._read(int(index) % len(self))
-        chosen = np.arange(len(self))[index].tolist()
+        chosen = np.arange(len(self))[index]
         files, stamp, content = self._files, self._stamp, self._content
         view = Images(
-            lambda i: self._read(chosen[i]),
-            [self.names[i] for i in chosen],
-            files=None if files is None else [files[i] for i in chosen],
-            stamp=None if stamp is None else lambda i: stamp(chosen[i]),
-            content=None if content is None else lambda i: content(chosen[i]),
+            lambda i: self._read(int(chosen[i])),
+            chosen_names(self.names, index),
+            files=None if files is None else files[index],
+            stamp=None if stamp is None else lambda i: stamp(int(chosen[i])),
+            content=None if content is None else lambda i: content(int(chosen[i])),
             in_memory=self._in_memory,
         )
         view.reading = self.reading
@@ -206,20 +208,20 @@ class Images(Sequence[Image]):
         """Return the same images, all decoded now."""
         return self if self._in_memory else Images.from_arrays(list(self), self.names)
 
-    def file_hashes(self) -> list[FileHash] | None:
+    def file_hashes(self) -> HashedFiles | None:
         """Return the hash of the file behind each image; None if there are no files."""
         return None if self._files is None else file_hashes(self._files)
 
-    def fingerprint(self) -> str:
+    def fingerprint(self, hashed: HashedFiles | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
 
-        Files count by name, size and content. Of images that have neither files nor a stamp sixteen are decoded, of
-        those in memory all count.
+        Files count by name, size and content, which `hashed` holds if they were looked at just now. Of images that have
+        neither files nor a stamp sixteen are decoded, of those in memory all count.
         """
-        digest = hashlib.sha256("\n".join(self.names).encode(errors="surrogateescape"))
-        files = self.file_hashes()
-        for file in files or ():
-            digest.update(b"%d" % file.size_bytes + file.sha256)
+        digest = names_hash(self.names)
+        files = hashed or self.file_hashes()
+        for part in files.told() if files else ():
+            digest.update(part)
         if self._stamp is not None:
             for i in range(len(self)):
                 digest.update(self._stamp(i))
@@ -234,10 +236,8 @@ class Images(Sequence[Image]):
 
         Files count by their content; images without files are decoded.
         """
-        digest = hashlib.sha256()
         files = self.file_hashes()
-        for file in files or ():
-            digest.update(file.sha256)
+        digest = hashlib.sha256(b"" if files is None else files.sha256)
         if self._content is not None:
             for i in range(len(self)):
                 digest.update(hashlib.sha256(self._content(i)).digest())
@@ -254,6 +254,16 @@ class Images(Sequence[Image]):
 
     def _read_chunk(self, start: int, size: int) -> list[Image]:
         return [self._read(i) for i in range(start, start + size)]
+
+
+def names_hash(*lists: Sequence[str]) -> hashlib._Hash:
+    """Return the SHA-256 of all names of all lists, joined by line feeds."""
+    digest, between = hashlib.sha256(), ""
+    for names in lists:
+        for at in range(0, len(names), _NAMES_AT_ONCE):
+            digest.update((between + "\n".join(names[at : at + _NAMES_AT_ONCE])).encode(errors="surrogateescape"))
+            between = "\n"
+    return digest
 
 
 def _pixels(image: Image) -> bytes:

@@ -92,11 +92,11 @@ def _traverses(references: Any) -> list[Any]:
     return [references] if images or not isinstance(first, Sequence | np.ndarray) else list(references)
 
 
-def _listed(traverse: Any, option: str) -> list[Path] | list[Image]:
+def _listed(traverse: Any, option: str) -> Sequence[Path] | list[Image]:
     """Return the files or the arrays of one traverse; raises what `dataset_of` raises, naming the `option`."""
     if isinstance(traverse, str | Path):
         reader = registry.beside(registry.entries("dataset")["folders"], "readers.image_files")
-        found: list[Path] = reader.images_in(traverse, option, "give a folder of images")
+        found: Sequence[Path] = reader.images_in(traverse, option, "give a folder of images")
         return found
     if isinstance(traverse, np.ndarray) and traverse.ndim == 3 and traverse.shape[2] in (3, 4):
         raise BadInput(f"{option} is one image of shape {traverse.shape}; wanted several: a list of images")

@@ -25,7 +25,7 @@ from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.claims import Claim, Claims, Held, HeldElsewhereError, wait
 from vprbench.run.corrupted_frames import corrupted
-from vprbench.run.identity import Request, fingerprint
+from vprbench.run.identity import Request, data_record, fingerprint, hashed
 from vprbench.run.processes import IN_SWEEP, SINCE
 from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import views
@@ -238,12 +238,23 @@ def requested(
             asked |= {"method": {**asked["method"], **needed}, "adapted": needed}
             method = build(asked["method"])
     with progress_shown(name):  # frames may have to be hashed, and a file be downloaded
-        images = fingerprint(dataset)
+        frames = hashed(dataset)
+        images, data = fingerprint(dataset, frames), data_record(dataset, frames)
         asked["files"] = [[path.name, content_hash(path)] for path in method.files()]
     # absolute, for a method may change the working folder
     cache = store.root.absolute() / "descriptors" if settings.cache else None
     return Request(
-        name, method, dataset, asked, images, settings.timing, threads, files, cache, readouts=settings.readouts
+        name,
+        method,
+        dataset,
+        asked,
+        images,
+        settings.timing,
+        threads,
+        files,
+        cache,
+        readouts=settings.readouts,
+        data=data,
     )
 
 

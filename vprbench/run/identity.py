@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import names_hash
 from vprbench.api.method import Method, calibration
 from vprbench.plugins import networks
 from vprbench.run import harness, machine, sources
 from vprbench.run.record import content_key
 from vprbench.run.timing_protocol import Protocol
+from vprbench.storage.hashes import HashedFiles
 
 _NO_FILES = networks.Files()
+Hashed = tuple[HashedFiles | None, HashedFiles | None]  # references and queries; None: images that are no files
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,15 @@ class Identity:
         )
 
 
+class DataRecord(TypedDict):
+    """The frames of a dataset, references first and then queries, each in its order."""
+
+    names_sha256: str  # of all names, joined by line feeds, in UTF-8
+    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None if an image is no file
+    images: int  # a frame that is used twice counts twice
+    bytes: int | None  # of all files together; None if an image is no file
+
+
 @dataclass(frozen=True)
 class Request:
     """One run that is asked for."""
@@ -69,6 +81,7 @@ class Request:
     cache: Path | None = None  # a folder for descriptors worth keeping
     scores: bool = False  # keep them all, however many
     readouts: bool = False  # whether the layers are read too, which changes no answer
+    data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
 
     def key(self) -> str:
         """Return the hash of its identity."""
@@ -102,39 +115,36 @@ def code_hash_of(target: str) -> str | None:
     return None if found is None else _with_harness(sources.meaning(sources.behind_file(*found).values()))
 
 
-def fingerprint(dataset: Dataset) -> str:
-    """Return the hash of a dataset's images, order and ground truth."""
+def hashed(dataset: Dataset) -> Hashed:
+    """Return the hashes of a dataset's files; raises BadInput if one cannot be read."""
+    return dataset.references.file_hashes(), dataset.queries.file_hashes()
+
+
+def fingerprint(dataset: Dataset, files: Hashed | None = None) -> str:
+    """Return the hash of a dataset's images, order and ground truth; of its `files`, if these are hashed already."""
+    references, queries = files or hashed(dataset)
     digest = hashlib.sha256()
-    digest.update(dataset.references.fingerprint().encode())
-    digest.update(dataset.queries.fingerprint().encode())
+    digest.update(dataset.references.fingerprint(references).encode())
+    digest.update(dataset.queries.fingerprint(queries).encode())
     digest.update(dataset.places.tobytes())
     for right in dataset.positives:
         digest.update(right.tobytes() + b";")
     return digest.hexdigest()
 
 
-class DataRecord(TypedDict):
-    """The frames of a dataset, references first and then queries, each in its order."""
-
-    names_sha256: str  # of all names, joined by line feeds, in UTF-8
-    content_sha256: str | None  # of the SHA-256 (32 bytes) of each file, joined; None if an image is no file
-    images: int  # a frame that is used twice counts twice
-    bytes: int | None  # of all files together; None if an image is no file
-
-
-def data_record(dataset: Dataset) -> DataRecord:
+def data_record(dataset: Dataset, files: Hashed | None = None) -> DataRecord:
     """Return what a run records of its frames, by which others can tell whether they used the same frames.
 
-    Raises BadInput if a file cannot be read.
+    Of its `files`, if these are hashed already. Raises BadInput if a file cannot be read.
     """
-    names = [*dataset.references.names, *dataset.queries.names]
-    references, queries = dataset.references.file_hashes(), dataset.queries.file_hashes()
-    files = None if references is None or queries is None else [*references, *queries]
+    names = dataset.references.names, dataset.queries.names
+    known = [part for part in files or hashed(dataset) if part is not None]
+    whole = len(known) == len(names)
     return {
-        "names_sha256": hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest(),
-        "content_sha256": None if files is None else hashlib.sha256(b"".join(f.sha256 for f in files)).hexdigest(),
-        "images": len(names),
-        "bytes": None if files is None else sum(file.size_bytes for file in files),
+        "names_sha256": names_hash(*names).hexdigest(),
+        "content_sha256": hashlib.sha256(b"".join(part.sha256 for part in known)).hexdigest() if whole else None,
+        "images": sum(map(len, names)),
+        "bytes": sum(int(part.sizes.sum()) for part in known) if whole else None,
     }
 
 

@@ -39,7 +39,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     """
     method, dataset, device = request.method, request.dataset, request.config["device"]
     queries = dataset.queries.unnamed()
-    data = data_record(dataset)
+    data = request.data or data_record(dataset)
     started = time.perf_counter() - ending.stopped()
     watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])

@@ -18,6 +18,7 @@ SECTIONS = (
     "training",
     "fits",
     "reading",
+    "files",
     "preprocessing",
     "queries",
     "search",
@@ -109,6 +110,7 @@ class Settings(NetworkOptions):
     frame: list[int] = option([360, 640], [24, 40])  # height and width of a frame to read or preprocess
     reading_frames: int = option(27_592, 260)  # files that are read: all of Nordland
     reading_files: int = option(300, 5)  # different ones among them
+    files: list[int] = option([10_000, 100_000], [40])  # of datasets whose names, positions and hashes are read
     batch: int = option(128, 4)  # images preprocessed together
     sample: int = option(128, 4, least=None)  # different queries
     search_references: int = option(3300, 300)  # descriptors that are searched; for 27592, all of Nordland, 2 GB

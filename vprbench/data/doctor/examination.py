@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from typing import Literal
 
@@ -25,9 +25,15 @@ _UNUSED_LOOKED_AT = 1000  # images of a folder
 
 def quick(dataset: Dataset) -> tuple[Finding, ...]:
     """Run the checks that decode nothing: names, files and ground truth; the worst findings come first."""
-    known = [files.contents(folder) for folder in dataset.folders]
-    unused = (finding for found in known if found for finding in files.unused_images(found))
-    return _sorted([*_cheap(dataset, known), *unused])
+    unused: list[Finding] = []
+
+    def one_by_one() -> Iterator[Contents | None]:  # all together they would be larger than the dataset
+        for folder in dataset.folders:
+            found = files.contents(folder, len(dataset.folders))
+            unused.extend(files.unused_images(found) if found else ())
+            yield found
+
+    return _sorted([*_cheap(dataset, one_by_one()), *unused])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -35,7 +41,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
 
     Reports its progress. The worst findings come first.
     """
-    known = [files.contents(folder) for folder in dataset.folders]
+    known = [files.contents(folder, len(dataset.folders)) for folder in dataset.folders]
     references, query = traverses_of(dataset)
     looks = [look_at(traverse.images, traverse.name) for traverse in (*references, query)]
     broken = {path for found in known if found for path in found.broken}
@@ -82,7 +88,7 @@ def command(
     return int(is_wrong(found))
 
 
-def _cheap(dataset: Dataset, known: Sequence[Contents | None]) -> Iterator[Finding]:
+def _cheap(dataset: Dataset, known: Iterable[Contents | None]) -> Iterator[Finding]:
     """Check the lists of the dataset, and its folders by the names and sizes of their files."""
     references, query = traverses_of(dataset)
     yield from (Finding("note", "dataset", note) for note in dataset.notes)

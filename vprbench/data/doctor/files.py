@@ -18,6 +18,8 @@ from .finding import Finding, Level
 
 _FAR_OFF = 4  # times the median size, or a part of it
 _LOOKED_INTO = 200  # files of a folder whose first bytes are read
+_SPREAD = 50  # among them of any size
+_SPREAD_IN_ALL = 2000  # these in all folders, but one in each
 _HEAD_BYTES = 64
 _EMPTY, _STRANGE = "empty (0 bytes)", "no image that can be read, and not used"
 _ADVICE = {
@@ -52,8 +54,8 @@ class Contents:
         return {self.folder.path / name for name in (*self.missing, *chain(*self.unfit.values()))}
 
 
-def contents(folder: FrameFolder) -> Contents | None:
-    """Return the files of a folder; None if it is no folder."""
+def contents(folder: FrameFolder, n_folders: int) -> Contents | None:
+    """Return the files of one of so many folders; None if it is no folder."""
     if not folder.path.is_dir():
         return None
     with os.scandir(folder.path) as entries:
@@ -62,16 +64,17 @@ def contents(folder: FrameFolder) -> Contents | None:
     wanted = dict.fromkeys(folder.used)
     used = {name: sizes[name] for name in wanted if name in sizes}
     missing = [name for name in wanted if name not in sizes]
-    return Contents(folder, sizes, images, sorted({*images} - {*wanted}), used, missing, _unfit(folder.path, used))
+    unfit = _unfit(folder.path, used, min(_SPREAD, max(1, _SPREAD_IN_ALL // n_folders)))
+    return Contents(folder, sizes, images, [name for name in images if name not in wanted], used, missing, unfit)
 
 
-def _unfit(path: Path, used: Mapping[str, int]) -> dict[str, list[str]]:
+def _unfit(path: Path, used: Mapping[str, int], spread: int) -> dict[str, list[str]]:
     """Return the names of used files that are no images, by what they are instead.
 
-    Looks into files of unusual size and some others first, and into all files if one of these is no image.
+    Looks into files of unusual size and `spread` others first, and into all files if one of these is no image.
     """
     kinds = {_EMPTY: empty} if (empty := [name for name, size in used.items() if not size]) else {}
-    if any(_impostor(path / name) for name in _suspects(used)):
+    if any(_impostor(path / name) for name in _suspects(used, spread)):
         for name in used:
             if kind := _impostor(path / name):
                 kinds.setdefault(kind, []).append(name)
@@ -131,15 +134,15 @@ def unused_images(found: Contents, looked_at: int = 0, black: int = 0) -> Iterat
     )
 
 
-def _suspects(sizes: Mapping[str, int]) -> Iterable[str]:
-    """Return the names of files far from the usual size, and of some spread evenly over the others; no empty ones."""
+def _suspects(sizes: Mapping[str, int], spread: int) -> Iterable[str]:
+    """Return the names of files far from the usual size, and of some spread evenly over all; no empty ones."""
     names = [name for name, size in sizes.items() if size]
     if not names:
         return []
     usual = float(np.median([sizes[name] for name in names]))
     odd = [name for name in names if not usual / _FAR_OFF <= sizes[name] <= usual * _FAR_OFF]
-    spread = np.linspace(0, len(names) - 1, min(len(names), _LOOKED_INTO // 4)).astype(int)
-    return dict.fromkeys([*odd[:_LOOKED_INTO], *(names[number] for number in spread)])
+    evenly = np.linspace(0, len(names) - 1, min(len(names), spread)).astype(int)
+    return dict.fromkeys([*odd[:_LOOKED_INTO], *(names[number] for number in evenly)])
 
 
 def _impostor(path: Path) -> str | None:

@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from natsort import natsort_keygen
-
+from vprbench.storage.paths import natural_keys
 from vprbench.text import be, plural, some
 
 from .finding import Finding
 from .traverse import Traverse, one_by_one
 
 _HALF = 0.5
+_AT_ONCE = 10_000  # names whose order is looked at
 _ANY_DIGIT = str.maketrans("123456789", "0" * 9)
 
 
@@ -21,9 +21,8 @@ def repeated_names(traverses: Sequence[Traverse]) -> Iterator[Finding]:
     """Find names that stand in a traverse more than once."""
     for traverse in traverses:
         names = traverse.images.names
-        repeated = [name for name, times in Counter(names).items() if times > 1]
-        extra = len(names) - len(set(names))
-        if repeated:
+        if extra := len(names) - len(set(names)):
+            repeated = [name for name, times in Counter(names).items() if times > 1]
             yield Finding(
                 "note",
                 "names",
@@ -84,10 +83,13 @@ def _differing(asked: Traverse, places: Sequence[int], shown: Traverse) -> Itera
 
 def _step_in_dictionary_order(names: Sequence[str]) -> str:
     """Return where names sorted by their characters first differ from the order of their numbers; empty if nowhere."""
-    as_wide = {name.translate(_ANY_DIGIT) for name in names}  # leading zeros make both orders one
-    if len(as_wide) == 1 or [*names] != sorted(names):
+    as_wide = (name.translate(_ANY_DIGIT) for name in names)  # leading zeros make both orders one
+    first = next(as_wide, "")
+    if all(name == first for name in as_wide) or any(one > two for one, two in pairwise(names)):
         return ""
-    key = natsort_keygen()
-    back = (number for number, (one, two) in enumerate(pairwise(names)) if key(one) > key(two))
-    step = next(back, None)
-    return "" if step is None else ", ".join(names[max(0, step - 1) : step + 2])
+    for start in range(0, len(names), _AT_ONCE):
+        keys = natural_keys(names[start : start + _AT_ONCE + 1])
+        for number, (one, two) in enumerate(pairwise(keys), start):
+            if one > two:
+                return ", ".join(names[max(0, number - 1) : number + 2])
+    return ""
