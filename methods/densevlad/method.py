@@ -106,7 +106,7 @@ class DenseVLAD(DescriptorMethod):
         if self._words is None or self.searched is None:
             raise NotFittedError("DenseVLAD has no map yet: call fit(references, places) first")
         known = self.searched
-        learnt = {"words": self._words.cpu().numpy(), "references": known.references, "places": known.places}
+        learnt = {"words": self._words.cpu().numpy(), "references": known.references[:], "places": known.places}
         return learnt if self._projection is None else {**learnt, "projection": self._projection}
 
     def restore(self, state: State) -> Self:

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
 from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.search_indexes import BITS, CELLS, INDEXES, Flat, Kind, Retrieving, Vectors, parts
+from vprbench.api.nearest import (
+    CELLS,
+    ROUNDING,
+    Held,
+    Nearest,
+    Numbers,
+    Part,
+    Stored,
+    Vectors,
+    best_of_part,
+    best_places,
+    merged,
+    parts,
+    parts_of_map,
+    products,
+)
+from vprbench.api.search_indexes import BITS, INDEXES, Flat, Kind, Retrieving
 from vprbench.errors import BadInput
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
-_ROUNDING = 1e-6  # of inner products of unit vectors
+
+#: Applies a function to each part of a map and gives the results in their order, as `map` does; a cluster may stand in.
+Mapped = Callable[[Callable[[Part], Nearest], Sequence[Part]], Iterable[Nearest]]
 
 
 @dataclass(frozen=True)
@@ -33,24 +52,33 @@ class Search:
     """
 
     def __init__(
-        self, references: Vectors, places: npt.NDArray[np.int64], kind: Kind = "exact", neighbours: int = 100
+        self,
+        references: Vectors | Stored,
+        places: Numbers,
+        kind: Kind = "exact",
+        neighbours: int = 100,
+        rerank: int = 0,
     ) -> None:
-        """Index `references`, which stay where they are (they may be memory-mapped), with the place of each.
+        """Index `references`, which stay where they are (memory-mapped or in shards), with the place of each.
 
-        An approximate index answers without them; they are kept to be compared with. Raises BadInput as `check_index`
-        does, and for places that are not one for each reference.
+        An approximate index answers without them, but to compare exactly the `rerank` images that it finds best; they
+        are kept to be compared with. Raises BadInput as `check_index` does, and for places that are not one for each
+        reference.
         """
         check_index(kind, neighbours, len(references))
-        if references.ndim != 2 or places.shape != (len(references),):
+        if len(references.shape) != 2 or places.shape != (len(references),):
             raise BadInput(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
                 "image or more, and a place for each"
             )
-        self.references: Vectors = np.ascontiguousarray(references, np.float32)
+        if isinstance(references, np.ndarray):
+            references = Held(np.ascontiguousarray(references, np.float32))
+        self.references: Stored = references
         self.places = places
         self.kind = kind
         self._n_places = int(places.max()) + 1
-        self._neighbours = min(neighbours, len(references))
+        self._neighbours = min(rerank or neighbours, len(references))
+        self._reranked = bool(rerank)
         self._index: Flat | Retrieving = INDEXES[kind](self.references)
         one_each = np.array_equal(places, np.arange(len(places)))
         self._blocks = None if one_each else [*_blocks_of_places(places)]
@@ -78,6 +106,26 @@ class Search:
                 scores[queries, block.places] = np.maximum(scores[queries, block.places], best)
         return scores
 
+    def nearest(self, codes: Vectors, n: int, mapped: Mapped = map) -> tuple[Vectors, Numbers]:
+        """Return the similarity of the `n` best places, (n_queries, n), and these places, best first.
+
+        Of places as good as one another the lower comes first; where there is none, the similarity is -inf and the
+        place -1. Exact similarities are sums in float64, then rounded: the same in any batch, on any number of
+        machines. `mapped` searches the parts of the map, whose borders depend on nothing else. Raises ValueError for
+        codes of another length.
+        """
+        codes = self._checked(codes)
+        if isinstance(self._index, Retrieving):
+            best = best_places(*self._retrieved(codes, self._index), len(codes), n)
+        else:
+            places = None if self._blocks is None else self.places
+            references = self.references if self.kind == "exact" else None
+            each = mapped(
+                partial(best_of_part, self._index, references, codes, n), parts_of_map(*self.references.shape, places)
+            )
+            best = reduce(merged, each)
+        return best.similarity, best.places
+
     def exactly(self) -> Search:
         """Return exact search of the same references."""
         return Search(self.references, self.places)
@@ -89,10 +137,17 @@ class Search:
 
     def _best_of_retrieved(self, codes: Vectors, index: Retrieving) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
+        rows, similarity, places = self._retrieved(codes, index)
+        np.maximum.at(scores, (rows, places), similarity)
+        return scores
+
+    def _retrieved(self, codes: Vectors, index: Retrieving) -> tuple[Numbers, Vectors, Numbers]:
+        """Return the query, the similarity and the place of each image that an index finds."""
         similarity, images = index.retrieve(codes, self._neighbours)
         rows, columns = np.nonzero(images >= 0)
-        np.maximum.at(scores, (rows, self.places[images[rows, columns]]), similarity[rows, columns])
-        return scores
+        found = images[rows, columns]
+        values = products(self.references, codes, rows, found) if self._reranked else similarity[rows, columns]
+        return rows, values, self.places[found]
 
     def _checked(self, codes: Vectors) -> Vectors:
         n_dimensions = self.references.shape[1]
@@ -127,7 +182,7 @@ def agreement(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
             np.take_along_axis(scores, best, axis=1) > -np.inf, np.take_along_axis(exact, best, axis=1), -np.inf
         )
         least = np.partition(exact, n_places - n, axis=1)[:, n_places - n, None]
-        shares.append((own >= least - _ROUNDING).mean(1))
+        shares.append((own >= least - ROUNDING).mean(1))
     return np.stack(shares, axis=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,12 +12,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.nearest import CELLS, Held, Numbers, Stored, Vectors, parts
+
 Kind = Literal["exact", "hnsw", "ivfpq", "sq8"]
-Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
-ImageNumbers = npt.NDArray[np.int64]
 
 _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
-CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 
 _LINKS = 32  # of an image to others, hnsw; twice as many on the lowest layer
 _CANDIDATES = 64  # that hnsw follows at a query, at least
@@ -55,15 +55,24 @@ class _Exact(Flat):
     Beside it were measured PyTorch's product and faiss.IndexFlatIP.
     """
 
-    def __init__(self, references: Vectors) -> None:
+    def __init__(self, references: Stored) -> None:
         self._references = references
-        self.n_bytes = references.nbytes
+        self.n_bytes = 4 * math.prod(references.shape)
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
-        references = self._references[first:last]
-        if 0 < len(codes) <= _FEW_QUERIES:
-            return np.stack([references @ code for code in codes])
-        return codes @ references.T
+        together = last - first if isinstance(self._references, Held) else max(1, CELLS // codes.shape[1])
+        if last - first <= together:
+            return _products(codes, self._references[first:last])
+        similarity = np.empty((len(codes), last - first), np.float32)
+        for images in parts(last - first, together):
+            similarity[:, images] = _products(codes, self._references[first + images.start : first + images.stop])
+        return similarity
+
+
+def _products(codes: Vectors, references: Vectors) -> Vectors:
+    if 0 < len(codes) <= _FEW_QUERIES:
+        return np.stack([references @ code for code in codes])
+    return codes @ references.T
 
 
 class _EightBits(Flat):
@@ -74,12 +83,12 @@ class _EightBits(Flat):
     for many queries at once.
     """
 
-    def __init__(self, references: Vectors) -> None:
+    def __init__(self, references: Stored) -> None:
         faiss = faiss_module()
         n_dimensions = references.shape[1]
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
-        quantiser.train(references)
-        self._codes: npt.NDArray[np.uint8] = quantiser.compute_codes(references)
+        quantiser.train(references[:])
+        self._codes: npt.NDArray[np.uint8] = quantiser.compute_codes(references[:])
         lowest, extent = faiss.vector_to_array(quantiser.trained).reshape(2, n_dimensions)
         self._step: npt.NDArray[np.float32] = extent / np.float32(255)
         self._middle: npt.NDArray[np.float32] = lowest + self._step / 2  # of the lowest step
@@ -104,7 +113,7 @@ class Retrieving(ABC):
     n_bytes: int
     _index: Any
 
-    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, ImageNumbers]:
+    def retrieve(self, codes: Vectors, n: int) -> tuple[Vectors, Numbers]:
         """Return similarities and images, (n_queries, n) each, best first; the image is -1 if there is none."""
         similarity, images = self._index.search(self._prepared(codes), n)
         return similarity, images
@@ -116,13 +125,13 @@ class Retrieving(ABC):
 class _Graph(Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
-    def __init__(self, references: Vectors) -> None:
+    def __init__(self, references: Stored) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
         self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
         with _one_thread(faiss):  # of several, the fastest would decide what is linked
-            self._index.add(references)
+            self._index.add(references[:])
         hnsw = self._index.hnsw
         links = 4 * hnsw.neighbors.size() + 8 * hnsw.offsets.size() + 4 * hnsw.levels.size()
         self.n_bytes = 4 * n_images * n_dimensions + links
@@ -135,7 +144,7 @@ class _ProductCodes(Retrieving):
     A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
     """
 
-    def __init__(self, references: Vectors) -> None:
+    def __init__(self, references: Stored) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         n_centroids = 1 << BITS
@@ -156,7 +165,7 @@ class _ProductCodes(Retrieving):
         self._index.pq.cp.niter = _PQ_ITERATIONS
         wanted = _TRAINED_PER_CENTROID * max(n_lists, n_centroids)
         chosen = np.sort(np.random.default_rng(0).permutation(n_images)[:wanted])
-        self._index.train(self._prepared(references[chosen]))
+        self._index.train(self._prepared(references.take(chosen)))
         for images in parts(n_images, max(1, CELLS // n_dimensions)):
             self._index.add(self._prepared(references[images]))
         tables = 4 * n_parts * self._part * (n_lists + n_centroids)
@@ -173,12 +182,6 @@ INDEXES: dict[Kind, type[_Exact | _EightBits | _Graph | _ProductCodes]] = {
     "ivfpq": _ProductCodes,
     "sq8": _EightBits,
 }
-
-
-def parts(n: int, size: int) -> Iterator[slice]:
-    """Yield the slices that cut `n` into parts of `size`, the last one shorter."""
-    for first in range(0, n, size):
-        yield slice(first, min(first + size, n))
 
 
 @contextmanager
