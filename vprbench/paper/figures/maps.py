@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from matplotlib.lines import Line2D
@@ -40,7 +40,7 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
         lengths = [lengths[round(i * (len(lengths) - 1) / (_MOST - 1))] for i in range(_MOST)]
     looked = looks([cost.index for cost in costs])
     figure, axes = new(DOUBLE_MM, 3 * _HEIGHT_MM, 3, len(lengths))
-    rows = (
+    rows: tuple[tuple[str, Callable[[MapCost], float]], ...] = (
         ("Building (s)", lambda cost: cost.building_seconds),
         ("One query (ms)", lambda cost: 1e3 * cost.query_seconds),
         ("Memory (MB)", lambda cost: cost.memory_bytes / 1e6),
