@@ -2,76 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from vprbench.storage.shards import Shards, rows_each
 
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 Numbers = npt.NDArray[np.int64]
 
 CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 ROUNDING = 1e-6  # of inner products of unit vectors
-_BLOCKS_OF_A_PART = 16
-
-
-class Stored(Protocol):
-    """References that are read piece by piece, (n_images, n_dimensions)."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Images and dimensions."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, images: slice, /) -> Vectors:
-        """Return consecutive vectors."""
-
-    def take(self, images: Numbers, /) -> Vectors:
-        """Return the vectors of some images."""
-
-
-@dataclass(frozen=True)
-class Held:
-    """References that lie in one array, which may be memory-mapped."""
-
-    array: Vectors
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Images and dimensions."""
-        n_images, n_dimensions = self.array.shape
-        return n_images, n_dimensions
-
-    def __len__(self) -> int:
-        return len(self.array)
-
-    def __getitem__(self, images: slice, /) -> Vectors:
-        """Return consecutive vectors, which are not copied."""
-        return self.array[images]
-
-    def take(self, images: Numbers, /) -> Vectors:
-        """Return the vectors of some images."""
-        return self.array[images]
-
-
-class Comparing(Protocol):
-    """Compares codes with consecutive images."""
-
-    def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
-        """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
+_CELLS_OF_A_PART = 1 << 28
+_FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 
 
 @dataclass(frozen=True)
 class Part:
     """Consecutive images of a map, searched by one worker: their borders depend on the map alone."""
 
-    first: int
-    last: int
+    first: int  # the number of its first image
+    n_images: int
+    together: int  # images compared at once
     places: Numbers | None  # of each image; None: a place each, of its number
+    similarity: Callable[[Vectors, int, int], Vectors]  # of codes with images from one number to another
+    exactly: Callable[[Vectors, Numbers, Numbers], Vectors] | None  # of pairs of a query and an image
 
 
 @dataclass(frozen=True)
@@ -82,55 +41,71 @@ class Nearest:
     places: Numbers  # (n_queries, n), -1 where there is none
 
 
-def parts_of_map(n_images: int, n_dimensions: int, places: Numbers | None) -> list[Part]:
-    """Return the parts that a map is searched in."""
-    together = _BLOCKS_OF_A_PART * _rows_together(n_dimensions)
-    return [Part(own.start, own.stop, None if places is None else places[own]) for own in parts(n_images, together)]
+def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
+    """Yield the parts that a map is searched in exactly; one in memory has its own rows alone, to be sent around."""
+    each = rows_each(len(vectors))
+    for own in parts(len(vectors), each * max(1, _CELLS_OF_A_PART // (each * vectors.shape[1]))):
+        held, start = (vectors, own.start) if vectors.array is None else (Shards.of(vectors.array[own]), 0)
+        yield Part(
+            own.start,
+            own.stop - own.start,
+            rows_together(vectors),
+            None if places is None else places[own],
+            partial(inner_products, held, start),
+            partial(products, held, start),
+        )
 
 
-def best_of_part(compared: Comparing, references: Stored | None, codes: Vectors, n: int, part: Part) -> Nearest:
-    """Return the `n` best places of a part for each of the codes, (n_queries, n_dimensions).
+def rows_together(vectors: Shards) -> int:
+    """Return how many vectors are compared at once without a copy: up to 64 MiB in memory, else those of a shard."""
+    return rows_each(len(vectors)) if vectors.array is None else max(1, CELLS // vectors.shape[1])
 
-    With `references` similarities are those of `products`, which the same vectors have wherever they lie.
+
+def inner_products(vectors: Shards, start: int, codes: Vectors, first: int, last: int) -> Vectors:
+    """Return the inner products of codes with the vectors start + first to start + last, (n_queries, last - first).
+
+    numpy's product is the fastest on two cores, for one query and for many: beside it were measured PyTorch's product
+    and faiss.IndexFlatIP.
     """
-    similarity = np.full((len(codes), n), -np.inf, np.float32)
-    found = np.full((len(codes), n), -1, np.int64)
-    for block in parts(part.last - part.first, _rows_together(codes.shape[1])):
-        first, last = part.first + block.start, part.first + block.stop
-        places = np.arange(first, last) if part.places is None else part.places[block]
-        for queries in parts(len(codes), max(1, CELLS // (last - first))):
-            asked = codes[queries]
-            scores = compared.similarity(asked, first, last)
-            floor = similarity[queries, -1]
-            if np.isneginf(floor).any():
-                floor = np.maximum(floor, _nth_best(scores, None if part.places is None else places, n))
-            rows, images = np.divmod(np.flatnonzero(scores >= floor[:, None] - np.float32(ROUNDING)), last - first)
-            values = scores[rows, images]
-            if references is not None:
-                values = products(references, asked, rows, first + images)
-            best = best_places(*_with(similarity[queries], found[queries], rows, values, places[images]), len(asked), n)
-            similarity[queries], found[queries] = best.similarity, best.places
-    return Nearest(similarity, found)
+    rows = vectors[start + first : start + last]
+    if 0 < len(codes) <= _FEW_QUERIES:
+        return np.stack([rows @ code for code in codes])
+    return codes @ rows.T
+
+
+def products(vectors: Shards, start: int, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
+    """Return the inner products of pairs of a query, in ascending order, and vector start + image, (n_pairs,).
+
+    They are summed in float64 and then rounded, so equal vectors give equal bits wherever they lie.
+    """
+    found = np.empty(len(images), np.float32)
+    together = max(1, CELLS // codes.shape[1])
+    borders = np.searchsorted(queries, np.arange(len(codes) + 1)).tolist()
+    for code, (first, last) in zip(codes.astype(np.float64), pairwise(borders), strict=True):
+        for pairs in parts(last - first, together):
+            own = slice(first + pairs.start, first + pairs.stop)
+            found[own] = vectors.take(start + images[own]).astype(np.float64) @ code
+    return found
+
+
+def best_of_part(codes: Vectors, n: int, part: Part) -> Nearest:
+    """Return the `n` best places of a part for each of the codes, (n_queries, n_dimensions)."""
+    best = Nearest(np.full((len(codes), n), -np.inf, np.float32), np.full((len(codes), n), -1, np.int64))
+    for block in parts(part.n_images, part.together):
+        places = None if part.places is None else part.places[block]
+        for queries in parts(len(codes), max(1, CELLS // (block.stop - block.start))):
+            known = Nearest(best.similarity[queries], best.places[queries])
+            asked, similarity, images = _promising(codes[queries], known, part, block, places)
+            shown = part.first + block.start + images if places is None else places[images]
+            found = _with(known, asked, similarity, shown)
+            best.similarity[queries], best.places[queries] = found.similarity, found.places
+    return best
 
 
 def merged(left: Nearest, right: Nearest) -> Nearest:
     """Return the best places of two parts of a map."""
     rows, columns = np.nonzero(right.places >= 0)
-    flat = rows, right.similarity[rows, columns], right.places[rows, columns]
-    return best_places(*_with(left.similarity, left.places, *flat), *left.places.shape)
-
-
-def products(references: Stored, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
-    """Return inner products of pairs of a query (ascending numbers) and an image: sums in float64, then rounded."""
-    found = np.empty(len(images), np.float32)
-    together = max(1, CELLS // codes.shape[1])
-    for code, (first, last) in zip(
-        codes, pairwise(np.searchsorted(queries, np.arange(len(codes) + 1)).tolist()), strict=True
-    ):
-        for pairs in parts(last - first, together):
-            own = slice(first + pairs.start, first + pairs.stop)
-            found[own] = references.take(images[own]).astype(np.float64) @ code.astype(np.float64)
-    return found
+    return _with(left, rows, right.similarity[rows, columns], right.places[rows, columns])
 
 
 def best_places(queries: Numbers, similarity: Vectors, places: Numbers, n_queries: int, n: int) -> Nearest:
@@ -140,9 +115,8 @@ def best_places(queries: Numbers, similarity: Vectors, places: Numbers, n_querie
     """
     order = np.lexsort((-similarity, places, queries))
     queries, similarity, places = queries[order], similarity[order], places[order]
-    if len(queries):
-        new = np.append(True, (np.diff(places) != 0) | (np.diff(queries) != 0))  # the best of its place
-        queries, similarity, places = queries[new], similarity[new], places[new]
+    new = np.append(True, (np.diff(places) != 0) | (np.diff(queries) != 0))[: len(queries)]  # the best of its place
+    queries, similarity, places = queries[new], similarity[new], places[new]
     order = np.lexsort((-similarity, queries))  # stable: of equals the lower place
     rank = np.arange(len(queries)) - np.searchsorted(queries, queries)
     kept = rank < n
@@ -158,8 +132,19 @@ def parts(n: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, n))
 
 
-def _rows_together(n_dimensions: int) -> int:
-    return max(1, CELLS // n_dimensions)
+def _promising(
+    codes: Vectors, known: Nearest, part: Part, block: slice, places: Numbers | None
+) -> tuple[Numbers, Vectors, Numbers]:
+    """Return query, similarity and image in its block of whatever may be better than what is known."""
+    scores = part.similarity(codes, block.start, block.stop)
+    n = known.places.shape[1]
+    floor = known.similarity[:, -1]
+    if np.isneginf(floor).any():
+        floor = np.maximum(floor, _nth_best(scores, places, n))
+    rows, images = np.divmod(np.flatnonzero(scores >= floor[:, None] - np.float32(ROUNDING)), scores.shape[1])
+    if part.exactly is None:
+        return rows, scores[rows, images], images
+    return rows, part.exactly(codes, rows, block.start + images), images
 
 
 def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
@@ -174,13 +159,12 @@ def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
     return nth
 
 
-def _with(
-    similarity: Vectors, places: Numbers, rows: Numbers, values: Vectors, found: Numbers
-) -> tuple[Numbers, Vectors, Numbers]:
-    """Return what was known and what was found as one list of query, similarity and place."""
-    known, columns = np.nonzero(places >= 0)
-    return (
-        np.concatenate([known, rows]),
-        np.concatenate([similarity[known, columns], values]),
-        np.concatenate([places[known, columns], found]),
+def _with(known: Nearest, rows: Numbers, similarity: Vectors, places: Numbers) -> Nearest:
+    """Return the best of what is known of each query and what was found: query, similarity and place."""
+    own, columns = np.nonzero(known.places >= 0)
+    return best_places(
+        np.concatenate([own, rows]),
+        np.concatenate([known.similarity[own, columns], similarity]),
+        np.concatenate([known.places[own, columns], places]),
+        *known.places.shape,
     )

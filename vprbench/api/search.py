@@ -13,11 +13,9 @@ import numpy.typing as npt
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
-    Held,
     Nearest,
     Numbers,
     Part,
-    Stored,
     Vectors,
     best_of_part,
     best_places,
@@ -28,6 +26,7 @@ from vprbench.api.nearest import (
 )
 from vprbench.api.search_indexes import BITS, INDEXES, Flat, Kind, Retrieving
 from vprbench.errors import BadInput
+from vprbench.storage.shards import Shards
 
 _TOGETHER = 1 << 16  # reference images, if several show a place
 
@@ -53,7 +52,7 @@ class Search:
 
     def __init__(
         self,
-        references: Vectors | Stored,
+        references: Vectors | Shards,
         places: Numbers,
         kind: Kind = "exact",
         neighbours: int = 100,
@@ -72,8 +71,8 @@ class Search:
                 "image or more, and a place for each"
             )
         if isinstance(references, np.ndarray):
-            references = Held(np.ascontiguousarray(references, np.float32))
-        self.references: Stored = references
+            references = Shards.of(np.ascontiguousarray(references, np.float32))
+        self.references = references
         self.places = places
         self.kind = kind
         self._n_places = int(places.max()) + 1
@@ -118,12 +117,7 @@ class Search:
         if isinstance(self._index, Retrieving):
             best = best_places(*self._retrieved(codes, self._index), len(codes), n)
         else:
-            places = None if self._blocks is None else self.places
-            references = self.references if self.kind == "exact" else None
-            each = mapped(
-                partial(best_of_part, self._index, references, codes, n), parts_of_map(*self.references.shape, places)
-            )
-            best = reduce(merged, each)
+            best = reduce(merged, mapped(partial(best_of_part, codes, n), self._parts(self._index)))
         return best.similarity, best.places
 
     def exactly(self) -> Search:
@@ -134,6 +128,13 @@ class Search:
         """Yield `codes` in parts whose scores take up to 64 MiB."""
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
+
+    def _parts(self, index: Flat) -> list[Part]:
+        places = None if self._blocks is None else self.places
+        if self.kind == "exact":
+            return [*parts_of_map(self.references, places)]
+        together = max(1, CELLS // self.references.shape[1])
+        return [Part(0, len(self.references), together, places, index.similarity, None)]
 
     def _best_of_retrieved(self, codes: Vectors, index: Retrieving) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
@@ -146,7 +147,7 @@ class Search:
         similarity, images = index.retrieve(codes, self._neighbours)
         rows, columns = np.nonzero(images >= 0)
         found = images[rows, columns]
-        values = products(self.references, codes, rows, found) if self._reranked else similarity[rows, columns]
+        values = products(self.references, 0, codes, rows, found) if self._reranked else similarity[rows, columns]
         return rows, values, self.places[found]
 
     def _checked(self, codes: Vectors) -> Vectors:

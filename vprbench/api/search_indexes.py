@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,11 +11,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.nearest import CELLS, Held, Numbers, Stored, Vectors, parts
+from vprbench.api.nearest import CELLS, Numbers, Vectors, inner_products, parts, rows_together
+from vprbench.storage.shards import Shards
 
 Kind = Literal["exact", "hnsw", "ivfpq", "sq8"]
-
-_FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 
 _LINKS = 32  # of an image to others, hnsw; twice as many on the lowest layer
 _CANDIDATES = 64  # that hnsw follows at a query, at least
@@ -50,29 +48,20 @@ class Flat(ABC):
 
 
 class _Exact(Flat):
-    """The vectors themselves; numpy's product is the fastest on two cores, for one query and for many.
+    """The vectors themselves."""
 
-    Beside it were measured PyTorch's product and faiss.IndexFlatIP.
-    """
-
-    def __init__(self, references: Stored) -> None:
+    def __init__(self, references: Shards) -> None:
         self._references = references
-        self.n_bytes = 4 * math.prod(references.shape)
+        self.n_bytes = references.nbytes
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
-        together = last - first if isinstance(self._references, Held) else max(1, CELLS // codes.shape[1])
+        together = last - first if self._references.array is not None else rows_together(self._references)
         if last - first <= together:
-            return _products(codes, self._references[first:last])
+            return inner_products(self._references, first, codes, 0, last - first)
         similarity = np.empty((len(codes), last - first), np.float32)
         for images in parts(last - first, together):
-            similarity[:, images] = _products(codes, self._references[first + images.start : first + images.stop])
+            similarity[:, images] = inner_products(self._references, first, codes, images.start, images.stop)
         return similarity
-
-
-def _products(codes: Vectors, references: Vectors) -> Vectors:
-    if 0 < len(codes) <= _FEW_QUERIES:
-        return np.stack([references @ code for code in codes])
-    return codes @ references.T
 
 
 class _EightBits(Flat):
@@ -83,7 +72,7 @@ class _EightBits(Flat):
     for many queries at once.
     """
 
-    def __init__(self, references: Stored) -> None:
+    def __init__(self, references: Shards) -> None:
         faiss = faiss_module()
         n_dimensions = references.shape[1]
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
@@ -125,7 +114,7 @@ class Retrieving(ABC):
 class _Graph(Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
-    def __init__(self, references: Stored) -> None:
+    def __init__(self, references: Shards) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
@@ -144,7 +133,7 @@ class _ProductCodes(Retrieving):
     A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
     """
 
-    def __init__(self, references: Stored) -> None:
+    def __init__(self, references: Shards) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         n_centroids = 1 << BITS
