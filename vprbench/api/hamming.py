@@ -40,7 +40,7 @@ def packed(bits: npt.NDArray[Any]) -> Words:
 
 def in_blocks(codes: Words) -> Words:
     """Return a copy of references (n, n_words) in blocks of 8 side by side, as `similarity` takes them; 0 fills up."""
-    padded = np.pad(_whole_groups(codes), ((0, -len(codes) % _LANES), (0, 0)))
+    padded = np.pad(codes, ((0, -len(codes) % _LANES), (0, 0)))
     return np.ascontiguousarray(padded.reshape(-1, _LANES, padded.shape[1]).swapaxes(1, 2))
 
 
@@ -48,16 +48,10 @@ def similarity(codes: Words, blocks: Words) -> Scores:
     """Return minus the bits in which codes (n_queries, n_words) and references differ, (n_queries, n_blocks * 8)."""
     n_blocks = len(blocks)
     scores = np.empty((len(codes), n_blocks * _LANES), np.float32)
-    queries = _whole_groups(codes)
+    queries = np.ascontiguousarray(codes)
     threads = min(torch.get_num_threads(), len(codes) * blocks.size // _WORTH_A_THREAD)
     in_shares(lambda own: _compare(queries, blocks, scores, own.start, own.stop), n_blocks, threads, _SHARES)
     return scores
-
-
-def _whole_groups(codes: Words) -> Words:
-    """Return the codes with zeros up to a multiple of _GROUP words, contiguous."""
-    missing = -codes.shape[1] % _GROUP
-    return np.ascontiguousarray(np.pad(codes, ((0, 0), (0, missing))))
 
 
 @intrinsic
@@ -73,19 +67,25 @@ def _write_similarity(typing_context, query, block, similarity):  # type: ignore
         ours, theirs, out = (context.make_array(kind)(context, builder, value) for kind, value in arrays)
         vectors = builder.bitcast(theirs.data, _VECTOR.as_pointer())
         planes = [_variable(builder) for _ in range(3)]  # sums of ones, twos and fours, bit by bit
-        eights = _variable(builder)  # counted
-        groups = builder.udiv(builder.extract_value(ours.shape, 0), _INT64(_GROUP))
+        eights, others = _variable(builder), _variable(builder)  # counted
+        n_words = builder.extract_value(ours.shape, 0)
+        groups = builder.udiv(n_words, _INT64(_GROUP))
+
+        def differing_in(place: ir.Value) -> ir.Value:
+            own = _in_all_lanes(builder, builder.load(builder.gep(ours.data, [place])))
+            return builder.xor(own, builder.load(builder.gep(vectors, [place]), align=8))
+
         with cgutils.for_range(builder, groups) as group:
             first = builder.mul(group.index, _INT64(_GROUP))
-            carries = []
-            for word in range(_GROUP):
-                place = builder.add(first, _INT64(word))
-                own = _in_all_lanes(builder, builder.load(builder.gep(ours.data, [place])))
-                carries.append(builder.xor(own, builder.load(builder.gep(vectors, [place]), align=8)))
+            carries = [differing_in(builder.add(first, _INT64(word))) for word in range(_GROUP)]
             for plane in planes:
                 carries = [_add(builder, plane, *pair) for pair in zip(carries[::2], carries[1::2], strict=True)]
             builder.store(builder.add(builder.load(eights), _count(builder, carries[0])), eights)
-        total = builder.shl(builder.load(eights), _VECTOR([3] * _LANES))
+        first = builder.mul(groups, _INT64(_GROUP))
+        with cgutils.for_range(builder, builder.sub(n_words, first)) as word:  # fewer than a group
+            counted = _count(builder, differing_in(builder.add(first, word.index)))
+            builder.store(builder.add(builder.load(others), counted), others)
+        total = builder.add(builder.load(others), builder.shl(builder.load(eights), _VECTOR([3] * _LANES)))
         for power, plane in enumerate(planes):
             counted = builder.shl(_count(builder, builder.load(plane)), _VECTOR([power] * _LANES))
             total = builder.add(total, counted)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from vprbench.storage.shards import Shards, rows_each
 
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
+Codes = npt.NDArray[Any]  # (n_queries, ...)
 Numbers = npt.NDArray[np.int64]
 
 CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
@@ -29,8 +31,8 @@ class Part:
     n_images: int
     together: int  # images compared at once
     places: Numbers | None  # of each image; None: a place each, of its number
-    similarity: Callable[[Vectors, int, int], Vectors]  # of codes with images from one number to another
-    exactly: Callable[[Vectors, Numbers, Numbers], Vectors] | None  # of pairs of a query and an image
+    similarity: Callable[[Codes, int, int], Vectors]  # of codes with images from one number to another
+    exactly: Callable[[Codes, Numbers, Numbers], Vectors] | None  # of pairs of a query and an image
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,8 @@ def products(vectors: Shards, start: int, codes: Vectors, queries: Numbers, imag
     return found
 
 
-def best_of_part(codes: Vectors, n: int, part: Part) -> Nearest:
-    """Return the `n` best places of a part for each of the codes, (n_queries, n_dimensions)."""
+def best_of_part(codes: Codes, n: int, part: Part) -> Nearest:
+    """Return the `n` best places of a part for each of the codes."""
     best = Nearest(np.full((len(codes), n), -np.inf, np.float32), np.full((len(codes), n), -1, np.int64))
     for block in parts(part.n_images, part.together):
         places = None if part.places is None else part.places[block]
@@ -133,7 +135,7 @@ def parts(n: int, size: int) -> Iterator[slice]:
 
 
 def _promising(
-    codes: Vectors, known: Nearest, part: Part, block: slice, places: Numbers | None
+    codes: Codes, known: Nearest, part: Part, block: slice, places: Numbers | None
 ) -> tuple[Numbers, Vectors, Numbers]:
     """Return query, similarity and image in its block of whatever may be better than what is known."""
     scores = part.similarity(codes, block.start, block.stop)

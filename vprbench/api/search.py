@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
+from time import perf_counter
 from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
@@ -24,7 +26,7 @@ from vprbench.api.nearest import (
     parts_of_map,
     products,
 )
-from vprbench.api.search_indexes import BITS, INDEXES, Flat, Kind, Retrieving
+from vprbench.api.search_indexes import BITS, EightBits, Exact, Flat, Graph, Kind, ProductCodes, Retrieving
 from vprbench.errors import BadInput
 from vprbench.storage.shards import Shards
 
@@ -32,6 +34,17 @@ _TOGETHER = 1 << 16  # reference images, if several show a place
 
 #: Applies a function to each part of a map and gives the results in their order, as `map` does; a cluster may stand in.
 Mapped = Callable[[Callable[[Part], Nearest], Sequence[Part]], Iterable[Nearest]]
+
+
+_INDEXES: dict[Kind, Callable[[Shards, int], Flat | Retrieving]] = {
+    "exact": lambda references, _: Exact(references),
+    "sq8": lambda references, _: EightBits(references),
+    "hnsw": lambda references, _: Graph(references),
+    "ivfpq": ProductCodes,
+    "rabitq": RaBitQ,
+    "binary": lambda references, _: Bits(references),
+    "binary_hnsw": lambda references, _: BitGraph(references),
+}
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,7 @@ class Search:
         kind: Kind = "exact",
         neighbours: int = 100,
         rerank: int = 0,
+        probes: int = 0,
     ) -> None:
         """Index `references`, which stay where they are (memory-mapped or in shards), with the place of each.
 
@@ -64,7 +78,7 @@ class Search:
         are kept to be compared with. Raises BadInput as `check_index` does, and for places that are not one for each
         reference.
         """
-        check_index(kind, neighbours, len(references))
+        check_index(kind, neighbours, len(references), rerank, probes)
         if len(references.shape) != 2 or places.shape != (len(references),):
             raise BadInput(
                 f"references {references.shape} came with places {places.shape}: wanted (n_images, n_dimensions) of an "
@@ -77,9 +91,12 @@ class Search:
         self.kind = kind
         self._n_places = int(places.max()) + 1
         self._neighbours = min(rerank or neighbours, len(references))
-        self._reranked = bool(rerank)
-        self._index: Flat | Retrieving = INDEXES[kind](self.references)
+        self.rerank = 0 if kind == "exact" else rerank
+        started = perf_counter()
+        self._index = _INDEXES[kind](references, probes)
+        self.build_seconds = perf_counter() - started
         one_each = np.array_equal(places, np.arange(len(places)))
+        self._shown = None if one_each else places
         self._blocks = None if one_each else [*_blocks_of_places(places)]
 
     @property
@@ -93,8 +110,8 @@ class Search:
         Beside the result, memory is bounded: about 200 MB. Raises ValueError for codes of another length.
         """
         codes = self._checked(codes)
-        if isinstance(self._index, Retrieving):
-            return self._best_of_retrieved(codes, self._index)
+        if self.rerank or isinstance(self._index, Retrieving):
+            return self._best_of_retrieved(codes)
         if self._blocks is None:
             return self._index.similarity(codes, 0, len(self.references))
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
@@ -114,10 +131,14 @@ class Search:
         codes of another length.
         """
         codes = self._checked(codes)
-        if isinstance(self._index, Retrieving):
-            best = best_places(*self._retrieved(codes, self._index), len(codes), n)
+        if self.rerank or isinstance(self._index, Retrieving):
+            best = best_places(*self._retrieved(codes), len(codes), n)
+        elif self.kind == "exact":
+            best = reduce(
+                merged, mapped(partial(best_of_part, codes, n), [*parts_of_map(self.references, self._shown)])
+            )
         else:
-            best = reduce(merged, mapped(partial(best_of_part, codes, n), self._parts(self._index)))
+            best = best_of_part(codes, n, self._whole(self._index, self._shown))
         return best.similarity, best.places
 
     def exactly(self) -> Search:
@@ -129,26 +150,28 @@ class Search:
         for queries in parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
-    def _parts(self, index: Flat) -> list[Part]:
-        places = None if self._blocks is None else self.places
-        if self.kind == "exact":
-            return [*parts_of_map(self.references, places)]
-        together = max(1, CELLS // self.references.shape[1])
-        return [Part(0, len(self.references), together, places, index.similarity, None)]
+    def _whole(self, index: Flat, places: Numbers | None) -> Part:
+        """Return what an index that compares all images searches; without `places`, images are found."""
+        n_images, n_dimensions = self.references.shape
+        return Part(0, n_images, max(1, CELLS // n_dimensions), places, index.similarity, None)
 
-    def _best_of_retrieved(self, codes: Vectors, index: Retrieving) -> Vectors:
+    def _best_of_retrieved(self, codes: Vectors) -> Vectors:
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
-        rows, similarity, places = self._retrieved(codes, index)
+        rows, similarity, places = self._retrieved(codes)
         np.maximum.at(scores, (rows, places), similarity)
         return scores
 
-    def _retrieved(self, codes: Vectors, index: Retrieving) -> tuple[Numbers, Vectors, Numbers]:
+    def _retrieved(self, codes: Vectors) -> tuple[Numbers, Vectors, Numbers]:
         """Return the query, the similarity and the place of each image that an index finds."""
-        similarity, images = index.retrieve(codes, self._neighbours)
+        if isinstance(self._index, Retrieving):
+            similarity, images = self._index.retrieve(codes, self._neighbours)
+        else:
+            found = best_of_part(codes, self._neighbours, self._whole(self._index, None))
+            similarity, images = found.similarity, found.places
         rows, columns = np.nonzero(images >= 0)
-        found = images[rows, columns]
-        values = products(self.references, 0, codes, rows, found) if self._reranked else similarity[rows, columns]
-        return rows, values, self.places[found]
+        chosen = images[rows, columns]
+        values = products(self.references, 0, codes, rows, chosen) if self.rerank else similarity[rows, columns]
+        return rows, values, self.places[chosen]
 
     def _checked(self, codes: Vectors) -> Vectors:
         n_dimensions = self.references.shape[1]
@@ -157,12 +180,15 @@ class Search:
         return np.ascontiguousarray(codes, np.float32)
 
 
-def check_index(kind: str, neighbours: int, n_images: int) -> None:
-    """Raise BadInput for an unknown kind, for fewer than one neighbour, and for too few images."""
+def check_index(kind: str, neighbours: int, n_images: int, rerank: int = 0, probes: int = 0) -> None:
+    """Raise BadInput for an unknown kind, for numbers out of their range, and for too few images."""
     if kind not in get_args(Kind):
         raise BadInput(f"method.index={kind} is unknown: give {', '.join(get_args(Kind))}")
     if neighbours < 1:
         raise BadInput(f"method.neighbours={neighbours}: give at least 1")
+    for name, number in (("rerank", rerank), ("probes", probes)):
+        if number < 0:
+            raise BadInput(f"method.{name}={number}: give 0 or more")
     if n_images < (least := 1 << BITS if kind == "ivfpq" else 1):
         raise BadInput(
             f"method.index={kind} needs at least {least} reference images, {n_images} came"

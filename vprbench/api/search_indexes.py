@@ -14,7 +14,9 @@ import numpy.typing as npt
 from vprbench.api.nearest import CELLS, Numbers, Vectors, inner_products, parts, rows_together
 from vprbench.storage.shards import Shards
 
-Kind = Literal["exact", "hnsw", "ivfpq", "sq8"]
+Kind = Literal["exact", "sq8", "hnsw", "ivfpq", "rabitq", "binary", "binary_hnsw"]
+_SAMPLED = 1 << 27  # numbers that an index learns from, at most
+_ADDED = 1 << 28  # to a graph at once, from which larger maps come in parts
 
 _LINKS = 32  # of an image to others, hnsw; twice as many on the lowest layer
 _CANDIDATES = 64  # that hnsw follows at a query, at least
@@ -22,7 +24,7 @@ _CANDIDATES = 64  # that hnsw follows at a query, at least
 _LISTS_LOOKED_AT = 4  # one in so many, ivfpq
 BITS = 8  # of a code of ivfpq: one of 256 centroids
 _SHORTEST_PART, _MOST_PARTS = 4, 512  # of a vector, each with a code of its own
-_TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
+TRAINED_PER_CENTROID = 39  # images: what faiss asks for at least
 _PQ_ITERATIONS = 10
 
 
@@ -47,7 +49,7 @@ class Flat(ABC):
         """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
 
 
-class _Exact(Flat):
+class Exact(Flat):
     """The vectors themselves."""
 
     def __init__(self, references: Shards) -> None:
@@ -55,6 +57,7 @@ class _Exact(Flat):
         self.n_bytes = references.nbytes
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
+        """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
         together = last - first if self._references.array is not None else rows_together(self._references)
         if last - first <= together:
             return inner_products(self._references, first, codes, 0, last - first)
@@ -64,7 +67,7 @@ class _Exact(Flat):
         return similarity
 
 
-class _EightBits(Flat):
+class EightBits(Flat):
     """Faiss's scalar quantiser: each dimension in 256 even steps between its extremes.
 
     A number is lowest + (code + 1/2) * step, so codes are compared with step * query as they are, made floats block by
@@ -74,16 +77,27 @@ class _EightBits(Flat):
 
     def __init__(self, references: Shards) -> None:
         faiss = faiss_module()
-        n_dimensions = references.shape[1]
+        n_images, n_dimensions = references.shape
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
-        quantiser.train(references[:])
-        self._codes: npt.NDArray[np.uint8] = quantiser.compute_codes(references[:])
+        blocks = [*parts(n_images, rows_together(references))]
+        quantiser.train(
+            np.stack(
+                [
+                    np.min([references[rows].min(0) for rows in blocks], axis=0),
+                    np.max([references[rows].max(0) for rows in blocks], axis=0),
+                ]
+            )
+        )
+        self._codes = np.empty((n_images, n_dimensions), np.uint8)
+        for rows in blocks:
+            self._codes[rows] = quantiser.compute_codes(references[rows])
         lowest, extent = faiss.vector_to_array(quantiser.trained).reshape(2, n_dimensions)
         self._step: npt.NDArray[np.float32] = extent / np.float32(255)
         self._middle: npt.NDArray[np.float32] = lowest + self._step / 2  # of the lowest step
         self.n_bytes = self._codes.nbytes + self._step.nbytes + self._middle.nbytes
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
+        """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
         similarity = np.empty((len(codes), last - first), np.float32)
         stepped = codes * self._step
         together = min(last - first, max(1, CELLS // codes.shape[1]))
@@ -111,7 +125,7 @@ class Retrieving(ABC):
         return vectors
 
 
-class _Graph(Retrieving):
+class Graph(Retrieving):
     """A graph of near images, climbed from layer to layer (Malkov and Yashunin 2018); it holds the vectors."""
 
     def __init__(self, references: Shards) -> None:
@@ -119,21 +133,20 @@ class _Graph(Retrieving):
         n_images, n_dimensions = references.shape
         self._index = faiss.IndexHNSWFlat(n_dimensions, _LINKS, faiss.METRIC_INNER_PRODUCT)
         self._index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
-        with _one_thread(faiss):  # of several, the fastest would decide what is linked
-            self._index.add(references[:])
-        hnsw = self._index.hnsw
-        links = 4 * hnsw.neighbors.size() + 8 * hnsw.offsets.size() + 4 * hnsw.levels.size()
-        self.n_bytes = 4 * n_images * n_dimensions + links
+        with one_thread(faiss):
+            for images in parts(n_images, max(1, _ADDED // n_dimensions)):
+                self._index.add(references[images])
+        self.n_bytes = 4 * n_images * n_dimensions + bytes_of_links(self._index.hnsw)
 
 
-class _ProductCodes(Retrieving):
+class ProductCodes(Retrieving):
     """Inverted lists of product codes (Jégou et al. 2011): a list for each of about sqrt(n) centroids.
 
     A vector is cut into parts of 4 numbers, or more if that would make more than 512 parts; zeros fill up the last.
     A part is stored as the number of one of 256 centroids. A query looks at a quarter of the lists.
     """
 
-    def __init__(self, references: Shards) -> None:
+    def __init__(self, references: Shards, probes: int = 0) -> None:
         faiss = faiss_module()
         n_images, n_dimensions = references.shape
         n_centroids = 1 << BITS
@@ -148,13 +161,11 @@ class _ProductCodes(Retrieving):
             BITS,
             faiss.METRIC_INNER_PRODUCT,
         )
-        self._index.nprobe = -(-n_lists // _LISTS_LOOKED_AT)
+        self._index.nprobe = min(probes or -(-n_lists // _LISTS_LOOKED_AT), n_lists)
         for clustering in (self._index.cp, self._index.pq.cp):
             clustering.min_points_per_centroid = 1  # faiss would print that there are few
         self._index.pq.cp.niter = _PQ_ITERATIONS
-        wanted = _TRAINED_PER_CENTROID * max(n_lists, n_centroids)
-        chosen = np.sort(np.random.default_rng(0).permutation(n_images)[:wanted])
-        self._index.train(self._prepared(references.take(chosen)))
+        self._index.train(self._prepared(sample(references, TRAINED_PER_CENTROID * max(n_lists, n_centroids))))
         for images in parts(n_images, max(1, CELLS // n_dimensions)):
             self._index.add(self._prepared(references[images]))
         tables = 4 * n_parts * self._part * (n_lists + n_centroids)
@@ -165,16 +176,21 @@ class _ProductCodes(Retrieving):
         return np.pad(vectors, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(vectors)
 
 
-INDEXES: dict[Kind, type[_Exact | _EightBits | _Graph | _ProductCodes]] = {
-    "exact": _Exact,
-    "hnsw": _Graph,
-    "ivfpq": _ProductCodes,
-    "sq8": _EightBits,
-}
+def sample(references: Shards, wanted: int) -> Vectors:
+    """Return up to `wanted` of the references, drawn without replacement, in their order: 512 MiB at most."""
+    n_images, n_dimensions = references.shape
+    drawn = np.random.default_rng(0).permutation(n_images)[: max(1, min(wanted, _SAMPLED // n_dimensions))]
+    return references.take(np.sort(drawn))
+
+
+def bytes_of_links(hnsw: Any) -> int:
+    """Return the memory of a graph beside its vectors."""
+    return int(4 * hnsw.neighbors.size() + 8 * hnsw.offsets.size() + 4 * hnsw.levels.size())
 
 
 @contextmanager
-def _one_thread(faiss: Any) -> Iterator[None]:
+def one_thread(faiss: Any) -> Iterator[None]:
+    """Let faiss use one thread: of several, the fastest would decide what a graph links."""
     before = faiss.omp_get_max_threads()
     faiss.omp_set_num_threads(1)
     try:
