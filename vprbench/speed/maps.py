@@ -24,7 +24,7 @@ from vprbench.speed.simulated import AREA, SEEN_AGAIN, WITHIN, Simulated
 from vprbench.storage.atomic import replace_text
 
 EXACT = "exact"
-INDEXES = ("binary", "rabitq", "sq8", "ivfpq", "hnsw")
+INDEXES = ("binary", "rabitq", "sq8", "ivfpq", "hnsw", "binary_hnsw")
 FOUND = (1, BEST)  # best places of which the share that an index finds too is told
 
 _EXTRAPOLATED = (10**8, 10**9)  # places
@@ -40,7 +40,7 @@ class Settings(Options):
     """Which maps to search by which indexes; raises BadInput if nothing would be measured."""
 
     places: list[int] = option([1000, 10_000, 100_000, 1_000_000], [300, 600], least=BEST)
-    dimensions: list[int] = option([64, 512, 2048, 8448], [16])  # numbers of a descriptor
+    dimensions: list[int] = option([64, 512, 8448], [16])  # numbers of a descriptor
     indexes: list[str] = option(list(INDEXES), among=INDEXES)  # beside exact search, which they are compared with
     rerank: int = option(100, 20, least=0)  # best images of an index that are compared again, exactly
     queries: int = option(1000, 20)  # asked together, and one by one
