@@ -24,7 +24,7 @@ from vprbench.storage.shards import Shards
 
 BEST = 10  # places that are asked for
 
-_FEWEST = 3  # laps that a median is taken of
+_FEWEST = 3  # queries asked alone that a median is taken of
 _LOOK_EVERY = 0.01  # seconds between looks at the process
 
 
@@ -97,12 +97,12 @@ def _told(case: Case) -> Iterator[dict[str, Any]]:
     yield {"building_seconds": building_seconds, "bytes_per_place": search.bytes_per_place}
     _, found = search.nearest(case.queries, BEST)
 
-    def median_seconds(call: Callable[[int], object]) -> float:
-        return median(in_turn({"": call}, _FEWEST, case.minimum_seconds)[""])
+    def median_seconds(call: Callable[[int], object], fewest: int) -> float:
+        return median(in_turn({"": call}, fewest, case.minimum_seconds)[""])
 
     n = len(case.queries)
-    one = median_seconds(lambda turn: search.nearest(case.queries[turn % n :][:1], BEST))
-    batch = median_seconds(lambda _: search.nearest(case.queries, BEST)) / n
+    one = median_seconds(lambda turn: search.nearest(case.queries[turn % n :][:1], BEST), _FEWEST)
+    batch = median_seconds(lambda _: search.nearest(case.queries, BEST), 1) / n
     seconds = {"query_seconds": one, "batch_seconds": batch, "processor_seconds": time.process_time()}
     yield {"found": found, **seconds}
 
