@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor, nn
 
-from vprbench.api import BadInput, Places, Scores
+from vprbench.api import BadInput, Descriptors, Places, Scores
 
 from .parts.backbones.resnet import resnet
 from .parts.backbones.vgg import vgg16_features
@@ -38,7 +38,7 @@ class Whitening:
     projection: npt.NDArray[np.float32]  # (n_dimensions, n_components)
 
     @classmethod
-    def learn(cls, descriptors: npt.NDArray[np.float32], n_components: int) -> Self:
+    def learn(cls, descriptors: Descriptors, n_components: int) -> Self:
         """Learn it from descriptors (n, n_dimensions): the directions of largest variance, the largest first.
 
         There are fewer than `n_components` if the descriptors vary in fewer directions, n - 1 at most.
@@ -65,7 +65,7 @@ class Whitening:
             projection = np.zeros((n_dimensions, 1))
         return cls(mean.astype(np.float32), projection.astype(np.float32))
 
-    def __call__(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def __call__(self, descriptors: Descriptors) -> npt.NDArray[np.float32]:
         """Return whitened descriptors of unit length, (n, n_components); zero for the mean."""
         whitened = np.empty((len(descriptors), self.projection.shape[1]), np.float32)
         for first in range(0, len(descriptors), _TOGETHER):
@@ -135,16 +135,23 @@ class GCL(PublishedNetwork):
         longer = self.shorter_side * max(height, width) // min(height, width)
         return (self.shorter_side, longer) if height <= width else (longer, self.shorter_side)
 
-    def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
+    def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
         """Learn the whitening, if one is wanted, and keep the whitened references."""
         if self.n_components is not None and self.n_components < 1:
             raise BadInput(f"method.n_components={self.n_components}: give at least 1, or null for no whitening")
         self._whitening = None if self.n_components is None else Whitening.learn(descriptors, self.n_components)
-        return super().fit_descriptors(self._whitened(descriptors), places)
+        whitened = descriptors if self._whitening is None else self._whitening(descriptors)
+        return super().fit_descriptors(whitened, places)
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Score every place for every code, (n_queries, n_places); raises NotFittedError before `fit`."""
         return super().match(self._whitened(codes))
+
+    def nearest(
+        self, codes: npt.NDArray[np.float32], n: int, **how: Any
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+        """Return the scores of the best `n` places of each code, and these places."""
+        return super().nearest(self._whitened(codes), n, **how)
 
     def _whitened(self, descriptors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         return descriptors if self._whitening is None else self._whitening(descriptors)
@@ -163,7 +170,7 @@ class _GCL(nn.Module):
         return pooled
 
 
-def _precise(descriptors: npt.NDArray[np.float32]) -> Iterator[npt.NDArray[np.float64]]:
+def _precise(descriptors: Descriptors) -> Iterator[npt.NDArray[np.float64]]:
     """Yield descriptors in blocks."""
     for first in range(0, len(descriptors), _TOGETHER):
         yield descriptors[first : first + _TOGETHER].astype(np.float64)

@@ -15,7 +15,7 @@ import psutil
 import torch
 from torch import nn
 
-from vprbench.api import BadInput, Images, NotFittedError, Places, Scores
+from vprbench.api import BadInput, Descriptors, Images, NotFittedError, Places, Scores
 
 from .netvlad import STRIDE, sizes
 from .parts.patch_geometry import Geometry, mutual, score
@@ -107,10 +107,10 @@ class PatchNetVLAD(PublishedNetwork):
             done += len(block)
         return self.fit_descriptors(codes, places)
 
-    def fit_descriptors(self, descriptors: npt.NDArray[Any], places: Places) -> Self:
-        """Learn the map from what `encode` gave of the references, which is not copied but to `patches`=float16."""
+    def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
+        """Learn the map from what `encode` gave of the references; an array is not copied but to `patches`=float16."""
         self._map = None
-        codes = self._split(descriptors.astype(self.patches, copy=False))
+        codes = self._split(descriptors[:].astype(self.patches, copy=False))
         whole = unit(codes[:, 0])
         super().fit_descriptors(whole, places)
         order = np.argsort(places, kind="stable")

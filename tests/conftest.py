@@ -14,6 +14,7 @@ from served_files import Server, serving
 os.environ["VPRBENCH_OFFLINE"] = "1"
 os.environ["VPRBENCH_WEIGHTS"] = tempfile.mkdtemp(prefix="vprbench-no-weights-")
 os.environ["VPRBENCH_DATA"] = tempfile.mkdtemp(prefix="vprbench-no-data-")
+os.environ["VPRBENCH_SLOT"] = tempfile.mkdtemp(prefix="vprbench-no-slot-")
 os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = tempfile.mkdtemp(prefix="vprbench-hypothesis-")
 PARTIAL = "VPRBENCH_PARTIAL"
 NUMBERS = count()

@@ -46,6 +46,10 @@ def _waited_for() -> int:
         import ctypes
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        if not ending.heard():  # it has died before
+            return 1
+        ending.watch_stops()
+        ending.tell(bound=True)  # it may be stopped now: stopped or not, it ends with the one that waits
     signal.signal(signal.SIGINT, _interrupt)
     try:
         from vprbench import cli

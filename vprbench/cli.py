@@ -24,14 +24,15 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vprbench import ending
+from vprbench.cluster.sweep import divided, swept
 from vprbench.commands import working
 from vprbench.commands.at_once import COMMANDS, answered
-from vprbench.errors import BadInput, NotThere, TrainingDivergedError
+from vprbench.errors import BadInput, ClusterLostError, NotThere, TrainingDivergedError
 from vprbench.plugins import registry
 from vprbench.progress import answers_alone, log_lines
 from vprbench.run.compose import check_names, explained, in_order, readable
-from vprbench.run.processes import IN_SWEEP, as_json, record, run_apart, scratch
-from vprbench.run.settings import KNOWN, checked_settings, n_threads
+from vprbench.run.processes import IN_SWEEP, as_json, record, scratch
+from vprbench.run.settings import KNOWN, RECORDED, checked_settings, n_threads
 from vprbench.text import near, printable
 
 
@@ -62,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error).strip() or "bad input, of which nothing is said")
     except (HydraException, OmegaConfBaseException) as error:
         return _complain(explained(error, arguments))
+    except ClusterLostError as error:
+        return _complain(str(error), 1)
     except BrokenPipeError:
         return _complain("standard output was closed before all was printed", 1)
     except OSError as error:
@@ -75,17 +78,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_or_sweep(arguments: list[str]) -> int:
     """Run one method on one dataset, or with -m all combinations, each in a process of its own."""
+    sweep = any(text == "-m" or "multirun" in text.lower() for text in arguments)
+    options, arguments = divided(arguments, sweep)
     check_names(arguments)
     codes: list[int] = []
+    runs: list[list[str]] = []  # of a sweep, the options of each
     errors: list[Exception] = []
 
     @hydra.main(version_base="1.3", config_path="pkg://vprbench.conf", config_name="run")
     def task(config: DictConfig) -> None:
         try:
             if HydraConfig.get().mode == RunMode.MULTIRUN:
-                options = HydraConfig.get().overrides.task
-                logging.info("run %d of the sweep: %s", len(codes) + 1, " ".join(options))
-                codes.append(run_apart(options).code)
+                runs.append(list(HydraConfig.get().overrides.task))
             else:
                 codes.append(_run(config))
         except Exception as error:  # Hydra would print lines of its own; it is raised again below
@@ -93,7 +97,6 @@ def run_or_sweep(arguments: list[str]) -> int:
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and `main` explains
     kept = sys.argv
-    sweep = any(text == "-m" or "multirun" in text.lower() for text in arguments)
     with scratch() if sweep else contextlib.nullcontext() as folder:  # where Hydra leaves its notes on a sweep
         sys.argv = [kept[0], *arguments, *([f"hydra.sweep.dir={folder}"] if sweep else [])]
         try:
@@ -104,7 +107,7 @@ def run_or_sweep(arguments: list[str]) -> int:
             sys.argv = kept
     if errors:
         raise errors[0]
-    return max(codes, default=0)
+    return swept(runs, options) if runs else max(codes, default=0)
 
 
 def _run(config: DictConfig) -> int:
@@ -114,11 +117,11 @@ def _run(config: DictConfig) -> int:
     choices = HydraConfig.get().runtime.choices
     registry.insist_on_one("method", choices["method"])
     registry.insist_on_one("dataset", choices["dataset"])
-    named = ("method", "dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
-    asked = {name: plain[name] for name in named}
+    asked = {name: plain[name] for name in RECORDED}
     asked["overrides"] = [registry.as_asked(option) for option in HydraConfig.get().overrides.task]
     from vprbench.run import machine
-    from vprbench.run.find_or_make import answer
+    from vprbench.run.claims import HeldElsewhereError
+    from vprbench.run.find_or_make import FailedElsewhereError, answer
     from vprbench.run.record import Failure
     from vprbench.run.store import Store
 
@@ -133,6 +136,15 @@ def _run(config: DictConfig) -> int:
             return answer(choices["method"], asked, settings, store, say)
         except KeyboardInterrupt:
             raise
+        except HeldElsewhereError as error:  # whoever waits asks again
+            logging.info("%s: it is left to that", error)
+            ending.tell(held=str(error.claim))
+            return 0
+        except FailedElsewhereError as error:
+            ending.tell(recorded=True, missing=error.failure.missing)
+            if output == "json":
+                say(as_json(error.failure))
+            return _complain(str(error), 1)
         except BaseException as error:  # whatever a plug-in raises
             ending.leave_if_forked(process)
             failure = Failure(

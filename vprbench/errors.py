@@ -15,3 +15,7 @@ class NotFittedError(RuntimeError):
 
 class TrainingDivergedError(RuntimeError):
     """A training ended in a network that cannot be trusted; the message says how that was seen."""
+
+
+class ClusterLostError(RuntimeError):
+    """What makes cells elsewhere is gone; the same command goes on with what is left."""

@@ -47,6 +47,20 @@ def listening(listener: Listener) -> Iterator[None]:
         _listener.reset(token)
 
 
+@contextmanager
+def overheard(listener: Listener) -> Iterator[None]:
+    """Send every report made inside the block to `listener` too."""
+    shown = _listener.get()
+
+    def both(stage: str, done: float) -> None:
+        listener(stage, done)
+        if shown is not None:
+            shown(stage, done)
+
+    with listening(both):
+        yield
+
+
 class _OneLine(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name is given
         text = printable(super().formatMessage(record), but="\t")

@@ -19,7 +19,6 @@ from PIL import Image as PillowImage
 from served_files import serving
 from small_plan import RUN
 
-from vprbench import cli
 from vprbench.cli import main
 from vprbench.plugins import registry
 from vprbench.run.processes import Ending
@@ -100,9 +99,9 @@ def test_a_stored_run_is_found_where_nothing_can_be_written_and_no_other_is_made
     assert "results=results cannot be written (Read-only file system)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("one", "options", "n_folders"), [("_run", [], 0), ("run_apart", ["-m"], 1)])
-def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_removed_after_a_day(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str], n_folders: int
+@pytest.mark.parametrize(("one", "options"), [("cli._run", []), ("cluster.crew.run_apart", ["-m"])])
+def test_no_run_sees_a_temporary_folder_and_what_a_killed_sweep_left_is_removed_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one: str, options: list[str]
 ) -> None:
     temporary = tmp_path / "temporary"
     old = temporary / ".partial-0-vprbench"
@@ -111,13 +110,13 @@ def test_only_a_sweep_has_a_temporary_folder_and_what_a_killed_one_left_is_remov
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     seen: list[int] = []
 
-    def look(*_: object) -> int | Ending:
+    def look(*_: object, **__: object) -> int | Ending:
         seen.append(len({*temporary.iterdir()} - {old}))
         return Ending(0) if options else 0
 
-    monkeypatch.setattr(cli, one, look)
+    monkeypatch.setattr(f"vprbench.{one}", look)
     assert main([*options, "method=sad", *QUICK]) == 0
-    assert (seen, old.exists()) == ([n_folders], not n_folders)
+    assert (seen, old.exists()) == ([0], not options)
     assert {*temporary.iterdir()} <= {old}
 
 

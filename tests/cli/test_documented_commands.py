@@ -22,8 +22,9 @@ from small_plan import RUN, Apart
 
 from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
+from vprbench.cluster import crew
 from vprbench.datasets.nordland import chosen_names
-from vprbench.paper import gather, missing_runs
+from vprbench.paper import gather
 from vprbench.paper.plan import Plan, read_plan
 from vprbench.plugins import registry
 from vprbench.run.processes import IN_SWEEP, Ending
@@ -155,8 +156,13 @@ def sweep(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sweep:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VPRBENCH_DATA", str(data))
     monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(cli, "run_apart", sweep)
-    monkeypatch.setattr(missing_runs, "run_apart", lambda options, **_: Apart()(smaller(list(options))))
+    monkeypatch.setattr(
+        crew,
+        "run_apart",
+        lambda options, stdout=None, **_: (
+            sweep(options) if stdout is None else Apart()(smaller(list(options)))  # whose answers are shown, or not
+        ),
+    )
     monkeypatch.setattr(gather, "read_plan", smaller_plan)
     return sweep
 

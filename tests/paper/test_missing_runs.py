@@ -19,6 +19,7 @@ import pytest
 from small_plan import RUN, install
 
 from vprbench.cli import main
+from vprbench.cluster import crew
 from vprbench.paper import missing_runs, shelf
 from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Row
@@ -54,7 +55,7 @@ class Children:
         self.answers = list(answers)
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
+    def __call__(self, options: Sequence[str], **_: object) -> Ending:
         self.asked.append(list(options))
         return self.answers.pop(0)
 
@@ -66,7 +67,7 @@ def store(tmp_path: Path) -> Store:
 
 def with_children(monkeypatch: pytest.MonkeyPatch, *answers: Ending) -> Children:
     children = Children(*answers)
-    monkeypatch.setattr(missing_runs, "run_apart", children)
+    monkeypatch.setattr(crew, "run_apart", children)
     return children
 
 
@@ -213,11 +214,12 @@ def test_a_table_of_stored_runs_imports_no_torch(made: Path) -> None:
     code = """
 import sys
 from pathlib import Path
-from vprbench.paper import gather, missing_runs
+from vprbench.cluster import crew
+from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.cli import main
 gather.read_plan = lambda _: read_plan(Path("plan.yaml"))
-missing_runs.run_apart = None
+crew.run_apart = None
 code = main(["table", "rows=[SAD]", "devices=[cpu]", *sys.argv[1:]])
 sys.exit("torch" if "torch" in sys.modules else code)
 """
@@ -260,7 +262,7 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> s
 def talking(lines: Sequence[str], then: Ending | KeyboardInterrupt) -> Callable[..., Ending]:
     """Return what stands in for a process that says some lines and ends."""
 
-    def run(_: object, stdout: int | None = None, heard: Callable[[str], None] = print) -> Ending:
+    def run(_: object, heard: Callable[[str], None] = print, **__: object) -> Ending:
         for line in lines:
             heard(line)
         if isinstance(then, KeyboardInterrupt):
@@ -274,7 +276,7 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_lines_stand_above(
     made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = ["\x01fit\t0.250", "\x01!note: a warning", "vprbench: it failed"]
-    monkeypatch.setattr(missing_runs, "run_apart", talking(said, Ending(1, False, "it failed", recorded=True)))
+    monkeypatch.setattr(crew, "run_apart", talking(said, Ending(1, False, "it failed", recorded=True)))
     other = a_wish(Row("A row with a name that is longer than its column may be", "sad"), seed=1)
     endings: list[Ending] = []
     shown = on_a_terminal(
@@ -290,7 +292,7 @@ def test_on_a_terminal_a_table_fills_with_what_is_stored_and_lines_stand_above(
 
 
 def test_an_interrupted_table_leaves_the_terminal_clean(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:
-    monkeypatch.setattr(missing_runs, "run_apart", talking(["\x01query\t0.500"], KeyboardInterrupt(2)))
+    monkeypatch.setattr(crew, "run_apart", talking(["\x01query\t0.500"], KeyboardInterrupt(2)))
 
     def interrupted() -> None:
         with pytest.raises(KeyboardInterrupt):

@@ -9,6 +9,7 @@ import pytest
 from small_plan import RUN, install
 
 from vprbench.cli import main
+from vprbench.cluster import crew
 from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.paper import missing_runs
@@ -47,7 +48,7 @@ def test_a_process_is_started_unless_an_adapted_run_of_these_arguments_is_stored
     adapted: Path, monkeypatch: pytest.MonkeyPatch, arguments: dict[str, int], n_processes: int
 ) -> None:
     asked: list[object] = []
-    monkeypatch.setattr(missing_runs, "run_apart", lambda *given, **_: asked.append(given) or Ending(0))
+    monkeypatch.setattr(crew, "run_apart", lambda *given, **_: asked.append(given) or Ending(0))
     wish = MissingRun(
         Row("VPRTempo", "vprtempo"), "Route", tuple(DATASET), {"name": "synthetic"}, {**SMALL, **arguments}, 0, "cpu"
     )

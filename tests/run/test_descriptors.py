@@ -92,7 +92,7 @@ def test_the_first_run_encodes_every_image_once_and_keeps_what_is_worth_keeping(
     found = run(method, dataset, tmp_path if cached else None)
     assert encoded_for_answers(method, found) == N_QUERIES + N_PLACES
     assert found.fit_seconds is not None
-    assert len(list(tmp_path.glob("*.npy"))) == files
+    assert len(list(tmp_path.glob("*/*.npy"))) == files
     assert "described" not in kinds(found)
 
 

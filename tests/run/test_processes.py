@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from vprbench import cli
+from vprbench.cluster import crew
 from vprbench.run import processes
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
@@ -114,7 +115,7 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(
 ) -> None:
     caplog.set_level("INFO")
     asked: list[list[str]] = []
-    monkeypatch.setattr(cli, "run_apart", lambda options: asked.append(list(options)) or Ending(len(asked) % 2))
+    monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or Ending(len(asked) % 2))
     monkeypatch.chdir(tmp_path)
     methods, places = ["vprtempo", "vprtempo_int8"], "dataset.references=[a,b]"
     swept = [f"method={','.join(methods)}", "method.rules=paper,reference", "method.max_module=921"]
@@ -125,4 +126,4 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(
     ]
     assert all(places in options and "dataset=nordland_64x32" in options for options in asked)
     assert [options[4] for options in asked] == ["seed=0", "seed=1"] * 4
-    assert [record.name for record in caplog.records] == ["root"] * 8  # a line of ours for each run, none of Hydra's
+    assert [record.name for record in caplog.records] == ["vprbench.cluster.sweep"] * 8  # none of Hydra's

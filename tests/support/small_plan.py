@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from vprbench import cli, ending
-from vprbench.paper import gather, missing_runs
+from vprbench.cluster import crew
+from vprbench.paper import gather
 from vprbench.paper.plan import read_plan
 from vprbench.run.processes import IN_SWEEP, Ending
 
@@ -60,7 +61,7 @@ class Apart:
     def __init__(self) -> None:
         self.asked: list[list[str]] = []
 
-    def __call__(self, options: Sequence[str], stdout: int | None = None) -> Ending:
+    def __call__(self, options: Sequence[str], **_: object) -> Ending:
         self.asked.append(list(options))
         words: dict[str, Any] = {}
         with contextlib.redirect_stdout(io.StringIO()), pytest.MonkeyPatch.context() as patch:
@@ -77,6 +78,6 @@ def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> 
     apart = Apart()
     monkeypatch.chdir(folder)
     monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(missing_runs, "run_apart", apart)
+    monkeypatch.setattr(crew, "run_apart", apart)
     monkeypatch.setattr(gather, "read_plan", lambda _: read_plan(path))
     return apart

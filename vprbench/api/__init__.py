@@ -15,7 +15,12 @@ from vprbench.text import near
 if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `_homes`
     from vprbench import progress as progress
     from vprbench.api import checkpoints as checkpoints
-    from vprbench.api.arrays import Image as Image, Places as Places, Scores as Scores
+    from vprbench.api.arrays import (
+        Descriptors as Descriptors,
+        Image as Image,
+        Places as Places,
+        Scores as Scores,
+    )
     from vprbench.api.binary import BinaryMap as BinaryMap, BinaryMethod as BinaryMethod
     from vprbench.api.compiling import compiled as compiled
     from vprbench.api.dataset import Dataset as Dataset, FrameFolder as FrameFolder, HeldOut as HeldOut

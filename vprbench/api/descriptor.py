@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+import weakref
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.arrays import Places, Scores
+from vprbench import progress
+from vprbench.api.arrays import Descriptors, Places, Scores
 from vprbench.api.method import Method
-from vprbench.api.search import Audit, Search, agreement, check_index
+from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
 from vprbench.errors import NotFittedError
+from vprbench.storage.atomic import remove_leftovers, unfinished
+from vprbench.storage.folders import cache_folder
+from vprbench.storage.shards import LARGE_BYTES, Shards, Writer
 
 if TYPE_CHECKING:
     from vprbench.api.images import Images
 
 _BLOCK = 64  # references encoded together
 _BLOCK_BYTES = 1 << 26  # of decoded images in such a block
+_FOLDER = "VPRBENCH_SCRATCH"  # environment variable
 
 
 @dataclass(kw_only=True, eq=False)
@@ -41,7 +48,10 @@ class DescriptorMethod(Method):
     searched: Search | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
-        """Encode the references block by block, into one array, and learn the map from it."""
+        """Encode the references block by block and learn the map from that: from one array, or shards if it is large.
+
+        Such shards lie in the folder VPRBENCH_SCRATCH, or one in the user's cache, until nobody holds them.
+        """
         self.searched = None
         self.insist_on_index(len(references))
         descriptors = np.empty((0, 0), np.float32)
@@ -49,20 +59,38 @@ class DescriptorMethod(Method):
         for block in encoded_blocks(references):
             codes = self.encode(block)
             if not done:
+                if 4 * len(references) * codes.shape[1] > LARGE_BYTES:
+                    return self.fit_descriptors(self._in_scratch(references), places)
                 descriptors = np.empty((len(references), codes.shape[1]), np.float32)
             descriptors[done : done + len(block)] = codes
             done += len(block)
             del block, codes  # or they would be held while the next ones are made
         return self.fit_descriptors(descriptors, places)
 
-    def fit_descriptors(self, descriptors: npt.NDArray[np.float32], places: Places) -> Self:
+    def fit_descriptors(self, descriptors: Descriptors, places: Places) -> Self:
         """Learn the map from the codes of the references, (n_references, n_dimensions), and forget any earlier map.
 
-        The array is not copied and may be memory-mapped. Raises BadInput if `index` cannot be made of it.
+        They are not copied and may be memory-mapped; more than 1 GiB come as shards. Raises BadInput if `index` cannot
+        be made of them.
         """
         self.searched = None
         self.searched = Search(descriptors, places.copy(), self.index, self.neighbours)
         return self
+
+    def _in_scratch(self, references: Images) -> Shards:
+        """Return the codes of the references in files that go when nobody holds the codes any more."""
+        scratch = cache_folder(_FOLDER, "scratch")
+        remove_leftovers(scratch)
+        folder, total = unfinished(scratch), len(references)
+        writer = Writer(folder, total, "descriptors")
+        try:
+            encoded(references, self.encode, writer, lambda done: progress.report("fit, reading images", done / total))
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        shards = writer.shards()
+        weakref.finalize(shards, shutil.rmtree, folder, ignore_errors=True)
+        return shards
 
     def insist_on_index(self, n_references: int) -> None:
         """Raise BadInput if `index` cannot be made of so many references, before they are encoded."""
@@ -71,6 +99,16 @@ class DescriptorMethod(Method):
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the inner product with the best reference image of each place; -inf if none was retrieved."""
         return self._indexed().scores(codes)
+
+    def nearest(
+        self, codes: npt.NDArray[np.float32], n: int, *, mapped: Mapped = map
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+        """Return the scores of the best `n` places of each code, best first, and these places, as `Search.nearest`.
+
+        So queries of a large map are answered. A subclass that overrides `match` overrides this as well, or all places
+        are scored.
+        """
+        return self._indexed().nearest(codes, n, mapped)
 
     def keeps_descriptors(self) -> bool:
         """Tell whether descriptors of whole traverses are worth keeping on disk; False if `fit` changes descriptors."""
@@ -98,6 +136,27 @@ class DescriptorMethod(Method):
         if self.searched is None:
             raise NotFittedError(f"{type(self).__name__} has no map yet: call fit(references, places) first")
         return self.searched
+
+
+def encoded(
+    images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], writer: Writer, done: Callable[[int], None]
+) -> int:
+    """Write what `encode` makes of images, shard by shard, where a shard is missing; returns how many were encoded.
+
+    `done` is told how many so far. Each shard is encoded on its own: the same bits, killed and gone on with or not.
+    """
+    new = 0
+
+    def codes(rows: slice) -> Iterator[npt.NDArray[np.float32]]:
+        nonlocal new
+        for block in encoded_blocks(images[rows]):
+            yield encode(block)
+            new += len(block)
+            done(new)
+
+    for rows in writer.missing():
+        writer.write(rows, codes(rows))
+    return new
 
 
 def encoded_blocks(images: Images) -> Iterator[Images]:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, final
 
 import numpy.typing as npt
 
@@ -138,7 +138,12 @@ class Method(ABC):
         return self.match(self.encode(images))
 
 
-def held_together(method: Method, wanted: int) -> int:
+class _Coded(Protocol):
+    @property
+    def code_bytes(self) -> int: ...
+
+
+def held_together(method: _Coded, wanted: int) -> int:
     """Return how many codes of a method are held together: `wanted`, fewer if they would fill more than 1 GiB."""
     code_bytes = method.code_bytes
     return min(wanted, max(1, _CODES_BYTES // code_bytes)) if code_bytes else wanted

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.storage.shards import Shards, rows_each
+
+if TYPE_CHECKING:
+    from vprbench.api.rows import Rows
 
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 Codes = npt.NDArray[Any]  # (n_queries, ...)
@@ -20,6 +22,7 @@ Numbers = npt.NDArray[np.int64]
 CELLS = 1 << 24  # numbers of an intermediate result: 64 MiB
 ROUNDING = 1e-6  # of inner products of unit vectors
 _CELLS_OF_A_PART = 1 << 28
+_FIRST = 1 << 14  # images of a block that bound what the others have to exceed
 _FEW_QUERIES = 3  # that are faster compared one by one: a product of matrices first rearranges the references
 
 
@@ -45,16 +48,22 @@ class Nearest:
 
 def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
     """Yield the parts that a map is searched in exactly; one in memory has its own rows alone, to be sent around."""
+    from vprbench.api.rows import Rows  # here, for it needs PyTorch
+
     each = rows_each(len(vectors))
+    shared = Rows(vectors)
     for own in parts(len(vectors), each * max(1, _CELLS_OF_A_PART // (each * vectors.shape[1]))):
-        held, start = (vectors, own.start) if vectors.array is None else (Shards.of(vectors.array[own]), 0)
+        held, rows, start = vectors, shared, own.start
+        if vectors.array is not None:
+            held, start = Shards.of(vectors.array[own]), 0
+            rows = Rows(held)
         yield Part(
             own.start,
             own.stop - own.start,
             rows_together(vectors),
             None if places is None else places[own],
             partial(inner_products, held, start),
-            partial(products, held, start),
+            partial(products, rows, start),
         )
 
 
@@ -75,19 +84,9 @@ def inner_products(vectors: Shards, start: int, codes: Vectors, first: int, last
     return codes @ rows.T
 
 
-def products(vectors: Shards, start: int, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
-    """Return the inner products of pairs of a query, in ascending order, and vector start + image, (n_pairs,).
-
-    They are summed in float64 and then rounded, so equal vectors give equal bits wherever they lie.
-    """
-    found = np.empty(len(images), np.float32)
-    together = max(1, CELLS // codes.shape[1])
-    borders = np.searchsorted(queries, np.arange(len(codes) + 1)).tolist()
-    for code, (first, last) in zip(codes.astype(np.float64), pairwise(borders), strict=True):
-        for pairs in parts(last - first, together):
-            own = slice(first + pairs.start, first + pairs.stop)
-            found[own] = vectors.take(start + images[own]).astype(np.float64) @ code
-    return found
+def products(rows: Rows, start: int, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
+    """Return the exact inner products of pairs of a query and vector start + image, (n_pairs,)."""
+    return rows.products(codes, queries, start + images)
 
 
 def best_of_part(codes: Codes, n: int, part: Part) -> Nearest:
@@ -150,10 +149,11 @@ def _promising(
 
 
 def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
-    """Return the similarity of each query's n-th best place, (n_queries,); -inf if there are fewer."""
+    """Return the similarity of each query's n-th best place of the first images, (n_queries,), or -inf: a bound."""
+    scores = scores[:, :_FIRST]
     if places is not None:
-        order = np.argsort(places, kind="stable")
-        starts = np.flatnonzero(np.diff(places[order], prepend=-1))
+        order = np.argsort(places[:_FIRST], kind="stable")
+        starts = np.flatnonzero(np.diff(places[:_FIRST][order], prepend=-1))
         scores = np.maximum.reduceat(scores[:, order], starts, axis=1)
     if scores.shape[1] < n:
         return np.full(len(scores), -np.inf, np.float32)

@@ -24,7 +24,6 @@ from vprbench.api.nearest import (
     merged,
     parts,
     parts_of_map,
-    products,
 )
 from vprbench.api.search_indexes import BITS, EightBits, Exact, Flat, Graph, Kind, ProductCodes, Retrieving
 from vprbench.errors import BadInput
@@ -92,6 +91,10 @@ class Search:
         self._n_places = int(places.max()) + 1
         self._neighbours = min(rerank or neighbours, len(references))
         self.rerank = 0 if kind == "exact" else rerank
+        if self.rerank:
+            from vprbench.api.rows import Rows  # here, for it needs PyTorch
+
+            self._rows = Rows(references)
         started = perf_counter()
         self._index = _INDEXES[kind](references, probes)
         self.build_seconds = perf_counter() - started
@@ -170,7 +173,7 @@ class Search:
             similarity, images = found.similarity, found.places
         rows, columns = np.nonzero(images >= 0)
         chosen = images[rows, columns]
-        values = products(self.references, 0, codes, rows, chosen) if self.rerank else similarity[rows, columns]
+        values = self._rows.products(codes, rows, chosen) if self.rerank else similarity[rows, columns]
         return rows, values, self.places[chosen]
 
     def _checked(self, codes: Vectors) -> Vectors:

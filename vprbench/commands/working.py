@@ -57,7 +57,7 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
     """Return the rows and columns asked for, the options of their runs, and what resolves a dataset's options."""
     from vprbench.paper.gather import TableRequest
 
-    own = [option for option in options if option.partition("=")[0] in TableRequest.__dataclass_fields__]
+    own = [option for option in options if TableRequest.has(option)]
     rest = readable([option for option in options if option not in own])
     own = [*own, *readable([option for option in own if option.startswith("methods=")])]  # loose files get their names
     for option in rest:
@@ -67,6 +67,7 @@ def _asked(options: list[str]) -> tuple[TableRequest, list[str], Compose]:
                 "conf/table.yaml has what they are, and all of it is of clean frames"
             )
     asked = chosen(TableRequest, own, {})
+    rest += asked.threads(rest)
     checked_settings(composed(readable([*rest, f"results={asked.results}"])))
     return asked, rest, lambda more: composed(readable(list(more)))
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
+from vprbench.cluster.crew import Crew
 from vprbench.compare.checks import Checked
 from vprbench.compare.request import Asked
 from vprbench.errors import BadInput
@@ -37,7 +38,12 @@ def under(found: Checked, names: Sequence[str]) -> dict[Corruption, Checked]:
 
 
 def make_missing(
-    chosen: Chosen, rows: Sequence[Row], spoilt: dict[Corruption, Checked], asked: Asked, compose: Compose
+    chosen: Chosen,
+    rows: Sequence[Row],
+    spoilt: dict[Corruption, Checked],
+    asked: Asked,
+    compose: Compose,
+    crew: Crew | None = None,
 ) -> list[Ending]:
     """Make the runs that are not stored, kind by kind, on the first device alone; returns how each ended."""
     once = replace(chosen, devices=chosen.devices[:1])
@@ -46,5 +52,5 @@ def make_missing(
     for _, of_kind in itertools.groupby(spoilt.items(), lambda each: each[0].kind):
         columns = [there.column for _, there in of_kind]
         runs = [run for row in rows for column in columns for run in wanted(once, column, [row])]
-        endings += made(once, runs, [*options, *_UNTIMED], compose)
+        endings += made(once, runs, [*options, *_UNTIMED], compose, crew)
     return endings

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from vprbench.cluster.crew import crew
 from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.corruptions import make_missing, under
 from vprbench.compare.quantities import quantities
@@ -54,9 +55,10 @@ def make_comparison(asked: Asked, compose: Compose) -> int:
         if cell.missing is not None:
             print(printable(f"vprbench: {cell.row.name} is left out: {cell.missing}"), file=sys.stderr)
     options = [*asked.of_runs, *["scores=true"] * bool(chosen.views)]
-    endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose)
-    spoilt = under(found, asked.request.corruptions)
-    endings += make_missing(chosen, there, spoilt, asked, compose)
+    with crew(asked.request) as making:
+        endings = made(chosen, list(wanted(chosen, found.column, there)), options, compose, making)
+        spoilt = under(found, asked.request.corruptions)
+        endings += make_missing(chosen, there, spoilt, asked, compose, making)
     known, failures = stored(chosen)
     compared, rankings = ranked_material(chosen, found, known, failures, endings)
     show(compared, rankings, asked.request.wide)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins.options import chosen
@@ -15,7 +16,7 @@ from vprbench.text import near
 
 
 @dataclass(frozen=True)
-class Request:
+class Request(ClusterOptions):
     """Which methods are compared, and how; raises BadInput for what cannot be."""
 
     methods: list[str]  # names; NAME.option=value sets an option of one of them
@@ -33,6 +34,7 @@ class Request:
 
     def __post_init__(self) -> None:
         """Check what can be checked before a method or the dataset is built."""
+        super().__post_init__()
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
         corruptions(self.corruptions)
@@ -78,7 +80,7 @@ def asked(options: Sequence[str]) -> Asked:
             )
         if name == "device":
             own.append(f"devices{option.removeprefix('device')}")
-        elif name in Request.__dataclass_fields__:
+        elif Request.has(option):
             own.append(option)
         else:
             (of_dataset if name.partition(".")[0] == "dataset" else rest).append(option)
@@ -96,6 +98,7 @@ def asked(options: Sequence[str]) -> Asked:
     of_runs = [option for option in rest if not any(_is_of(option, name) for name in methods)]
     if not any(option.startswith("timing=") for option in of_runs):
         of_runs = ["timing=quick", *of_runs]
+    of_runs += request.threads(of_runs)
     return Asked(request, methods, tuple(of_dataset), tuple(of_runs))
 
 

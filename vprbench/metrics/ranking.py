@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +65,26 @@ def outcome(scores: Scores, positives: PlacesPerQuery, ignored: PlacesPerQuery |
         start = first * n_places
         blocks.append(_block_outcome(block, _part(right, start, block.size), _part(soft, start, block.size)))
     return concatenate(blocks)
+
+
+def outcome_of_best(scores: Scores, places: npt.NDArray[np.int64], positives: PlacesPerQuery, n_places: int) -> Outcome:
+    """Rank the right places of each query among its best places alone: all others count as no candidates.
+
+    `places` (n_queries, n) holds each place once for a query, `scores` (n_queries, n) what it scores; -inf: no
+    candidate. Raises ValueError for shapes that do not fit.
+    """
+    if scores.shape != places.shape or len(positives) != len(scores):
+        raise ValueError(
+            f"scores {scores.shape} came with places {places.shape} and positives of {len(positives)} queries"
+        )
+    right = np.array([np.isin(*row) for row in zip(places, positives, strict=True)], bool).reshape(scores.shape)
+    among = _block_outcome(scores, np.flatnonzero(right), np.empty(0, np.int64))
+    return replace(
+        among,
+        above=np.where(among.tied > 0, among.above, n_places),
+        n_positives=np.array([len(np.unique(row)) for row in positives], np.int64),
+        n_places=n_places,
+    )
 
 
 def concatenate(outcomes: Sequence[Outcome]) -> Outcome:

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from vprbench.cluster.crew import Crew
+from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, fill, results_folder
@@ -34,7 +36,7 @@ _ACCELERATORS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of NVIDIA, of AMD,
 
 
 @dataclass(frozen=True)
-class TableRequest:
+class TableRequest(ClusterOptions):
     """Which rows and columns, from which stores; raises BadInput for what cannot be."""
 
     rows: list[str] | None = None  # of conf/table.yaml; None: those of the paper
@@ -56,6 +58,7 @@ class TableRequest:
 
     def __post_init__(self) -> None:
         """Check what can be checked before a plan is read."""
+        super().__post_init__()
         views(self.sequence, self.filter)
         if self.seeds is not None and self.seeds < 1:
             raise BadInput(f"seeds={self.seeds}: give at least 1")
@@ -135,19 +138,21 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
     )
 
 
-def gather(chosen: Chosen, options: Sequence[str], compose: Compose) -> Material:
+def gather(chosen: Chosen, options: Sequence[str], compose: Compose, crew: Crew | None = None) -> Material:
     """Make the runs that are wanted and not stored, unless `stored` was asked for, and put the stored ones together.
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = made(chosen, _all(chosen), options, compose)
+    endings = made(chosen, _all(chosen), options, compose, crew)
     runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(endings))
 
 
-def made(chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose) -> list[Ending]:
+def made(
+    chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose, crew: Crew | None = None
+) -> list[Ending]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
-    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose)
+    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew)
 
 
 def material(

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import logging
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
+from vprbench.cluster.crew import Cell, Crew
 from vprbench.errors import NotThere
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
@@ -20,7 +21,7 @@ from vprbench.paper.shelf import Compose, Shelf
 from vprbench.plugins import registry
 from vprbench.progress import marked, shown_by
 from vprbench.run import machine
-from vprbench.run.processes import Ending, run_apart
+from vprbench.run.processes import Ending
 from vprbench.run.rates import StageRates, best_batch
 from vprbench.run.record import Failure, Run, content_key
 from vprbench.run.store import Store
@@ -83,19 +84,23 @@ def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def fill(wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose) -> list[Ending]:
-    """Make the runs that are not stored yet, one after the other; returns how each ended.
+def fill(
+    wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose, crew: Crew | None = None
+) -> list[Ending]:
+    """Make the runs that are not stored yet, by a crew or one after the other; returns how each ended.
 
     `options` of the command line are those of all runs. For a run that is stored no process is started, nor for one
     whose published weights cannot be had. What is missing for the first seed of a row is missing for the others, which
-    are not tried. A failure is stored, never raised.
+    are not tried if it is known by then. A failure is stored, never raised.
     """
+    crew = crew or Crew()
     shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
-    shelf, weights = Shelf(store, options, compose), _Weights(options, compose)
-    if shown is None:
-        return list(_endings(wanted, options, store, shelf, weights, None))
-    with shown.table, shown_by(shown.progress):
-        return list(_endings(wanted, options, store, shelf, weights, shown))
+    filling = _Filling(wanted, options, store, compose, shown, crew.elsewhere)
+    heard = shown.heard if shown else None
+    with shown.table if shown else nullcontext(), shown_by(shown.progress) if shown else nullcontext():
+        for number, ending in crew.endings(filling.cells(), filling.begin, heard):
+            filling.end(number, ending)
+    return [filling.endings[number] for number in range(len(wanted))]
 
 
 class _Weights:
@@ -123,55 +128,90 @@ class _Weights:
         return self._errors[known]
 
 
-def _endings(
-    wanted: Sequence[MissingRun],
-    options: Sequence[str],
-    store: Store,
-    shelf: Shelf,
-    weights: _Weights,
-    shown: _Shown | None,
-) -> Iterator[Ending]:
-    missing: dict[tuple[str, str, str], Ending] = {}
-    for number, run in enumerate(wanted, 1):
-        known = (run.row.name, run.title, run.device)
-        if shown is not None:
-            shown.begin(run)
-        ending, found = missing.get(known), None
-        if ending is None:
-            found = shelf.held(run)
-            ending = Ending(0) if found else None
-        if ending is None:
-            if shown is None:
-                on = f"{run.row.name} on {run.title}, seed {run.seed}, {run.device}"
-                logger.info("[%d/%d] %s", number, len(wanted), on)
-            ending = _made(run, options, store, weights, shown)
-            found = store.find(str(run.dataset["name"]), run.row.method, ending.key) if shown and ending.key else None
+class _Filling:
+    """Which of the wanted runs a process has to make, and how all of them end."""
+
+    def __init__(
+        self,
+        wanted: Sequence[MissingRun],
+        options: Sequence[str],
+        store: Store,
+        compose: Compose,
+        shown: _Shown | None,
+        elsewhere: bool,
+    ) -> None:
+        """Compare with the store as it is when the first run is asked for."""
+        self._wanted, self._options, self._store = wanted, options, store
+        self._shelf, self._weights = Shelf(store, options, compose), _Weights(options, compose)
+        self._shown, self._elsewhere = shown, elsewhere
+        self._missing: dict[tuple[str, str, str], Ending] = {}
+        self.endings: dict[int, Ending] = {}
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield the runs that a process has to make, by their numbers; the others end at once."""
+        for number, run in enumerate(self._wanted):
+            if self._shown is not None:
+                self._shown.at(number)
+            ending, found = self._missing.get(_known(run)), None
+            if ending is None:
+                found = self._shelf.held(run)
+                ending = Ending(0) if found else None
+            if ending is None:
+                if self._shown is None and not self._elsewhere:
+                    self._say(number)
+                ending = self._unmade(run)
+            if ending is None:
+                yield number, [*run.options(), *self._options, f"results={self._store.root}"]
+            else:
+                self._end(number, ending, found)
+
+    def begin(self, number: int, host: str) -> None:
+        """Tell that a process makes a run."""
+        if self._shown is not None:
+            self._shown.begin(number, host if self._elsewhere else "")
+        elif self._elsewhere:
+            self._say(number, f" on {host}")
+
+    def end(self, number: int, ending: Ending) -> None:
+        """Take how a process ended; a failure that it has not stored is stored."""
+        run, found = self._wanted[number], None
+        if ending.code and not ending.recorded:
+            ending = _stored(run, ending.error, ending.missing, self._store, ending.code)
+        if self._shown is not None and ending.key:
+            found = self._store.find(str(run.dataset["name"]), run.row.method, ending.key)
+        self._end(number, ending, found)
+        if self._shown is None and self._elsewhere:
+            logger.info("%d of %d done", len(self.endings), len(self._wanted))
+
+    def _end(self, number: int, ending: Ending, found: Run | None) -> None:
+        self.endings[number] = ending
         if ending.missing:
-            missing[known] = ending
-        if shown is not None:
-            shown.end(run, ending, found)
-        yield ending
+            self._missing[_known(self._wanted[number])] = ending
+        if self._shown is not None:
+            self._shown.end(number, ending, found)
+
+    def _unmade(self, run: MissingRun) -> Ending | None:
+        """Return how a run ends that no process can make; None if one has to tell."""
+        known = registry.entries("method")
+        if run.row.method not in known:
+            return _stored(run, f"there is no method {run.row.method} here yet", True, self._store)
+        if run.device != "cpu" and "device" not in known[run.row.method].options:
+            return Ending(0)
+        if known[run.row.method].needs_weights and (lacking := self._weights.lacking(run)):
+            return _stored(run, lacking, True, self._store)
+        return None
+
+    def _say(self, number: int, where: str = "") -> None:
+        run = self._wanted[number]
+        logger.info("[%d/%d] %s%s", number + 1, len(self._wanted), _title(run), where)
 
 
-def _made(run: MissingRun, options: Sequence[str], store: Store, weights: _Weights, shown: _Shown | None) -> Ending:
-    """Make one run in a process of its own."""
-    known = registry.entries("method")
-    if run.row.method not in known:
-        return _stored(run, f"there is no method {run.row.method} here yet", True, store)
-    if run.device != "cpu" and "device" not in known[run.row.method].options:
-        return Ending(0)
-    asked = [*run.options(), *options, f"results={store.root}"]
-    if shown is not None:
-        shown.start(run)
-    if known[run.row.method].needs_weights and (lacking := weights.lacking(run)):
-        return _stored(run, lacking, True, store)
-    if shown is None:
-        ending = run_apart(asked, stdout=subprocess.DEVNULL)
-    else:
-        ending = run_apart(asked, stdout=subprocess.DEVNULL, heard=shown.heard)
-    if ending.code and not ending.recorded:
-        return _stored(run, ending.error, ending.missing, store, ending.code)
-    return ending
+def _known(run: MissingRun) -> tuple[str, str, str]:
+    return run.row.name, run.title, run.device
+
+
+def _title(run: MissingRun) -> str:
+    return f"{run.row.name} on {run.title}, seed {run.seed}, {run.device}"
 
 
 class _Shown:
@@ -181,36 +221,39 @@ class _Shown:
         """Show a row and a column for each that is wanted."""
         rows, columns = (dict.fromkeys(run.row.name for run in wanted), dict.fromkeys(map(_column, wanted)))
         self.table = LiveTable([*rows], [*columns], len(wanted))
-        self._at = wanted[0]
+        self._wanted, self._at = wanted, 0
         self._numbers: dict[tuple[str, str], list[tuple[float | None, float | None]]] = {}
 
-    def begin(self, run: MissingRun) -> None:
+    def at(self, number: int) -> None:
         """Go on with a run."""
-        self._at = run
+        self._at = number
 
-    def start(self, run: MissingRun) -> None:
-        """Begin to make a run."""
+    def begin(self, number: int, host: str) -> None:
+        """Begin to make a run, elsewhere if a host is named."""
+        run = self._wanted[number]
         self.table.show(run.row.name, _column(run), "starts", "cyan")
-        self.table.begin()
+        self.table.begin(number, _title(run), host)
 
-    def progress(self, stage: str, done: float) -> None:
-        """Show how far the run is."""
-        self.table.share(done if stage.startswith("timing") else 0.0)
-        self.table.show(self._at.row.name, _column(self._at), f"{stage.split(',')[0]} {100 * done:.0f} %", "cyan")
+    def progress(self, stage: str, done: float, number: int | None = None) -> None:
+        """Show how far a run is; without a number the one that is looked at."""
+        number = self._at if number is None else number
+        words = f"{stage.split(',')[0]} {100 * done:.0f} %"
+        self.table.share(number, words, done if stage.startswith("timing") else 0.0)
+        self.table.show(self._wanted[number].row.name, _column(self._wanted[number]), words, "cyan")
 
-    def heard(self, line: str) -> None:
+    def heard(self, number: int, line: str) -> None:
         """Show what a process says: its progress in its cell, all else above the table."""
         told = marked(line)
         if isinstance(told, tuple):
-            self.progress(*told)
+            self.progress(*told, number)
         elif told is not None:
             self.table.line(told, "yellow")
         elif line:
             self.table.line(line, "red" if line.startswith("vprbench: ") else "")
 
-    def end(self, run: MissingRun, ending: Ending, found: Run | None) -> None:
+    def end(self, number: int, ending: Ending, found: Run | None) -> None:
         """Show what a run has come to."""
-        cell = (run.row.name, _column(run))
+        cell = (self._wanted[number].row.name, _column(self._wanted[number]))
         if ending.code:
             self.table.show(*cell, *(("not there", "dim") if ending.missing else ("failed", "red")))
         elif found is not None:
@@ -225,7 +268,7 @@ class _Shown:
             self.table.show(*cell, "  ".join(words))
         else:
             self.table.show(*cell, "-", "dim")
-        self.table.step()
+        self.table.step(number, bool(ending.code and not ending.missing))
 
 
 def _column(run: MissingRun) -> str:

@@ -19,16 +19,21 @@ def chosen(kind: Callable[..., Given], options: Sequence[str], quick: Mapping[st
     Raises BadInput that names the option that is unknown or does not fit.
     """
     hints = get_type_hints(kind)
-    given = {}
+    given: dict[str, Any] = {}
     for option in options:
         from vprbench.plugins.checked import checked  # takes long, and there may be no option
 
         name, equals, text = option.partition("=")
-        if name not in hints:
+        above, _, inner = name.partition(".")
+        named = get_origin(hints.get(above)) is dict  # a configuration by its name, and options of it
+        if (above if named else name) not in hints:
             raise BadInput(f"option {name} is unknown: {near(name, hints)}")
         if not equals:
             raise BadInput(f"option {name} has no value: give {name}=value")
-        given[name] = checked(name, _value(text, hints[name]), hints[name])
+        if named:
+            given.setdefault(above, {})[inner or "name"] = _value(text, Any)
+        else:
+            given[name] = checked(name, _value(text, hints[name]), hints[name])
     insist_on_homes(given)
     return kind(**{**(quick if given.get("quick") else {}), **given})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -15,10 +16,20 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method, held_together
+from vprbench.api.nearest import Nearest
 from vprbench.api.search import Audit, Search
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, ranked_places
+from vprbench.metrics.ranking import (
+    Outcome,
+    checked_scores,
+    concatenate,
+    outcome,
+    outcome_of_best,
+    ranked_places,
+)
 from vprbench.run.descriptors import Described
+from vprbench.run.note import Note
+from vprbench.run.shortlist import TOGETHER, Shortlisting, asked
 from vprbench.run.stopwatch import Stopwatch
 
 _BLOCK = 128  # queries scored together
@@ -43,8 +54,23 @@ class Answers:
         kept = whole or self._shape[0] * self._shape[1] <= _LARGEST_MATRIX
         self._kept = np.empty(self._shape, np.float32) if kept else None  # the system gives memory as it is filled
 
-    def add(self, n_queries: int, scores: Scores) -> None:
-        """Take the scores of the next queries; raises BadInput for scores of a wrong shape or kind."""
+    def add(self, n_queries: int, answer: Scores | Nearest) -> None:
+        """Take the scores, or the best places, of the next queries; raises BadInput for a wrong shape or kind."""
+        if isinstance(answer, Nearest):
+            self._add_best(answer)
+        else:
+            self._add_scores(n_queries, answer)
+
+    def _add_best(self, best: Nearest) -> None:
+        scores = checked_scores(best.similarity, self.done)
+        positives = self._positives[self.done : self.done + len(scores)]
+        self._outcomes.append(outcome_of_best(scores, best.places, positives, self._shape[1]))
+        self._top_places.append(_named(best.places).astype(np.int32))
+        self._top_scores.append(scores)
+        self._kept = None
+        self.done += len(scores)
+
+    def _add_scores(self, n_queries: int, scores: Scores) -> None:
         wanted = (n_queries, self._shape[1])
         if np.shape(scores) != wanted:
             raise BadInput(f"the method gave scores of shape {np.shape(scores)}; wanted {wanted}, one for each place")
@@ -113,37 +139,43 @@ class Scoring:
     def __init__(self, stopwatch: Stopwatch, method: Method, dataset: Dataset, depth: int, whole: bool = False) -> None:
         """Keep of the answers what `Answers` keeps; nothing is asked yet."""
         self._stopwatch = stopwatch
-        self._method = method
+        self.asked = asked(method, dataset.n_places, depth, whole)
         self._queries = dataset.queries.unnamed()
         self._n_places = dataset.n_places
         self.answers = Answers(dataset, depth, whole)
         self.audited = Audited(method, len(dataset.queries))
 
-    def score(self, described: Described | None) -> bool:
-        """Score all queries; returns whether `described` had kept their descriptors already."""
-        size = block_size(self._method, self._n_places)
+    def score(self, described: Described | None) -> int:
+        """Score all queries; returns of how many `described` had kept the descriptors already."""
+        size = block_size(self.asked, self._n_places)
         if described is not None:
             return self._score_descriptors(described, size)
         for block in self._queries.blocks(size):
             self.answers.add(len(block), self._match(self._encode(block)))  # the codes, which may be large, are gone
             progress.report("query", self.answers.done / len(self._queries))
             del block  # or it would be held while the next one is decoded
-        return False
+        return 0
+
+    def notes(self) -> Iterator[Note]:
+        """Yield that the best places alone were asked for, if they were."""
+        if isinstance(self.asked, Shortlisting):
+            best = f"of {self._n_places:,} places the best {self.asked.depth} of each query are kept"
+            yield Note("shortlist", f"large map: {best}; a right place that is none of these counts as no candidate")
 
     def _encode(self, block: Images) -> npt.NDArray[Any]:
         with self._stopwatch.lap() as lap:
-            codes = self._method.encode(block)
+            codes = self.asked.encode(block)
         self.answers.method_seconds += lap[0]
         return codes
 
-    def _match(self, codes: npt.NDArray[Any]) -> Scores:
+    def _match(self, codes: npt.NDArray[Any]) -> Scores | Nearest:
         self.audited.take(self.answers.done, codes)
         with self._stopwatch.lap() as lap:
-            scores = self._method.match(codes)
+            answer = self.asked.match(codes)
         self.answers.method_seconds += lap[0]
-        return scores
+        return answer
 
-    def _score_descriptors(self, described: Described, size: int) -> bool:
+    def _score_descriptors(self, described: Described, size: int) -> int:
         total = len(self._queries)
         descriptors, from_cache = described.descriptors(
             self._queries,
@@ -157,9 +189,20 @@ class Scoring:
         return from_cache
 
 
-def block_size(method: Method, n_places: int) -> int:
-    """Return how many queries are scored together at most, fewer if codes are large or places many."""
+def block_size(method: Method | Shortlisting, n_places: int) -> int:
+    """Return how many queries are scored together at most, fewer if codes are large or scored places many."""
+    if isinstance(method, Shortlisting):
+        return held_together(method, TOGETHER)
     return held_together(method, max(1, min(_BLOCK, _BLOCK_CELLS // n_places)))
+
+
+def _named(places: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return best places, (n_queries, n), with the lowest places that are not among them where there is none (-1)."""
+    named = places.copy()
+    for query in np.flatnonzero((places < 0).any(axis=1)):
+        none = places[query] < 0
+        named[query, none] = np.setdiff1d(np.arange(len(none)), places[query])[: np.count_nonzero(none)]
+    return named
 
 
 def _index(method: Method) -> Search | None:

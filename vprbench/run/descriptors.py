@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api.descriptor import DescriptorMethod, encoded_blocks
+from vprbench.api.descriptor import DescriptorMethod, encoded
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.weights import Weights
 from vprbench.run import machine
 from vprbench.run.record import content_key
 from vprbench.run.sources import source_hash
-from vprbench.storage.arrays import ArrayCache
-
-Descriptors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
+from vprbench.storage.shards import Shards, Writer
 
 
 class Described:
@@ -26,7 +24,7 @@ class Described:
 
     def __init__(self, folder: Path, origin: Mapping[str, Any]) -> None:
         """Keep descriptors in a folder; `origin` is all but the images that a descriptor comes from."""
-        self._kept = ArrayCache(folder, "descriptors")
+        self._folder = folder
         self._origin = origin
 
     @classmethod
@@ -49,30 +47,15 @@ class Described:
         return cls(folder, origin)
 
     def descriptors(
-        self, images: Images, encode: Callable[[Images], Descriptors], done: Callable[[int], None]
-    ) -> tuple[Descriptors, bool]:
-        """Return the descriptors of a traverse, (n_images, n_dimensions), and whether they were kept already.
+        self, images: Images, encode: Callable[[Images], npt.NDArray[np.float32]], done: Callable[[int], None]
+    ) -> tuple[Shards, int]:
+        """Return the descriptors of a traverse, (n_images, n_dimensions), and how many were kept already.
 
-        `encode` describes a block of images, `done` is told how many are described. Descriptors that the disk refuses
-        are returned all the same, in memory.
+        `encode` describes a block of images, `done` is told how many are described. What a killed run described stays,
+        but for up to 1024 images or a 256th of all. Descriptors that the disk refuses are returned all the same, in
+        memory.
         """
         origin = {**self._origin, "images": images.content_hash()}
-        key = content_key(origin)
-        kept = self._kept.find(key, (len(images), None), np.float32)
-        if kept is not None:
-            return kept, True
-        blocks = encoded_blocks(images)
-        first = encode(next(blocks))
-        shape = (len(images), first.shape[1])
-
-        def fill(descriptors: Descriptors) -> None:
-            count = len(first)
-            descriptors[:count] = first
-            done(count)
-            for block in blocks:
-                descriptors[count : count + len(block)] = encode(block)
-                count += len(block)
-                done(count)
-
-        about = {**origin, "n_images": shape[0], "n_dimensions": shape[1]}
-        return self._kept.keep(key, shape, np.float32, fill, lambda: about), False
+        writer = Writer(self._folder / content_key(origin), len(images), "descriptors")
+        new = encoded(images, encode, writer, done)
+        return writer.shards(origin if new else None), len(images) - new

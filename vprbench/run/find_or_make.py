@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from collections.abc import Callable, Mapping
-from contextlib import chdir, suppress
+from contextlib import chdir, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from vprbench import ending
 from vprbench.api.checkpoints import ledger
@@ -21,18 +20,19 @@ from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
-from vprbench.progress import progress_shown
+from vprbench.progress import overheard, progress_shown
 from vprbench.run import machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
+from vprbench.run.claims import Claim, Claims, Held, HeldElsewhereError, wait
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import Request, fingerprint
-from vprbench.run.record import Run
+from vprbench.run.processes import IN_SWEEP, SINCE
+from vprbench.run.record import Failure, Run
 from vprbench.run.sequences import views
 from vprbench.run.settings import Settings, n_threads
-from vprbench.run.store import Store, insist_on_writing
+from vprbench.run.store import Store, identity, insist_on_writing
 from vprbench.run.verdicts import by_interest
 from vprbench.storage.hashes import content_hash
-from vprbench.terminal.console import table_text, told
 
 
 class UnstoredRunError(BadInput):
@@ -42,6 +42,15 @@ class UnstoredRunError(BadInput):
         """Say `why`, and hold the run."""
         super().__init__(str(why))
         self.run = run
+
+
+class FailedElsewhereError(Exception):
+    """Another process has tried the run meanwhile, and failed."""
+
+    def __init__(self, failure: Failure) -> None:
+        """Hold what became of it."""
+        super().__init__(f"{failure.method} on {failure.dataset} failed in another process: {failure.error}")
+        self.failure = failure
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,12 @@ def answer(name: str, asked: dict[str, Any], settings: Settings, store: Store, s
     return 0
 
 
+def _text(*made: Any) -> str:
+    from vprbench.run.answer_text import answer_text  # what it imports does not count as the run's memory
+
+    return answer_text(*made)
+
+
 def find_or_make(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Made:
     """Return the run of method `name` from the store, or make and store it; `asked` is its configuration.
 
@@ -75,51 +90,120 @@ def find_or_make(name: str, asked: dict[str, Any], settings: Settings, store: St
 
 
 def made(request: Request, settings: Settings, store: Store, tuned_on: Mapping[str, Any]) -> Made:
-    """Return the run of a request from the store, or make and store it; raises what `find_or_make` raises."""
+    """Return the run of a request from the store, or make and store it; raises what `find_or_make` raises.
+
+    While another process makes it this one waits; in a sweep it raises HeldElsewhereError instead. Raises
+    FailedElsewhereError if that failed meanwhile.
+    """
+    since = os.environ.get(SINCE)
+    began = None if since is None else float(since)
+    while True:
+        try:
+            return _found_or_made(request, settings, store, tuned_on, began)
+        except HeldElsewhereError as error:
+            if os.environ.get(IN_SWEEP):
+                raise
+            logging.info("%s: waiting for it", error)
+            began = began or Claims(store.root).now()
+            wait(error.claim)
+
+
+def _found_or_made(
+    request: Request, settings: Settings, store: Store, tuned_on: Mapping[str, Any], since: float | None
+) -> Made:
     process, refused = os.getpid(), _refused(store)
     key, dataset = request.key(), request.dataset
     if request.files.save is not None and networks.made_by(request.files.save) == key:
         # its own, left by a run that was killed before it was stored
         request = replace(request, files=replace(request.files, replace=True))
-    stored = store.find(dataset.name, request.name, key)
-    found = None if settings.force else _usable(stored, settings, request)
+    folder = store.folder(dataset.name, request.name, key)
+    before = identity(folder)
+    stored, found = _stored(request, key, settings, store)
     if found is None and refused is not None:
         raise refused
 
-    needed = settings.scores or bool(views(settings.sequence, settings.filter))
-    request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
-
-    def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
-        ending.leave_if_forked(process)
-        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
-        if stored is None:
-            with suppress(BadInput):  # which is raised when it is stored with its times
-                store.save(replace(scored, tuned_on=tuned_on))
-
-    with ledger():  # what was trained is kept until the run is stored
-        if found is not None:  # whoever stored it may have asked in other words
-            run = replace(found, config={**found.config, "overrides": request.config["overrides"]})
-            # of older ones too
-            run = replace(run, query_breaks=dataset.query_breaks, place_breaks=dataset.place_breaks)
+    claim = _claim(request, folder, store) if found is None else None
+    with claim or nullcontext(), ledger():  # what was trained is kept until the run is stored
+        if claim is not None and identity(folder) != before:  # another process was done just before
+            stored, found = _stored(request, key, settings, store)
+        if claim is not None and found is None:
+            if since is not None and (failure := store.failure(request.name, dataset.name, request.config, since)):
+                raise FailedElsewhereError(failure)
+            run = replace(_run(request, settings, store, stored, claim, tuned_on), tuned_on=tuned_on)
         else:
-            for place in (store.root / dataset.name, store.folder(dataset.name, request.name, key)):
-                insist_on_writing(place)
-            with progress_shown(f"{request.name} on {dataset.name}"), chdir("."):
-                run = runner.run(request, key, keep)
+            run = _told(cast(Run, found), request, tuned_on)
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         # yaml and dataset may say so only since the run was stored
         known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
-        run = replace(run, tuned_on=tuned_on)
         if run.readouts is None and stored is not None:
             run = replace(run, readouts=stored.readouts)
         try:
-            folder = store.folder(dataset.name, request.name, key) if known else store.save(run)
+            if not known:
+                store.save(run)
         except BadInput as error:
             raise UnstoredRunError(error, run) from error
     ending.tell(code=0, key=key)
     if settings.frames:
         _keep_frames(store, run, dataset)
     return Made(run, folder, found is not None)
+
+
+def _stored(request: Request, key: str, settings: Settings, store: Store) -> tuple[Run | None, Run | None]:
+    """Return the stored run of a request, and again if it has all that was asked for."""
+    stored = store.find(request.dataset.name, request.name, key)
+    return stored, None if settings.force else _usable(stored, settings, request)
+
+
+def _told(found: Run, request: Request, tuned_on: Mapping[str, Any]) -> Run:
+    """Return a stored run with what is told of it now: whoever stored it may have asked in other words."""
+    run = replace(found, config={**found.config, "overrides": request.config["overrides"]}, tuned_on=tuned_on)
+    # of older ones too
+    return replace(run, query_breaks=request.dataset.query_breaks, place_breaks=request.dataset.place_breaks)
+
+
+def _claim(request: Request, folder: Path, store: Store) -> Claim:
+    """Claim the run that would lie in a folder; raises HeldElsewhereError, and BadInput for a folder that refuses."""
+    named = {name: request.config.get(name) for name in ("seed", "device", "corruption")}
+    about = {"method": request.name, "dataset": request.dataset.name, **named}
+    taken = Claims(store.root).take(f"{request.dataset.name}/{folder.name}", about)
+    if isinstance(taken, Held):
+        raise HeldElsewhereError(f"{request.name} on {request.dataset.name}", taken.path, taken.whose)
+    return taken
+
+
+def _run(
+    request: Request,
+    settings: Settings,
+    store: Store,
+    stored: Run | None,
+    claim: Claim,
+    tuned_on: Mapping[str, Any],
+) -> Run:
+    """Make a run; raises HeldElsewhereError where another process has taken it over meanwhile."""
+    process, key, title = os.getpid(), request.key(), f"{request.name} on {request.dataset.name}"
+    needed = settings.scores or bool(views(settings.sequence, settings.filter))
+    request = replace(request, scores=needed or (stored is not None and stored.scores is not None))  # which stay
+    # what a process fails at that dies without a word
+    ending.tell(run={"method": request.name, "dataset": request.dataset.name, "config": dict(request.config)})
+
+    def insist() -> None:
+        ending.leave_if_forked(process)
+        if not claim.kept():
+            raise HeldElsewhereError(title, claim.path, "another process, which took it over")
+
+    def keep(scored: Run) -> None:  # whatever becomes of its timing; a stored run stays until it can be replaced
+        insist()
+        logging.info("%s on %s: %s; its times follow", scored.method, scored.dataset, _recall(scored))
+        if stored is None:
+            with suppress(BadInput):  # which is raised when it is stored with its times
+                store.save(replace(scored, tuned_on=tuned_on))
+
+    for place in (store.root / request.dataset.name, store.folder(request.dataset.name, request.name, key)):
+        insist_on_writing(place)
+    with progress_shown(title), overheard(claim.tell), chdir("."):
+        run = runner.run(request, key, keep)
+    insist()
+    return run
 
 
 def _request(name: str, asked: dict[str, Any], settings: Settings, store: Store) -> Request:
@@ -215,50 +299,3 @@ def _keep_frames(store: Store, run: Run, dataset: Dataset) -> None:
     except (OSError, BadInput) as error:
         reason = getattr(error, "strerror", None) or error
         logging.warning("note: no small pictures of %s were kept (%s)", dataset.name, reason)
-
-
-def _text(run: Run, folder: Path | None, from_store: bool, settings: Settings) -> str:
-    from vprbench.run import readout_rows, rows  # what they import does not count as the run's memory
-    from vprbench.run.tuned import all_notes
-
-    seen = [view(run) for view in views(settings.sequence, settings.filter)]
-    if settings.output == "json":
-        return json.dumps(
-            {
-                "method": run.method,
-                "dataset": run.dataset,
-                "protocol": dict(run.protocol),
-                "data": dict(run.data),
-                **rows.numbers(run, settings.metrics),
-                "readouts": readout_rows.readout_numbers(run),
-                "network": run.network,
-                "tuned_on": run.tuned_on or None,
-                "notes": [note._asdict() for note in all_notes(run)],
-                **({"views": [_viewed(one, settings) for one in seen]} if seen else {}),
-                "from_store": from_store,
-                "run_folder": None if folder is None else str(folder),
-            },
-            allow_nan=False,
-        )
-    shown = seen or [run]
-    table = [rows.readable_row(one, settings.metrics) for one in shown]
-    if seen:
-        table = [{"answers": rows.view_words(one), **row} for one, row in zip(seen, table, strict=True)]
-    notes = [(f"note: {note.text}", "yellow") for note in all_notes(shown[0])]
-    said = [*notes, (rows.protocol_line(run), "")]
-    said += [(f"{rows.view_words(one, whole=True)}: {len(one.outcome)} queries", "") for one in seen]
-    below = list(filter(None, (line(one) for one in shown for line in (rows.interval_line, rows.tolerance_line))))
-    if from_store:
-        below.append(f"from the store: {folder} (force=true runs again)")
-    elif folder is not None:
-        below.append(f"stored in {folder}")
-    tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
-    if settings.readouts:
-        tables.append(readout_rows.readout_text(run))
-    return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
-
-
-def _viewed(view: Run, settings: Settings) -> dict[str, Any]:
-    from vprbench.run import rows
-
-    return {"protocol": dict(view.protocol), **rows.numbers(view, settings.metrics)}

@@ -19,6 +19,7 @@ from vprbench.run.descriptors import Described
 from vprbench.run.identity import Request
 from vprbench.run.note import Note, noted
 from vprbench.run.stopwatch import Stopwatch
+from vprbench.storage.shards import LARGE_BYTES
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Learnt:
     load_seconds: float | None = None
     earlier_seconds: float = 0.0  # the part of a fit that an interrupted run had done
     notes: tuple[Note, ...] = ()
-    from_cache: bool = False  # the descriptors of the references
+    from_cache: int = 0  # descriptors of references that were kept already
 
     @property
     def seconds(self) -> float:
@@ -87,18 +88,21 @@ def learn(request: Request, key: str, stopwatch: Stopwatch, described: Described
     )
 
 
-def _fit(method: Method, dataset: Dataset, described: Described | None) -> bool:
-    """Fit a method; returns whether `described` had kept the descriptors of the references already."""
+def _fit(method: Method, dataset: Dataset, described: Described | None) -> int:
+    """Fit a method; returns of how many references `described` had kept the descriptors already."""
     total = len(dataset.references)
-    references = dataset.references.watched(lambda done: progress.report("fit, reading images", done / total))
+
+    def report(done: int) -> None:
+        progress.report("fit, reading images", done / total)
+
     places = _read_only(dataset.places)
     if described is None:
-        method.fit(references, places)
-        return False
+        method.fit(dataset.references.watched(report), places)
+        return 0
     assert isinstance(method, DescriptorMethod)
     method.insist_on_index(total)
-    descriptors, from_cache = described.descriptors(references, method.encode, lambda done: None)
-    method.fit_descriptors(descriptors, places)
+    descriptors, from_cache = described.descriptors(dataset.references, method.encode, report)
+    method.fit_descriptors(descriptors if descriptors.nbytes > LARGE_BYTES else descriptors[:], places)
     return from_cache
 
 

@@ -142,6 +142,20 @@ def cpu_pressure() -> float | None:
     return None
 
 
+def cpu_waited() -> tuple[float, float] | None:
+    """Return the moment, and the seconds so far in which some process waited for a core; None if unknown."""
+    for line in _read("/proc/pressure/cpu").splitlines():
+        if line.startswith("some"):
+            return time.perf_counter(), int(line.split("total=")[1]) / 1e6
+    return None
+
+
+def cpu_pressure_since(before: tuple[float, float]) -> float:
+    """Return the share of the time since `cpu_waited`, in percent, in which some process waited for a core."""
+    now = cpu_waited() or before
+    return 100 * (now[1] - before[1]) / max(now[0] - before[0], 1e-9)
+
+
 def canary_seconds(clock: Callable[[], int] = time.perf_counter_ns) -> float:
     """Return the median time of a fixed numpy computation; a change between two calls shows a disturbed machine."""
     values = np.linspace(1, 0, 200_000)

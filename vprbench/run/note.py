@@ -14,6 +14,7 @@ NoteKind = Literal[
     "resumed",  # an interrupted fit that went on
     "calibrated",  # the held-out places that chose its settings
     "described",  # descriptors that a run had from the cache
+    "fitted",  # a fit beside other runs
     "late",  # work of the fit that the first query did
     "noisy",  # a machine that did other things too
     "invalid",  # too few laps
@@ -21,6 +22,7 @@ NoteKind = Literal[
     "caching",  # known images that are answered faster than new ones
     "audit",  # other answers when it was timed
     "index",  # an approximate search
+    "shortlist",  # a large map, of which the best places of a query alone are kept
     "spikes",  # why no spikes were counted
     "readouts",  # why no layer was read
 ]

@@ -86,6 +86,8 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
         "training_seconds": run.training_seconds,
         "training_compute_seconds": run.training_compute_seconds,
         "load_seconds": run.load_seconds,
+        "fitted_alone": run.environment.get("fitted_alone"),
+        "timed_alone": run.environment.get("timed_alone"),
         **_rate_numbers(run.timing),
         "index_recall_at_1": search.get("recall_at_1"),
         "index_recall_at_10": search.get("recall_at_10"),

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
-from vprbench import progress
+from vprbench import ending, progress
 from vprbench.api.checkpoints import ledger
 from vprbench.api.dataset import Dataset
-from vprbench.run import machine, readouts, spikes
+from vprbench.run import machine, readouts, slot, spikes
 from vprbench.run.adaptation import adaptation_words
 from vprbench.run.answers import Answers, Scoring
 from vprbench.run.descriptors import Described
@@ -28,6 +29,7 @@ _CACHING = 0.9  # known images that need less than this share of the time of new
 _SAME_SCORE = 1e-4  # relative difference that counts as the same answer in the timed and in the scored run
 
 
+@slot.present()
 def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: None) -> Run:
     """Fit a method or load its network, score every query and measure its rates; `key` identifies the run.
 
@@ -38,7 +40,7 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
     method, dataset, device = request.method, request.dataset, request.config["device"]
     queries = dataset.queries.unnamed()
     data = data_record(dataset)
-    started = time.perf_counter()
+    started = time.perf_counter() - ending.stopped()
     watch = _Watch(device, request.threads)
     stopwatch = Stopwatch(request.protocol, synchronise=synchroniser(device), seed=request.config["seed"])
 
@@ -48,7 +50,8 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         read = queries.reading.seconds
         scoring = Scoring(stopwatch, method, dataset, request.config["depth"], request.scores)
         answers = scoring.answers
-        first_query = stopwatch.first_query(method, queries)
+        first_query = stopwatch.first_query(scoring.asked, queries)
+        watch.fitted()
         answers.method_seconds += first_query
         from_cache = scoring.score(described)
         elsewhere = learnt.seconds + answers.method_seconds + queries.reading.seconds - read
@@ -63,20 +66,21 @@ def run(request: Request, key: str, keep: Callable[[Run], None] = lambda run: No
         *learnt.notes,
         *noted("method", method.notes()),
         *_cache_notes(dataset, learnt.from_cache, from_cache),
+        *scoring.notes(),
     )
     scored = replace(
         _scored(request, key, learnt, answers, measured),
-        harness_seconds=time.perf_counter() - started - elsewhere - auditing[0],
+        harness_seconds=time.perf_counter() - ending.stopped() - started - elsewhere - auditing[0],
     )
     scored = replace(scored, notes=(*told, *_notes_on(scored), *inside_notes))
     if not request.protocol.rates:
         return scored
     keep(scored)
-    watch.look_again()
-    timing = stopwatch.measure(method, queries, first_query)
+    with watch.alone():
+        timing = stopwatch.measure(scoring.asked, queries, first_query)
+        timed = replace(scored, timing=timing, **watch.seen())
     progress.report("timing", 1.0)
-    config = {**scored.config, "timing": asdict(request.protocol)}
-    timed = replace(scored, config=config, timing=timing, **watch.seen())
+    timed = replace(timed, config={**scored.config, "timing": asdict(request.protocol)})
     return replace(timed, notes=(*told, *_notes_on(timed), *inside_notes))
 
 
@@ -94,20 +98,41 @@ class _Watch:
 
     def __init__(self, device: str, threads: int) -> None:
         self._device = device
+        self._undisturbed, self._began = slot.undisturbed(), ending.stopped()
         self._before = machine.capture(device, threads)
         self._canary_seconds = machine.canary_seconds()
         self._peaks: list[tuple[int, int | None]] = []
+        self._alone: Callable[[], bool] | None = None
+        self._waited: tuple[float, float] | None = None
         machine.reset_peak_memory(device)
 
-    def look_again(self) -> None:
-        machine.reset_peak_memory(self._device)
+    def fitted(self) -> None:
+        """See whether the method was fitted, and asked for the first time, while no other run went on here."""
+        self._before |= {"fitted_alone": self._undisturbed(), "stopped_seconds": ending.stopped() - self._began}
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Look again once no other run goes on here; if others did until now, look as if for the first time."""
+        was_alone = self._undisturbed()
+        if not was_alone:
+            progress.report("waiting to be timed", 0.0)
+        with slot.alone() as alone:
+            self._alone = alone
+            if not was_alone:
+                self._canary_seconds, self._waited = machine.canary_seconds(), machine.cpu_waited()
+            machine.reset_peak_memory(self._device)
+            yield
 
     def seen(self) -> dict[str, Any]:
         """Return what a run records of it all: `environment` and `peak_memory_bytes`."""
-        after = {
+        after: dict[str, Any] = {
             "canary_slowdown": machine.canary_seconds() / self._canary_seconds,
             "cpu_pressure_avg10_after": machine.cpu_pressure(),
         }
+        if self._alone is not None:
+            after["timed_alone"] = self._alone()
+        if self._waited is not None:
+            after["cpu_pressure_timed"] = machine.cpu_pressure_since(self._waited)
         self._peaks.append((machine.peak_memory_bytes(), machine.peak_device_memory_bytes(self._device)))
         host, on_device = zip(*self._peaks, strict=True)
         after["device_memory_bytes"] = max((peak for peak in on_device if peak is not None), default=None)
@@ -145,22 +170,35 @@ def _scored(request: Request, key: str, learnt: Learnt, answers: Answers, measur
     )
 
 
-def _cache_notes(dataset: Dataset, references: bool, queries: bool) -> Iterator[Note]:
-    """Yield which descriptors were not encoded because they were kept."""
-    kept = [f"{len(dataset.references)} references"] * references + [f"{len(dataset.queries)} queries"] * queries
+def _cache_notes(dataset: Dataset, references: int, queries: int) -> Iterator[Note]:
+    """Yield how many descriptors were not encoded because they were kept."""
+    traverses = (("references", references, len(dataset.references)), ("queries", queries, len(dataset.queries)))
+    kept = [f"{n if n == of else f'{n} of {of}'} {images}" for images, n, of in traverses if n]
     if kept:
-        nothing = "nothing was encoded" if references and queries else "none of these was encoded"
+        everything = all(n == of for _, n, of in traverses)
+        nothing = "nothing was encoded" if everything else "none of these was encoded"
         text = f"descriptors of {' and '.join(kept)} were kept from an earlier run: {nothing} but the timed sample"
         yield Note("described", text)
 
 
 def _notes_on(run: Run) -> Iterator[Note]:
     """Yield what a reader of a run's times and answers has to know."""
-    slowdown, pressure = run.environment["canary_slowdown"], run.environment["cpu_pressure_avg10_after"]
+    around = run.environment
+    slowdown, pressure = around["canary_slowdown"], around["cpu_pressure_avg10_after"]
+    window = "of the last 10 s of the run"
+    if around.get("cpu_pressure_timed") is not None:
+        pressure, window = around["cpu_pressure_timed"], "of the time in which it was timed"
     if abs(slowdown - 1) > _NOISE:
         yield Note("noisy", f"noisy: a fixed computation took {slowdown:.2f} times as long after the run as before")
     if pressure is not None and pressure > _BUSY:
-        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % of the last 10 s of the run")
+        yield Note("noisy", f"noisy: processes waited for a core in {pressure:.0f} % {window}")
+    if not around.get("timed_alone", True):
+        yield Note("noisy", "noisy: other runs went on while it was timed")
+    if not around.get("fitted_alone", True):
+        stops = ""
+        if around["stopped_seconds"]:
+            stops = f"; {around['stopped_seconds']:.1f} s in which it was stopped do not count"
+        yield Note("fitted", f"fitted beside other runs, which made it slower{stops}")
     if run.timing is not None:
         yield from _notes_on_rates(run, run.timing)
     if run.search is not None and run.search["index"] != "exact":

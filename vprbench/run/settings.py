@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
@@ -46,6 +45,9 @@ class Settings:
 
 KNOWN = (*Settings.__dataclass_fields__, "method", "dataset")
 
+#: What a record tells of how a run was asked for.
+RECORDED = ("method", "dataset", "corruption", "seed", "device", "depth", "load", "limit_minutes")
+
 
 def checked_settings(config: Mapping[str, Any]) -> Settings:
     """Return the settings of a configuration; raises BadInput that names the option that does not fit."""
@@ -67,8 +69,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
         raise BadInput(f"depth={settings.depth}: keep at least the best place of each query")
     if settings.seed < 0:
         raise BadInput(f"seed={settings.seed}: give 0 or a larger number")
-    if settings.limit_minutes is not None and not (settings.limit_minutes > 0 and hasattr(signal, "setitimer")):
-        raise BadInput(f"limit_minutes={settings.limit_minutes}: give more than 0, or null where there are no timers")
+    if settings.limit_minutes is not None and not settings.limit_minutes > 0:
+        raise BadInput(f"limit_minutes={settings.limit_minutes}: give more than 0, or null for no limit")
     available = core_count()
     if settings.threads is not None and not 1 <= settings.threads <= available:
         raise BadInput(f"threads={settings.threads}: this process may use 1 to {available} cores")

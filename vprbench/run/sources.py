@@ -18,9 +18,19 @@ from vprbench.run import loose_code
 COMPUTING = frozenset(
     f"vprbench.api.{name}"
     for name in (
-        *("binary", "compiling", "descriptor", "gabor", "gabor_compiled", "hamming", "method", "nearest"),
+        *(
+            "binary",
+            "bit_indexes",
+            "compiling",
+            "descriptor",
+            "gabor",
+            "gabor_compiled",
+            "hamming",
+            "method",
+            "nearest",
+        ),
         *("neural", "oriented", "oriented_compiled", "preprocess", "preprocess_compiled"),
-        *("resize", "search", "search_indexes", "threads", "weight_files", "weights"),
+        *("resize", "rows", "search", "search_indexes", "threads", "weight_files", "weights"),
     )
 )
 

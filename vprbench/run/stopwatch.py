@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench import progress
-from vprbench.api.arrays import Scores
+from vprbench import ending, progress
 from vprbench.api.images import Images
-from vprbench.api.method import Method, held_together
+from vprbench.api.method import held_together
+from vprbench.run.shortlist import Answer, Asked, best_place
 from vprbench.run.timing_protocol import Protocol as Protocol  # callers ask the stopwatch
 
 Clock = Callable[[], int]  # nanoseconds, monotonic
@@ -101,20 +101,21 @@ class Stopwatch:
 
     @contextmanager
     def lap(self) -> Iterator[list[float]]:
-        """Time the block, in seconds appended to the list it yields, the device idle at both ends."""
+        """Time the block, in seconds appended to the list it yields, the device idle at both ends; no stop counts."""
         seconds: list[float] = []
         self._synchronise()
-        start = self._clock()
+        start, stopped = self._clock(), ending.stopped()
         yield seconds
         self._synchronise()
-        seconds.append((self._clock() - start) / 1e9)
+        seconds.append((self._clock() - start) / 1e9 - (ending.stopped() - stopped))
 
-    def first_query(self, method: Method, images: Images) -> float:
+    def first_query(self, method: Asked, images: Images) -> float:
         """Return the seconds of the first of `images`, decoded beforehand."""
-        encode, match, _ = self._call(method, images[:1].in_memory())
-        return encode + match
+        first, stopped = images[:1].in_memory(), ending.stopped()
+        encode, match, _ = self._call(method, first)
+        return encode + match - (ending.stopped() - stopped)
 
-    def measure(self, method: Method, images: Images, first_query_seconds: float | None = None) -> Timing:
+    def measure(self, method: Asked, images: Images, first_query_seconds: float | None = None) -> Timing:
         """Measure a fitted method on a sample of `images`, decoded beforehand; batches of large codes are smaller.
 
         A pass takes 4 s at most, unless the minimum of queries takes more: the sample of a slow method is smaller.
@@ -141,8 +142,8 @@ class Stopwatch:
         first = [*warmup, float("nan")][0] if first_query_seconds is None else first_query_seconds
         return Timing(first, len(warmup), streaming, offline, chosen, answers, repeated, unseen)
 
-    def _call(self, method: Method, images: Images) -> tuple[float, float, Scores]:
-        """Return the seconds of encode and match, and the scores."""
+    def _call(self, method: Asked, images: Images) -> tuple[float, float, Answer]:
+        """Return the seconds of encode and match, and the scores or the best places."""
         self._synchronise()
         start = self._clock()
         codes = method.encode(images)
@@ -153,20 +154,19 @@ class Stopwatch:
         matched = self._clock()
         return (encoded - start) / 1e9, (matched - encoded) / 1e9, scores
 
-    def _warm_up(self, method: Method, singles: Sequence[Images], usual: float) -> list[float]:
+    def _warm_up(self, method: Asked, singles: Sequence[Images], usual: float) -> list[float]:
         """Return the seconds of the calls; `usual` is what one may take."""
         laps: list[float] = []
         started = self._clock()
         while len(laps) < self._protocol.warmup_queries and not self._late(started, usual):
             encode, match, _ = self._call(method, singles[len(laps) % len(singles)])
-            laps.append(encode + match)
-            usual = laps[-1]
+            laps.append(usual := encode + match)
             last = laps[-_STEADY_QUERIES:]
             if len(last) == _STEADY_QUERIES and max(last) - min(last) <= _STEADY_SPREAD * max(last):
                 break
         return laps
 
-    def _stream(self, method: Method, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
+    def _stream(self, method: Asked, singles: Sequence[Images]) -> tuple[Laps, npt.NDArray[np.int64]]:
         encodes: list[float] = []
         matches: list[float] = []
         answers = np.full(len(singles), -1)
@@ -177,12 +177,12 @@ class Stopwatch:
                 encode, match, scores = self._call(method, singles[query])
                 encodes.append(encode)
                 matches.append(match)
-                answers[query] = int(scores[0].argmax())
+                answers[query] = best_place(scores)
                 if late := self._late(started, encode + match):
                     break
         return Laps(np.array(encodes), np.array(matches), 1, finished), answers
 
-    def _caching(self, method: Method, singles: Sequence[Images], usual: float) -> tuple[float, float]:
+    def _caching(self, method: Asked, singles: Sequence[Images], usual: float) -> tuple[float, float]:
         """Return the median seconds of images asked twice in a row, and of new ones asked in between.
 
         Of slow ones 8 suffice. Both are 0 if there is no time for one image; `usual` is what a call takes.
@@ -204,7 +204,7 @@ class Stopwatch:
         image = single[0]
         return Images.from_arrays([image ^ self._generator.integers(0, 2, image.shape, np.uint8)])
 
-    def _offline(self, method: Method, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
+    def _offline(self, method: Asked, sample: Images, streaming: Laps, began: int) -> tuple[Laps, ...]:
         """Return the laps of each batch size whose calls fit into the time left; at least the streaming ones, of one.
 
         Batches whose call is long are left out once larger ones no longer gain.
@@ -223,7 +223,7 @@ class Stopwatch:
                 offline.append(last)
         return tuple(offline) or (replace(streaming, valid=False),)
 
-    def _batches(self, method: Method, sample: Images, size: int) -> Laps:
+    def _batches(self, method: Asked, sample: Images, size: int) -> Laps:
         starts = range(0, len(sample) - size + 1, size)  # whole batches only
         batches = [sample[start : start + size] for start in starts]
         encodes: list[float] = []

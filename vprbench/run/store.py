@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vprbench.errors import BadInput
+from vprbench.run.claims import Claims
 from vprbench.run.record import (
     SUMMARY,
     DamagedRunError,
@@ -50,6 +51,7 @@ class Store:
             self.root.mkdir(parents=True, exist_ok=True)
             self._remove_leftovers()
             self._partial().rmdir()
+            Claims(self.root).tidy()
         except OSError as error:
             raise BadInput(
                 f"results={self.root} cannot be written ({error.strerror or error}): "
@@ -104,9 +106,17 @@ class Store:
             raise BadInput(f"the failure could not be stored in {folder} ({error.strerror or error})") from error
         return folder
 
-    def failure(self, method: str, dataset: str, config: Mapping[str, Any]) -> Failure | None:
-        """Return how the last run of this configuration failed, None if it did not."""
-        return read_failure(self._failure_folder(method, dataset, config))
+    def failure(
+        self, method: str, dataset: str, config: Mapping[str, Any], since: float | None = None
+    ) -> Failure | None:
+        """Return how the last run of this configuration failed; None if it did not, or not after `since`.
+
+        `since` is in seconds, by the clock of the disk.
+        """
+        folder = self._failure_folder(method, dataset, config)
+        with contextlib.suppress(OSError):
+            return read_failure(folder) if since is None or folder.stat().st_mtime > since else None
+        return None
 
     def _folders(self) -> Iterator[Path]:
         """Yield the folders of all datasets, by dataset and name; those that cannot be read are named in a warning."""
@@ -130,11 +140,11 @@ class Store:
         A damaged one is set aside; one that cannot be read is named, and left where it is.
         """
         try:
-            while (before := _identity(folder, part)) is not None:
+            while (before := identity(folder, part)) is not None:
                 try:
                     return load(folder)
                 except DamagedRunError as error:
-                    if _identity(folder) == before:
+                    if identity(folder) == before:
                         self._set_aside(folder, str(error))
                         return None
         except OtherLayoutError as error:
@@ -202,7 +212,7 @@ def _visible(folder: Path) -> list[Path]:
         return []
 
 
-def _identity(folder: Path, part: str = "") -> tuple[int, int] | None:
+def identity(folder: Path, part: str = "") -> tuple[int, int] | None:
     """Return what tells a folder from its replacement of the same name; None if there is none with this part."""
     try:
         (folder / part).stat()

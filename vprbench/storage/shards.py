@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,12 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.errors import BadInput
 from vprbench.storage.atomic import remove_leftovers, replace_text, unfinished
 
 logger = logging.getLogger(__name__)
 
 Array = npt.NDArray[np.float32]  # (n_rows, n_columns)
 
+LARGE_BYTES = 1 << 30  # of descriptors: more are not held in memory whole
 _LEAST_ROWS, _MOST_SHARDS, _MULTIPLE = 1024, 256, 64
 
 
@@ -92,7 +96,7 @@ class Shards:
             raise ValueError(f"rows {rows} came; wanted consecutive ones")
         if self.array is not None:
             return self.array[first:last]
-        size = rows_each(len(self))
+        size = self.pieces[0].last
         touched = self.pieces[first // size : -(-last // size)] if first < last else self.pieces[:1]
         cut = [piece.rows()[max(first - piece.first, 0) : max(last - piece.first, 0)] for piece in touched]
         return cut[0] if len(cut) == 1 else np.concatenate(cut)
@@ -100,7 +104,7 @@ class Shards:
     def take(self, rows: npt.NDArray[np.integer[Any]]) -> Array:
         """Return a copy of the rows of these numbers, 0 or more, in their order: (..., n_columns)."""
         taken = np.empty((*rows.shape, self.shape[1]), np.float32)
-        numbers = rows // rows_each(len(self))
+        numbers = rows // self.pieces[0].last
         for number in np.unique(numbers):
             chosen, piece = numbers == number, self.pieces[number]
             taken[chosen] = piece.rows()[rows[chosen] - piece.first]
@@ -111,7 +115,7 @@ class Writer:
     """Writes shards into a folder; those that an earlier writer finished stay, so a killed one costs its last shard.
 
     Several processes may write the same rows at once: each file is replaced whole. What the disk refuses stays in
-    memory, with a warning that names `what` it is.
+    memory, with a warning that names `what` it is; more than 1 GiB raises BadInput.
     """
 
     def __init__(self, folder: Path, n_rows: int, what: str = "rows") -> None:
@@ -136,7 +140,7 @@ class Writer:
         first = next(blocks)
         partial = unfinished(self._folder, ".npy")
         try:
-            part, on_disk = self._room(partial, (rows.stop - rows.start, first.shape[1]))
+            part, on_disk = self._room(partial, rows, first.shape[1])
             done = 0
             for block in chain((first,), blocks):
                 part[done : done + len(block)] = block
@@ -160,22 +164,32 @@ class Writer:
         )
         shards = Shards((self._n_rows, pieces[0].rows().shape[1]), pieces)
         if about is not None and not self._held:
+            text = json.dumps({**about, "shape": shards.shape, "bytes": shards.nbytes}, indent=1)
             with suppress(OSError):
-                replace_text(self._folder / "about.json", json.dumps({**about, "bytes": shards.nbytes}, indent=1))
+                replace_text(self._folder / "about.json", text)
         return shards
 
-    def _room(self, partial: Path, shape: tuple[int, int]) -> tuple[Array, bool]:
-        """Return rows to fill and whether they lie on disk: seen before the first shard is, if all will fit there."""
+    def _room(self, partial: Path, rows: slice, n_columns: int) -> tuple[Array, bool]:
+        """Return rows to fill and whether they lie on disk; a disk too small for all is known at once."""
+        shape = (rows.stop - rows.start, n_columns)
+        if self._held:
+            return np.empty(shape, np.float32), False
         try:
-            if self._held:
-                return np.empty(shape, np.float32), False
             self._folder.mkdir(parents=True, exist_ok=True)
+            if shutil.disk_usage(self._folder).free < 4 * (self._n_rows - rows.start) * n_columns:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             part = np.lib.format.open_memmap(partial, "w+", np.float32, shape)
             if hasattr(os, "posix_fallocate"):  # a full disk is an error now, not a crash while the rows are filled
                 with partial.open("r+b") as file:
                     os.posix_fallocate(file.fileno(), 0, file.seek(0, os.SEEK_END))
             return part, True
         except OSError as error:
+            n_bytes = 4 * self._n_rows * n_columns
+            if n_bytes > LARGE_BYTES:
+                raise BadInput(
+                    f"{self._n_rows} {self._what} of {n_columns} numbers fill {n_bytes / 1e9:.1f} GB, too much for "
+                    f"{self._folder} ({error.strerror or error}): make room there; what is done stays"
+                ) from error
             logger.warning("no %s are kept in %s: %s", self._what, self._folder, error.strerror or error)
             return np.empty(shape, np.float32), False
 

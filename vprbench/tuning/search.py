@@ -16,6 +16,7 @@ import optuna
 from vprbench import progress
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
+from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.paper.plan import read_plan
 from vprbench.plugins import registry
@@ -29,7 +30,7 @@ from vprbench.tuning.comparison import Comparison, compared
 from vprbench.tuning.objective import StretchName, Task, Tried
 from vprbench.tuning.space import Values
 from vprbench.tuning.study import Stage, Study, Trial, best_of, opened
-from vprbench.tuning.workers import Workers
+from vprbench.tuning.workers import Spread, Workers
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ _ALL_FAIL = 5  # trials of a stage that fail before any ends: something is wrong
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ClusterOptions):
     """Where to search, and how long; raises BadInput if nothing would be tried."""
 
     places: int = 500  # of the stretch that is searched
@@ -52,6 +53,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check that something will be tried."""
+        super().__post_init__()
+        if (self.jobs is not None and self.elsewhere) or self.gather:
+            raise BadInput("jobs= are processes of this machine, and nothing is gathered: leave jobs= and gather= out")
         for name, least in (("places", places.FEWEST), ("trials", 1), ("jobs", 1), ("seed", 0)):
             given = getattr(self, name)
             if given is not None and given < least:
@@ -101,7 +105,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
     with opened(folder) as study:
         for name, part in stretches.items():
             objective.keep(folder / name, part, encoder)
-        with Workers(objective.Training(folder, method), jobs) as workers:
+        with _workers(objective.Training(folder.absolute(), method), settings, jobs) as workers:
             tried_now = explore(study, workers, settings.trials, settings.seed)
             trials = study.trials()
             best = best_of(trials)
@@ -201,6 +205,15 @@ def _jobs(asked: int | None) -> int:
         used = "1 process is used" if cores == 1 else f"{cores} processes are used"
         logger.info("jobs=%d: %s, one for each core that is there for this process", asked, used)
     return min(asked or cores, cores)
+
+
+def _workers(attempt: objective.Training, settings: Settings, jobs: int) -> Workers[Task, Tried]:
+    """Return who tries settings."""
+    if not settings.elsewhere:
+        return Workers(attempt, jobs)
+    from vprbench.cluster.dask_crew import DaskCrew
+
+    return Spread(attempt, DaskCrew(settings))
 
 
 def _named(allowed: places.Searchable) -> dict[StretchName, range]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import traceback
@@ -12,9 +13,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from threading import Thread
-from typing import Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 from vprbench.run import machine
+
+if TYPE_CHECKING:
+    from vprbench.cluster.dask_crew import DaskCrew
 
 Asked = TypeVar("Asked")
 Given = TypeVar("Given")
@@ -97,6 +101,33 @@ class Workers(Generic[Asked, Given]):
         pool = ProcessPoolExecutor(1, context, initializer=_begin)
         self._pools[number:] = [pool, *self._pools[number + 1 :]]
         self._numbers[number:] = [pool.submit(os.getpid), *self._numbers[number + 1 :]]
+
+
+class Spread(Workers[Asked, Given]):
+    """The workers of a dask cluster in the place of processes of this machine."""
+
+    def __init__(self, attempt: Callable[[Asked], Given], crew: DaskCrew) -> None:
+        """Start nothing yet."""
+        super().__init__(attempt, 0)
+        self._crew = crew
+
+    def __enter__(self) -> Self:
+        """Start nothing yet."""
+        self._crew.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        """End what was started."""
+        self._crew.__exit__(*error)
+
+    @property
+    def started(self) -> int:
+        """How many tasks may run at a time."""
+        return self._crew.room()
+
+    def answers(self, tasks: Sequence[Asked], begins: Callable[[int], None]) -> Iterator[Answer[Given]]:
+        """Yield the answer to each task as tasks end; a worker that dies is made up for by another."""
+        return itertools.starmap(Answer, self._crew.answers(self._attempt, tasks, begins))
 
 
 def _begin() -> None:

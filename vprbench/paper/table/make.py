@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from vprbench.cluster.crew import crew
 from vprbench.paper.gather import Material, TableRequest, choose, gather
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
@@ -18,7 +19,8 @@ from vprbench.terminal.console import console
 
 def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
     """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
-    found = gather(choose(asked, compose), options, compose)
+    with crew(asked) as making:
+        found = gather(choose(asked, compose), options, compose, making)
     folder = Path(asked.results).expanduser()
     narrow = console().is_terminal
     printed = formats.for_terminal(found.table, asked.wide) if narrow else formats.markdown(found.table)

@@ -36,6 +36,7 @@ _APART: frozenset[NoteKind] = DISTURBED | {
     "offline",
     "described",
     "resumed",
+    "fitted",
 }  # told by a mark, or with the training alone
 
 
@@ -218,7 +219,7 @@ class Training(Quantity):
         """Yield what kind of training it is."""
         if row.training == "map":
             yield reason("map")
-        yield from _told(runs, ["resumed"])
+        yield from _told(runs, ["resumed", "fitted"])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,150 @@
+"""On a large map a run asks for the best places alone: the same best places, and never the scores of all."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from little import journey, number_in, pictures
+from little_runs import QUICK, asked_for, kinds, run_of
+
+from vprbench.api import descriptor
+from vprbench.api.arrays import Scores
+from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
+from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
+from vprbench.run import fitting, runner, shortlist
+from vprbench.run.record import Run
+from vprbench.storage import shards
+
+pytestmark = pytest.mark.usefixtures("surroundings")
+
+N_QUERIES, N_PLACES, DEPTH = 30, 90, 6
+
+
+@dataclass
+class Angles(DescriptorMethod):
+    """Describes image number i by cosines of i, in 16 dimensions; images of every 20th number look alike."""
+
+    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+        numbers = np.array([number_in(image) for image in images]) % 20
+        vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
+
+
+class Shortlisted(Angles):
+    """Cannot score all places."""
+
+    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        raise AssertionError("all places were scored")
+
+    def nearest(self, codes: npt.NDArray[np.float32], n: int, **how: Any) -> Any:
+        return super().nearest(codes, n, **how)
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make maps of as many places as here large ones."""
+    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+
+
+def on(method: DescriptorMethod, **changes: Any) -> Run:
+    dataset = journey(N_QUERIES, N_PLACES, [[i, (i + 40) % N_PLACES] if i % 5 else [] for i in range(N_QUERIES)])
+    return run_of(method, dataset, QUICK, **{"depth": DEPTH, **changes})
+
+
+def same(one: Outcome, other: Outcome) -> bool:
+    return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Outcome))
+
+
+def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates() -> None:
+    generator = np.random.default_rng(0)
+    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
+    scores[generator.random(scores.shape) < 0.3] = -np.inf
+    scores[7] = -np.inf
+    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
+    places, best = ranked_places(scores, 9)
+    only = np.full_like(scores, -np.inf)
+    np.put_along_axis(only, places.astype(np.int64), best, axis=1)
+    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
+    assert same(found, outcome(only, positives))
+    assert (found.above == 40).any()
+
+
+@pytest.mark.usefixtures("large")
+def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_timed() -> None:
+    run = on(Shortlisted())
+    twenty = Angles().encode(pictures(range(20))).astype(np.float64)
+    scores = (twenty @ twenty.T).astype(np.float32)[np.arange(N_QUERIES)[:, None] % 20, np.arange(N_PLACES) % 20]
+    places, best = ranked_places(scores, DEPTH)
+    assert np.array_equal(run.top_places, places)
+    np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
+    only = np.full_like(scores, -np.inf)
+    np.put_along_axis(only, places.astype(np.int64), run.top_scores, axis=1)
+    assert same(run.outcome, outcome(only, run.positives))
+    assert run.outcome.n_places == N_PLACES
+    assert run.scores is None
+    assert "audit" not in kinds(run)
+    (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
+    assert "90 places" in note
+    assert f"best {DEPTH} " in note
+
+
+@pytest.mark.parametrize("neighbours", [3, DEPTH])
+def test_an_index_gives_what_it_gives_where_all_places_are_scored(
+    neighbours: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = on(Angles(index="hnsw", neighbours=neighbours))
+    monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
+    large = on(Angles(index="hnsw", neighbours=neighbours))
+    assert ("shortlist" in kinds(usual), "shortlist" in kinds(large)) == (False, True)
+    assert np.array_equal(large.top_places, usual.top_places)
+    assert np.array_equal(large.top_scores, usual.top_scores)
+    assert same(large.outcome, usual.outcome)
+
+
+@pytest.mark.usefixtures("large")
+def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way() -> None:
+    class OwnWay(Angles):
+        def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+            return -super().match(codes)
+
+    whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
+    assert whole.scores is not None
+    assert whole.scores.shape == (N_QUERIES, N_PLACES)
+    own = on(OwnWay())
+    assert own.scores is not None
+    assert "shortlist" not in kinds(own)
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_descriptors_that_fill_the_memory_stay_in_shards(
+    cached: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
+    monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
+    for module in (descriptor, fitting):
+        monkeypatch.setattr(module, "LARGE_BYTES", 1000)
+
+    class Kept(Angles):
+        def keeps_descriptors(self) -> bool:
+            return cached
+
+    def files(folder: str) -> int:
+        return len(list((tmp_path / folder).glob("*/*.npy")))
+
+    method = Kept()
+    run = runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
+    assert method.searched is not None
+    assert method.searched.references.array is None
+    assert files("cache" if cached else "scratch") == (3 if cached else 2)  # of 90 references, and of 30 queries
+    assert run.scores is not None
+    np.testing.assert_allclose(run.scores, on(Angles()).scores, atol=1e-6)
+    del method
+    gc.collect()
+    assert files("scratch") == 0
