@@ -7,7 +7,7 @@ READY := $(VENV)/.installed
 PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt $(PIP_ARGS)
 LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors gpu-check test test-triton chaos check docs clean
+.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check test test-triton chaos check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -38,6 +38,9 @@ bench: $(READY) ## Measure how fast this machine trains and answers, write resul
 
 bench-descriptors: $(READY) ## Measure how fast descriptors are, no weights needed, write results/descriptors.md (ARGS passes options).
 	$(RUN) -m vprbench bench-descriptors $(ARGS)
+
+bench-maps: $(READY) ## Measure what large maps cost by each index, write results/maps.md and .csv (ARGS passes options).
+	$(RUN) -m vprbench bench-maps $(ARGS)
 
 gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
 	$(RUN) -m vprbench gpu-check $(ARGS)

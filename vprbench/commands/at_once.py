@@ -47,6 +47,7 @@ COMMANDS: dict[str, Command] = {
     "search": Command("vprbench.commands.working:search_parameters", "vprbench.tuning.search:Settings"),
     "bench": Command("vprbench.commands.working:measure_speed", f"{_SPEED}.settings:Settings"),
     "bench-descriptors": Command("vprbench.commands.working:measure_descriptors", f"{_SPEED}.descriptors:Settings"),
+    "bench-maps": Command("vprbench.commands.working:measure_maps", f"{_SPEED}.maps:Settings"),
     "gpu-check": Command("vprbench.commands.working:compare_gpu", f"{_SPEED}.gpu:Settings"),
     "completion": Command("vprbench.commands.at_once:show_completion", words="bash|zsh|fish"),
 }

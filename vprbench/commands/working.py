@@ -114,6 +114,17 @@ def measure_descriptors(options: list[str]) -> int:
     return 1 if report.failures else 0
 
 
+def measure_maps(options: list[str]) -> int:
+    """Measure what indexes of large simulated maps cost and find, and write the numbers."""
+    from vprbench.speed import maps
+
+    settings = chosen(maps.Settings, options, maps.QUICK)
+    with _prepared("bench-maps", "cpu", settings.threads, settings.results, settings.seed):
+        complete = maps.measure(settings)
+    maps.write(settings)
+    return int(not complete)
+
+
 def compare_gpu(options: list[str]) -> int:
     """Compare the GPU with the CPU, time it, and write both."""
     from vprbench.speed import gpu
