@@ -163,10 +163,10 @@ class Chaos:
         self.judge(results, right)
 
     def judge(self, results: Path, right: dict[str, Run]) -> None:
-        """Compare a store with the serial one."""
+        """Compare a store with the serial one, which may hold cells of older code too."""
         made, watched = stored(results), self.home / "watch" / "doubled"
         found = {
-            "lost": sorted(right.keys() - made.keys()),
+            "lost": [f"cell {number}" for number in range(len(made), self.n_cells)],
             "unknown": sorted(made.keys() - right.keys()),
             "doubled": watched.read_text().splitlines() if watched.exists() else [],
             "different": sorted(key for key in right.keys() & made.keys() if not _equal(right[key], made[key])),
@@ -174,7 +174,7 @@ class Chaos:
             "claimed": sorted((results / ".claims").glob("*")),
         }
         counts = ", ".join(f"{len(those)} {what}" for what, those in found.items())
-        print(f"{results.name}: {len(made)} of {len(right)} cells; {counts}", flush=True)
+        print(f"{results.name}: {len(made)} of {self.n_cells} cells; {counts}", flush=True)
         self.faults += [f"{results.name}: {what}: {each}" for what, those in found.items() for each in those]
 
     def end(self) -> None:
@@ -232,8 +232,8 @@ def main() -> int:
     serial, began = ROOT / "build" / "chaos" / f"serial-{chaos.n_cells}", time.monotonic()
     code = chaos.begin("serial", "vprbench", *chaos.command, "timing=none", f"results={serial}").wait()
     right = stored(serial)
-    print(f"serial run: {len(right)} cells in {time.monotonic() - began:.0f} s", flush=True)
-    if code or len(right) != chaos.n_cells:
+    print(f"serial run: {chaos.n_cells} cells in {time.monotonic() - began:.0f} s", flush=True)
+    if code or len(right) < chaos.n_cells:
         print(f"the serial run failed: {(home / 'logs' / 'serial-1.log').read_text()[-2000:]}")
         return 1
     try:

@@ -4,10 +4,13 @@
 # Needs Debian's packages slurm-wlm and munge (apt-get install slurm-wlm munge), no systemd, no cgroups and no root.
 # munged, slurmctld and slurmd run under a folder in /tmp, with their own key, sockets and ports; COMMAND finds them by
 # SLURM_CONF. squeue is printed whenever it changes. When COMMAND ends, jobs and daemons are ended and the folder goes.
+# As here, the comparison of six methods, two jobs at a time:
+#   tests/cluster/slurm.sh .venv/bin/python -m vprbench compare methods=sad,hog,pca,random_projection,flyhash,hyperdimensional \
+#       dataset=corridor cluster=slurm cluster.cores=1 cluster.memory=2GB workers=2 results=/tmp/by-slurm
 # NODES= (1) slurmds of CPUS= (all cores) and MEMORY= (MB, of this machine) each stand for the nodes of a cluster.
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/sbin
-[ $# -gt 0 ] || { sed -n '2,7s/^# \?//p' "$0" >&2; exit 2; }
+[ $# -gt 0 ] || { sed -n '2,12s/^# \?//p' "$0" >&2; exit 2; }
 for program in munged slurmctld slurmd squeue; do
     command -v "$program" >/dev/null || { echo "$program is missing: apt-get install slurm-wlm munge" >&2; exit 2; }
 done

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 from pathlib import Path
@@ -19,11 +20,18 @@ def started(job: Job) -> JobQueueCluster:
     """Return a cluster whose jobs are submitted as there are cells; raises BadInput if the first is not taken."""
     import dask_jobqueue
 
-    first = max(1, job.minimum) if job.adaptive else job.maximum
-    kind = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")
+    cluster: JobQueueCluster = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")(**_arguments(job))
+
+    async def submitted() -> None:
+        for _ in range(max(1, job.minimum) if job.adaptive else job.maximum):
+            cluster.worker_spec.update(cluster.new_worker_spec())
+        await cluster
+
     try:
-        cluster: JobQueueCluster = kind(n_workers=first, **_arguments(job))
+        cluster.sync(submitted)
     except (OSError, RuntimeError, ValueError) as error:  # what submits jobs is not there, or refuses
+        with contextlib.suppress(AssertionError):  # of the jobs that could not be begun
+            cluster.close()
         raise BadInput(f"cluster={job.system} takes no job: {str(error).strip().splitlines()[-1]}") from error
     if job.adaptive:
         cluster.adapt(minimum_jobs=job.minimum, maximum_jobs=job.maximum)
@@ -61,9 +69,9 @@ def _arguments(job: Job) -> dict[str, Any]:
 
 def _resources(job: Job) -> dict[str, Any]:
     """Return what PBS has to be asked for in one piece."""
-    if job.system != "pbs" or not job.gpus:
-        return {}
-    return {"resource_spec": f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb:ngpus={job.gpus}"}
+    gpus = f":ngpus={job.gpus}" * (job.gpus > 0)
+    spec = f"select=1:ncpus={job.cores}:mem={_mebibytes(job)}mb{gpus}"
+    return {"resource_spec": spec} if job.system == "pbs" else {}
 
 
 def _more(job: Job) -> list[str]:

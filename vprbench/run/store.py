@@ -109,13 +109,13 @@ class Store:
     def failure(
         self, method: str, dataset: str, config: Mapping[str, Any], since: float | None = None
     ) -> Failure | None:
-        """Return how the last run of this configuration failed; None if it did not, or not after `since`.
+        """Return how the last run of this configuration failed; None if it did not, or only before `since`.
 
         `since` is in seconds, by the clock of the disk.
         """
         folder = self._failure_folder(method, dataset, config)
         with contextlib.suppress(OSError):
-            return read_failure(folder) if since is None or folder.stat().st_mtime > since else None
+            return read_failure(folder) if since is None or folder.stat().st_mtime >= since else None
         return None
 
     def _folders(self) -> Iterator[Path]:
