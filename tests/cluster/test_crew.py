@@ -133,14 +133,15 @@ def test_workers_of_this_machine_make_cells_gather_them_and_make_up_for_those_th
     with DaskCrew(options) as crew:
         cell = [*RUN, f"results={results}"]
         ((number, ending),) = crew.endings([(5, cell)], lambda number, host: begun.append(number))
-        answers = {task: (given, error) for task, given, error in crew.answers(Kills(tmp_path), [False, True], print)}
+        (once,) = crew.answers(Kills(tmp_path), [False], print)
+        (always,) = crew.answers(Kills(tmp_path), [True], print)
     assert (number, ending.code, begun) == (5, 0, [5])
     (run,) = Store(results).runs()
     assert (run.method, run.key, run.environment["threads"]) == ("sad", ending.key, 1)
     assert not (results / ".claims").exists()
-    assert answers[0] == (2, "")
-    assert answers[1][0] is None
-    assert answers[1][1].startswith("KilledWorker")
+    assert once == (0, 2, "")
+    assert always[1] is None
+    assert always[2].startswith("KilledWorker")
     assert len([*(tmp_path / "True").iterdir()]) == 4  # it was tried again three times
 
 

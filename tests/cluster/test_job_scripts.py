@@ -27,10 +27,10 @@ ASKED = {
     "prologue": ["module load cuda"],
 }
 WANTED = {  # as the manuals of sbatch, qsub (OpenPBS), bsub and qsub (Grid Engine) have them
-    # 32 GB are 29.8 of their GB, 30,517.6 of their MB
+    # 32 GB are 29.8 of their GB and 30,517.6 of their MB, taken whole, which are 32,000,442.4 thousands of bytes
     "slurm": ["-p long", "-A robots", "--cpus-per-task=6", "--mem=30G", "-t 12:30:00", "--gres=gpu:2"],
     "pbs": ["-q long", "-A robots", "-l select=1:ncpus=6:mem=30518mb:ngpus=2", "-l walltime=12:30:00"],
-    "lsf": ["-q long", '-P "robots"', "-n 6", "-M 32000000", "-W 12:30", '-gpu "num=2"'],
+    "lsf": ["-q long", '-P "robots"', "-n 6", "-M 32000443", "-W 12:30", '-gpu "num=2"'],
     "sge": ["-q long", "-P robots", "-pe smp 6", "-l mem_free=30518M", "-l h_rt=12:30:00", "-l gpu=2"],
 }
 SENTINEL = {"slurm": "#SBATCH", "pbs": "#PBS", "lsf": "#BSUB", "sge": "#$"}
