@@ -101,6 +101,19 @@ def test_an_owner_is_no_other_process_that_got_its_number(tmp_path: Path) -> Non
         assert not claims.is_held(held.path)
 
 
+def test_a_dead_owner_holds_its_claim_until_who_waits_for_it_has_stored_its_failure(tmp_path: Path) -> None:
+    with owner(tmp_path) as process:
+        (held,) = Claims(tmp_path).held()
+        words = dict(held.words)
+        waits = {"parent": words["process"], "parent_started": words["started"]}
+        other = held.path.with_name("another")
+        other.write_text(json.dumps({**words, **waits, "process": 2**30}))
+        assert claims.is_held(other)
+        process.kill()
+        process.wait()
+        assert not claims.is_held(other)
+
+
 @pytest.mark.parametrize("text", [None, "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
 def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(text: str, tmp_path: Path) -> None:
     path = claimed(tmp_path, EXPIRES_SECONDS - 10, text)
@@ -167,9 +180,11 @@ def test_where_nobody_waits_for_a_process_it_beats_itself(tmp_path: Path, monkey
 
 
 def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_path: Path) -> None:
-    path = claimed(tmp_path, 2 * EXPIRES_SECONDS)
-    aside = path.with_name(".partial-1")
-    path.rename(aside)
+    with owner(tmp_path) as process:
+        (held,) = Claims(tmp_path).held()
+    assert process.returncode == -signal.SIGKILL
+    held.path.rename(held.path.with_name(".partial-1"))
+    os.utime(held.path.with_name(".partial-1"), (1.0, 1.0))
     claimed(tmp_path, 2 * EXPIRES_SECONDS)
     with Claims(tmp_path).take("another", {}) as claim:
         Claims(tmp_path).tidy()

@@ -170,7 +170,7 @@ class DaskCrew(Crew):
         host = begun[-1]
         if isinstance(error, KilledWorker):
             return Ending(1, error=f"its worker died each of the {len(begun)} times it was tried, at last on {host}")
-        if isinstance(error, ImportError):
+        if isinstance(error, ImportError) or isinstance(error and error.__cause__, ImportError):
             raise BadInput(f"{host} cannot make cells ({error}): install vprbench {__version__} there") from error
         if isinstance(error, BadInput):
             raise error

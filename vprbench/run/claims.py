@@ -12,7 +12,7 @@ import re
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from vprbench import ending
 from vprbench.storage import owner
-from vprbench.storage.atomic import PARTIAL, unfinished
+from vprbench.storage.atomic import PARTIAL, remove_leftovers, unfinished
 
 logger = logging.getLogger(__name__)
 
@@ -126,13 +126,10 @@ class Claims:
         says so, and the run is made all the same.
         """
         path = self._path(key)
-        words = {
-            "token": uuid.uuid4().hex,
-            "key": key,
-            **owner.this_process(),
-            "since": time.time(),
-            "about": dict(about),
-        }
+        words = {"token": uuid.uuid4().hex, "key": key, "about": dict(about), "since": time.time()}
+        words |= owner.this_process()
+        if ending.waited_for():
+            words["parent_started"] = owner.started(os.getppid())
         text = _text(words, 0)
         ending.tell(claim=str(path))  # whoever waits for this process beats, and clears away what it leaves
         try:
@@ -154,7 +151,10 @@ class Claims:
 
     def held(self) -> list[Held]:
         """Return all claims, those of the dead too, by their names."""
-        return [held for held in map(look, self._files()) if held is not None]
+        with contextlib.suppress(OSError):
+            files = sorted(path for path in self.folder.iterdir() if not path.name.startswith(PARTIAL))
+            return [held for held in map(look, files) if held is not None]
+        return []
 
     def tidy(self) -> None:
         """Take away the claims of the dead, and what was left by whoever died while it took one away."""
@@ -162,9 +162,7 @@ class Claims:
             for held in self.held():
                 if not held.alive:
                     _take_away(held)
-            for path in self._files(partial=True):
-                if (left := look(path)) is not None and left.silent_seconds > EXPIRES_SECONDS:
-                    path.unlink(missing_ok=True)
+            remove_leftovers(self.folder)
             self.folder.rmdir()
 
     def now(self) -> float:
@@ -175,10 +173,6 @@ class Claims:
         name = re.sub(r"[^A-Za-z0-9_-]+", "-", key)[-150:]  # and whatever stands in a key, no two share a name
         return self.folder / f"{name}-{hashlib.sha256(key.encode(errors='surrogateescape')).hexdigest()[:8]}"
 
-    def _files(self, partial: bool = False) -> Iterator[Path]:
-        with contextlib.suppress(OSError):
-            yield from sorted(path for path in self.folder.iterdir() if path.name.startswith(PARTIAL) == partial)
-
 
 def look(path: Path) -> Held | None:
     """Return the claim that lies in a file, None if there is none."""
@@ -188,6 +182,9 @@ def look(path: Path) -> Held | None:
         return None
     silent = max(0.0, _disk_clock(path.parent) - beat_ns / 1e9)
     lives = owner.lives(words)
+    waits = {**words, "process": words.get("parent"), "started": words.get("parent_started", -1)}
+    if lives is False and owner.lives(waits):  # it stores the failure of the dead one, and then clears its claim away
+        lives = None
     return Held(path, words, beat_ns, silent, silent <= EXPIRES_SECONDS if lives is None else lives)
 
 
@@ -207,10 +204,7 @@ def beat(path: Path | str) -> None:
     """Give a sign of life for a claim of this process, or of one that it started and waits for; no other is touched."""
     with contextlib.suppress(OSError):
         words, _ = _words(Path(path))
-        if words.get("machine") == owner.this_process()["machine"] and os.getpid() in (
-            words.get("process"),
-            words.get("parent"),
-        ):
+        if owner.is_ours(words):
             os.utime(path)
 
 

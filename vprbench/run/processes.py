@@ -89,15 +89,15 @@ def run_apart(
             for number in signals:
                 child.send_signal(number)
             code = watched[0].wait(stopped)
-        words, how = ending.told(left), watched[0].words_on(code)
+        words, died = ending.told(left), None
         if "code" not in words:
-            watched[0].tidy()
+            died = None if signals else _dead(watched[0].words_on(code), words, heard)
+            watched[0].tidy()  # who waits for its claim finds the failure stored
     if signals and (in_sweep or "code" not in words):
         raise KeyboardInterrupt(signals[0])
-    if "code" not in words:
-        return _dead(how, words, heard)
     known = {name: words[name] for name in Ending.__dataclass_fields__ if name in words}
-    return Ending(**known)  # what happens to a process after its last word changes nothing of what it has stored
+    # what happens to a process after its last word changes nothing of what it has stored
+    return died or Ending(**known)
 
 
 def _environment(more: dict[str, str]) -> dict[str, str]:

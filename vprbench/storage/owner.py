@@ -16,7 +16,7 @@ from typing import Any
 def this_process() -> dict[str, Any]:
     """Return what tells this process from all others, on whatever host."""
     process = os.getpid()
-    return {**_host(), "process": process, "parent": os.getppid(), "started": _started(process)}
+    return {**_host(), "process": process, "parent": os.getppid(), "started": started(process)}
 
 
 @functools.cache
@@ -33,7 +33,7 @@ def _host() -> dict[str, str]:
     return {"owner": owner, "host": host, "machine": host + numbers}
 
 
-def _started(process: int) -> int | None:
+def started(process: int) -> int | None:
     """Return when a process started, by which it is told from a later one of its number; None if it has ended."""
     with contextlib.suppress(OSError, ValueError):
         fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
@@ -48,7 +48,7 @@ def mark() -> str:
 
 @functools.cache
 def _marked(process: int) -> str:
-    return f"{_number_of_host()}-{process}-{_started(process) or 0}"
+    return f"{_number_of_host()}-{process}-{started(process) or 0}"
 
 
 @functools.cache
@@ -60,10 +60,10 @@ def is_dead(name: str) -> bool:
     """Tell whether a name begins with the mark of a process of this host that lives no more."""
     host, _, rest = name.partition("-")
     process, _, rest = rest.partition("-")
-    started = rest.partition("-")[0]
-    if host != _number_of_host() or not (process.isdigit() and started.isdigit()):
+    moment = rest.partition("-")[0]
+    if host != _number_of_host() or not (process.isdigit() and moment.isdigit()):
         return False
-    words = {"machine": _host()["machine"], "process": int(process), "started": int(started) or None}
+    words = {"machine": _host()["machine"], "process": int(process), "started": int(moment) or None}
     return lives(words) is False
 
 
@@ -80,7 +80,7 @@ def lives(words: Mapping[str, Any]) -> bool | None:
         return False
     except OSError:  # another user's
         return None
-    return bool(_started(process) == words.get("started"))
+    return bool(started(process) == words.get("started"))
 
 
 def is_ours(words: Mapping[str, Any]) -> bool:
