@@ -65,15 +65,8 @@ class Chaos:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.scheduler = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        self.command = [
-            "compare",
-            f"methods=[{','.join(METHODS)}]",
-            f"seeds={n_cells // len(METHODS)}",
-            "dataset=synthetic",
-            "dataset.places=30",
-            "threads=1",
-            "frames=false",
-        ]
+        asked = f"methods=[{','.join(METHODS)}] seeds={n_cells // len(METHODS)} dataset=synthetic dataset.places=30"
+        self.command = ["compare", *asked.split(), "threads=1", "frames=false"]
         self.n_cells = n_cells // len(METHODS) * len(METHODS)
         for folder in ("tmp", "logs", "watch", "cache"):
             (home / folder).mkdir()
