@@ -65,15 +65,8 @@ class Chaos:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.scheduler = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        self.command = [
-            "compare",
-            f"methods=[{','.join(METHODS)}]",
-            f"seeds={n_cells // len(METHODS)}",
-            "dataset=synthetic",
-            "dataset.places=30",
-            "threads=1",
-            "frames=false",
-        ]
+        asked = f"methods=[{','.join(METHODS)}] seeds={n_cells // len(METHODS)} dataset=synthetic dataset.places=30"
+        self.command = ["compare", *asked.split(), "threads=1", "frames=false"]
         self.n_cells = n_cells // len(METHODS) * len(METHODS)
         for folder in ("tmp", "logs", "watch", "cache"):
             (home / folder).mkdir()
@@ -88,11 +81,9 @@ class Chaos:
     def begin(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Begin a process of Python; what it says goes to a file of its own."""
         self._begun[name] += 1
-        with (self.home / "logs" / f"{name}-{self._begun[name]}.log").open("wb") as log:
-            command, environment = [sys.executable, "-m", *arguments], self.environment
-            return subprocess.Popen(
-                command, cwd=self.home, env=environment, stdout=log, stderr=log, stdin=subprocess.DEVNULL
-            )
+        command, ours = [sys.executable, "-m", *arguments], self.environment
+        with (self.home / "logs" / f"{name}-{self._begun[name]}.log").open("wb") as log:  # Ctrl-C is for this process
+            return subprocess.Popen(command, cwd=self.home, env=ours, stdout=log, stderr=log, start_new_session=True)
 
     def client(self, results: Path) -> subprocess.Popen[bytes]:
         """Give the command, with workers of its own or on the cluster."""
@@ -227,6 +218,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of what is killed, and when")
     parser.add_argument("--cells", type=int, default=60, help=f"in steps of {len(METHODS)}")
     asked = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     home = Path(tempfile.mkdtemp(prefix="chaos-"))
     chaos = Chaos(home, asked.cells, asked.seed)
     serial, began = ROOT / "build" / "chaos" / f"serial-{chaos.n_cells}", time.monotonic()
