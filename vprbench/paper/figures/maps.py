@@ -46,7 +46,7 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
     rows: tuple[tuple[str, Callable[[MapCost], float]], ...] = (
         ("Building (s)", lambda cost: cost.building_seconds),
         ("One query (ms)", lambda cost: 1e3 * cost.query_seconds),
-        ("Memory (MB)", lambda cost: cost.memory_bytes / 1e6),
+        ("Memory in answers (MB)", lambda cost: cost.memory_bytes / 1e6),
     )
     for number, panel in enumerate(axes):
         (label, value), length = rows[number // len(lengths)], lengths[number % len(lengths)]
@@ -72,6 +72,6 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
     )
     return Drawn(
         figure,
-        "Building time, time of one query and anonymous memory of indexes of simulated descriptors of different "
-        "lengths, against the number of places; both axes are logarithmic.",
+        "Building time, time of one query and anonymous memory while answering: indexes of simulated descriptors of "
+        "different lengths, against the number of places; both axes are logarithmic.",
     )
