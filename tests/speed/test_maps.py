@@ -101,6 +101,10 @@ def test_rows_are_compared_with_exact_search_and_extrapolated_by_their_two_large
     larger = lines["10^9", "binary + rerank 100"]
     assert larger[4:] == ["10,000 and 1,000,000", "8", "256", "27.8 (b 1.00)", "0.316 (b 0.50)"]
     assert ("10^8", "exact") not in lines
+    keep(path, row(places=1_000_000, others=1.5))
+    disturbed = text_of(stored(path))
+    assert "| about 500 " in disturbed
+    assert "10^9" not in disturbed
 
 
 def test_the_figure_draws_each_index_by_the_length_of_its_descriptors():

@@ -28,6 +28,7 @@ INDEXES = ("binary", "rabitq", "sq8", "ivfpq", "hnsw", "binary_hnsw")
 FOUND = (1, BEST)  # best places of which the share that an index finds too is told
 
 _EXTRAPOLATED = (10**8, 10**9)  # places
+_QUIET = 0.3  # cores that others may keep busy; of rows with more, times are no ground for larger maps
 _FROM = 10_000  # places: times of smaller maps are those of a call
 _ASKED = ["dimensions", "places", "index", "rerank", "threads"]  # a row replaces an earlier one that is alike in these
 _DRAWN = ("dimensions", "places", "building_seconds", "query_seconds", "answering_bytes")
@@ -165,7 +166,7 @@ def write(settings: Settings) -> None:
 def text_of(rows: Sequence[Row], quick: bool = False) -> str:
     """Return rows as Markdown, with what they let expect of larger maps."""
     there = [row for row in rows if not row.get("failed")]
-    exact = {_where(row): row["query_seconds"] for row in there if row["index"] == EXACT}
+    exact = {_where(row): row for row in there if row["index"] == EXACT}
     known = {_where(row) for row in there}
     failures = [row for row in rows if row.get("failed") and (row["index"] != "all" or _where(row) not in known)]
     libraries = [row["libraries_bytes"] for row in there if row["libraries_bytes"] is not None]
@@ -177,7 +178,14 @@ def text_of(rows: Sequence[Row], quick: bool = False) -> str:
         grown=list(_grown(there)),
         libraries=megabytes(max(libraries)) if libraries else "?",
         machines=list(dict.fromkeys(row["machine"] for row in rows)),
-        **{"AREA": AREA, "WITHIN": WITHIN, "SEEN_AGAIN": SEEN_AGAIN, "BEST": BEST, "FROM": f"{_FROM:,}"},
+        **{
+            "AREA": AREA,
+            "WITHIN": WITHIN,
+            "SEEN_AGAIN": SEEN_AGAIN,
+            "BEST": BEST,
+            "FROM": f"{_FROM:,}",
+            "QUIET": _QUIET,
+        },
     )
 
 
@@ -199,7 +207,7 @@ def _asked(row: Row) -> dict[str, str]:
     }
 
 
-def _shown(row: Row, exact_seconds: float | None) -> dict[str, str]:
+def _shown(row: Row, exact: Row | None) -> dict[str, str]:
     memory = [row[f"{stage}_bytes"] for stage in ("building", "answering")]
     shares = [row.get(f"found_at_{n}") for n in FOUND]
     return {
@@ -208,18 +216,26 @@ def _shown(row: Row, exact_seconds: float | None) -> dict[str, str]:
         "index B": f"{row['bytes_per_place']:,.0f}",
         "memory MB": " / ".join("?" if each is None else megabytes(each) for each in memory),
         "Hz": hertz(1 / row["query_seconds"]),
-        "x exact": "?" if exact_seconds is None else figures(exact_seconds / row["query_seconds"]),
+        "x exact": _faster(row, exact),
         "Hz together": f"{hertz(1 / row['batch_seconds'])} ({row['queries']:,})",
         "found %": " / ".join("?" if share is None else f"{100 * share:.1f}" for share in shares),
         "others": f"{row['others']:.1f}",
     }
 
 
+def _faster(row: Row, exact: Row | None) -> str:
+    """Return how many times as fast as exact search an index is, about so if others worked beside one of the two."""
+    if exact is None:
+        return "?"
+    disturbed = max(row["others"], exact["others"]) > _QUIET
+    return "about " * disturbed + figures(exact["query_seconds"] / row["query_seconds"])
+
+
 def _grown(rows: Sequence[Row]) -> Iterator[dict[str, str]]:
     """Yield what the two largest maps of each index let expect of far larger ones."""
     alike: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        if row["places"] >= _FROM:
+        if row["places"] >= _FROM and row["others"] <= _QUIET:
             alike.setdefault((row["dimensions"], row["threads"], _name(row)), []).append(row)
     for sizes in alike.values():
         if len(sizes) < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 from matplotlib.lines import Line2D
 
@@ -38,12 +39,14 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
     lengths = sorted({cost.n_dimensions for cost in costs})
     if len(lengths) > _MOST:
         lengths = [lengths[round(i * (len(lengths) - 1) / (_MOST - 1))] for i in range(_MOST)]
+    places = [cost.n_places for cost in costs]
+    room = max(1.6, 20 / sqrt(max(places) / min(places)))  # so wide that the numbers of decades alone stand at the axis
     looked = looks([cost.index for cost in costs])
     figure, axes = new(DOUBLE_MM, 3 * _HEIGHT_MM, 3, len(lengths))
     rows: tuple[tuple[str, Callable[[MapCost], float]], ...] = (
         ("Building (s)", lambda cost: cost.building_seconds),
         ("One query (ms)", lambda cost: 1e3 * cost.query_seconds),
-        ("Memory (MB)", lambda cost: cost.memory_bytes / 1e6),
+        ("Memory in answers (MB)", lambda cost: cost.memory_bytes / 1e6),
     )
     for number, panel in enumerate(axes):
         (label, value), length = rows[number // len(lengths)], lengths[number % len(lengths)]
@@ -55,7 +58,7 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
                 marker=look.marker,
                 linestyle=look.dash,
             )
-        plain_log(panel, "x", [cost.n_places for cost in costs])
+        plain_log(panel, "x", places, room, room)
         plain_log(panel, "y", [value(cost) for cost in costs])
         panel.set(title=f"{length:,} numbers" if number < len(lengths) else "")
         panel.set(xlabel="Places" if number >= 2 * len(lengths) else "", ylabel="" if number % len(lengths) else label)
@@ -69,6 +72,6 @@ def maps(costs: Sequence[MapCost]) -> Drawn:
     )
     return Drawn(
         figure,
-        "Building time, time of one query and anonymous memory of indexes of simulated descriptors of different "
-        "lengths, against the number of places; both axes are logarithmic.",
+        "Building time, time of one query and anonymous memory while answering: indexes of simulated descriptors of "
+        "different lengths, against the number of places; both axes are logarithmic.",
     )
