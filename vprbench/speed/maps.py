@@ -228,7 +228,7 @@ def _faster(row: Row, exact: Row | None) -> str:
     if exact is None:
         return "?"
     disturbed = max(row["others"], exact["others"]) > _QUIET
-    return "about " * disturbed + str(figures(exact["query_seconds"] / row["query_seconds"]))
+    return ("about " if disturbed else "") + figures(exact["query_seconds"] / row["query_seconds"])
 
 
 def _grown(rows: Sequence[Row]) -> Iterator[dict[str, str]]:
