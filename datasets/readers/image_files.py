@@ -64,7 +64,8 @@ def check_listed(files: Sequence[Path], listed_in: str, advice: str) -> None:
     missing: list[int] = []
     for first in range(0, len(files), _BLOCK):
         block = np.arange(first, min(first + _BLOCK, len(files)))
-        missing += [n for n, path in zip(block.tolist(), files.encoded(block), strict=True) if not os.path.isfile(path)]  # noqa: PTH113 - quicker
+        encoded = files.encoded(block)
+        missing += [number for number, path in enumerate(encoded, first) if not os.path.isfile(path)]  # noqa: PTH113
     if missing:
         raise NotThere(
             f"{files[missing[0]]} does not exist ({len(missing)} of {len(files)} images in {listed_in} are missing): "
