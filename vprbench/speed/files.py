@@ -28,6 +28,7 @@ _SHOTS = 300  # different files; the others are hard links to these
 _IN_A_FOLDER = 1000
 _QUERIES = 1000
 _METRES = 12_000.0  # side of the town
+_BESIDE = 3.0  # metres to the east and north of a reference, where a query is
 _PIXELS = 16
 _SETTLED = 2.5  # seconds after which hashes of files are kept
 
@@ -73,18 +74,19 @@ def _cells(settings: Settings, n_files: int) -> list[Any]:
 
 
 def town(top: Path, n_files: int, seed: int) -> None:
-    """Make folders of as many references, with positions in their names, and of queries in between."""
+    """Make folders of as many references, with positions in their names, and of queries beside some of these."""
     random = np.random.default_rng(seed)
     shots = top / "shots"
     shots.mkdir()
     for number in range(min(n_files, _SHOTS)):
         PillowImage.fromarray(drawn(_PIXELS, _PIXELS, [seed, number])).save(shots / f"{number}.png")
-    for part, count in (("database", n_files), ("queries", min(n_files, _QUERIES))):
-        for number, (east, north) in enumerate(random.uniform(0, _METRES, (count, 2)).tolist()):
+    positions = random.uniform(0, _METRES, (n_files, 2))
+    for part, taken in (("database", positions), ("queries", positions[:_QUERIES] + _BESIDE)):
+        for number, (east, north) in enumerate(taken.tolist()):
             folder = top / part / f"{number // _IN_A_FOLDER:05}"
             if number % _IN_A_FOLDER == 0:
                 folder.mkdir(parents=True)
-                progress.report(f"files, {part}", number / count)
+                progress.report(f"files, {part}", number / len(taken))
             place = f"@{543_000 + east:010.2f}@{4_173_000 + north:010.2f}@10@S"
             shot = shots / f"{number % min(n_files, _SHOTS)}.png"
             os.link(shot, folder / f"{place}@@@{number:08}@@{number % 12 * 30}@@@@@@.png")
