@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import shlex
@@ -116,6 +117,7 @@ def test_a_system_that_takes_no_job_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho partition long is closed >&2\nexit 1\n")
     with pytest.raises(BadInput, match=r"^cluster=slurm takes no job: partition long is closed$"):
         script(tmp_path, "slurm")
+    gc.collect()  # an unclosed cluster would warn, which is an error
 
 
 def test_a_memory_that_is_none_is_said(tmp_path: Path) -> None:

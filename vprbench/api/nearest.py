@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.storage.shards import Shards, rows_each
+from vprbench.storage.shards import Shards
 
 if TYPE_CHECKING:
     from vprbench.api.rows import Rows
@@ -50,9 +50,8 @@ def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
     """Yield the parts that a map is searched in exactly; one in memory has its own rows alone, to be sent around."""
     from vprbench.api.rows import Rows  # here, for it needs PyTorch
 
-    each = rows_each(len(vectors))
     shared = Rows(vectors)
-    for own in parts(len(vectors), each * max(1, _CELLS_OF_A_PART // (each * vectors.shape[1]))):
+    for own in parts(len(vectors), vectors.each * max(1, _CELLS_OF_A_PART // (vectors.each * vectors.shape[1]))):
         held, rows, start = vectors, shared, own.start
         if vectors.array is not None:
             held, start = Shards.of(vectors.array[own]), 0
@@ -69,7 +68,7 @@ def parts_of_map(vectors: Shards, places: Numbers | None) -> Iterator[Part]:
 
 def rows_together(vectors: Shards) -> int:
     """Return how many vectors are compared at once without a copy: up to 64 MiB in memory, else those of a shard."""
-    return rows_each(len(vectors)) if vectors.array is None else max(1, CELLS // vectors.shape[1])
+    return vectors.each if vectors.array is None else max(1, CELLS // vectors.shape[1])
 
 
 def inner_products(vectors: Shards, start: int, codes: Vectors, first: int, last: int) -> Vectors:

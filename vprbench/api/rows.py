@@ -13,7 +13,7 @@ from numba.extending import intrinsic
 
 from vprbench.api.compiling import compiled
 from vprbench.api.threads import in_shares
-from vprbench.storage.shards import Shards, rows_each
+from vprbench.storage.shards import Shards
 
 Vectors = npt.NDArray[np.float32]  # (n_images, n_dimensions)
 Numbers = npt.NDArray[np.int64]
@@ -29,7 +29,7 @@ class Rows:
         self._vectors = vectors
         self._mapped: dict[int, Vectors] = {}
         self._addresses = np.zeros(len(vectors.pieces), np.uint64)
-        self._each = rows_each(len(vectors))
+        self._each = vectors.each
 
     def __reduce__(self) -> tuple[type[Rows], tuple[Shards]]:
         """Go to another process without what is mapped in this one."""

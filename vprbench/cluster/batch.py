@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 from pathlib import Path
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 def started(job: Job) -> JobQueueCluster:
     """Return a cluster whose jobs are submitted as there are cells; raises BadInput if the first is not taken."""
     import dask_jobqueue
+    from distributed.deploy.cluster import Cluster
 
     cluster: JobQueueCluster = getattr(dask_jobqueue, f"{job.system.upper()}Cluster")(**_arguments(job))
 
@@ -30,8 +30,10 @@ def started(job: Job) -> JobQueueCluster:
     try:
         cluster.sync(submitted)
     except (OSError, RuntimeError, ValueError) as error:  # what submits jobs is not there, or refuses
-        with contextlib.suppress(AssertionError):  # of the jobs that could not be begun
+        try:
             cluster.close()
+        except AssertionError:  # of the jobs that could not be begun, which leaves the rest open
+            cluster.sync(Cluster._close, cluster)
         raise BadInput(f"cluster={job.system} takes no job: {str(error).strip().splitlines()[-1]}") from error
     if job.adaptive:
         cluster.adapt(minimum_jobs=job.minimum, maximum_jobs=job.maximum)

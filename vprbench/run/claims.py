@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import fcntl
 import hashlib
 import json
 import logging
@@ -20,7 +21,7 @@ from typing import Any, Self
 
 from vprbench import ending
 from vprbench.storage import owner
-from vprbench.storage.atomic import PARTIAL, remove_leftovers, unfinished
+from vprbench.storage.atomic import PARTIAL, remove_leftovers
 
 logger = logging.getLogger(__name__)
 
@@ -218,18 +219,16 @@ def clear(path: Path | str) -> None:
 
 
 def _take_away(held: Held) -> None:
-    """Remove a dead claim; one that has come to life since, or was taken over, is put back."""
-    aside = unfinished(held.path.parent)
-    with contextlib.suppress(FileNotFoundError):  # another process was faster
-        held.path.rename(aside)
-        if _words(aside) != (held.words, held.beat_ns):
-            try:
-                os.link(aside, held.path)
-            except FileExistsError:  # claimed meanwhile: who was moved away notices before it stores
-                pass
-            except OSError:  # a disk without links
-                aside.rename(held.path)
-        aside.unlink(missing_ok=True)
+    """Remove a dead claim, under the lock of its file, unless it has come to life since or was taken over.
+
+    Two may remove it where a disk has no locks; who was removed by mistake notices before it stores.
+    """
+    mode = "r+b" if os.access(held.path, os.W_OK) else "rb"  # a shared disk locks what may be written
+    with contextlib.suppress(FileNotFoundError), held.path.open(mode) as file:  # another process was faster
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if _words(held.path) == (held.words, held.beat_ns):
+            held.path.unlink()
 
 
 def _words(path: Path) -> tuple[dict[str, Any], int]:

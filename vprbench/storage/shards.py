@@ -80,6 +80,11 @@ class Shards:
         return self.shape[0]
 
     @property
+    def each(self) -> int:
+        """The rows of a shard, the last one fewer; in another process too what it was when they were made."""
+        return self.pieces[0].last
+
+    @property
     def nbytes(self) -> int:
         """The bytes of all rows."""
         return 4 * self.shape[0] * self.shape[1]
@@ -91,15 +96,14 @@ class Shards:
             raise ValueError(f"rows {rows} came; wanted consecutive ones")
         if self.array is not None:
             return self.array[first:last]
-        size = self.pieces[0].last
-        touched = self.pieces[first // size : -(-last // size)] if first < last else self.pieces[:1]
+        touched = self.pieces[first // self.each : -(-last // self.each)] if first < last else self.pieces[:1]
         cut = [piece.rows()[max(first - piece.first, 0) : max(last - piece.first, 0)] for piece in touched]
         return cut[0] if len(cut) == 1 else np.concatenate(cut)
 
     def take(self, rows: npt.NDArray[np.integer[Any]]) -> Array:
         """Return a copy of the rows of these numbers, 0 or more, in their order: (..., n_columns)."""
         taken = np.empty((*rows.shape, self.shape[1]), np.float32)
-        numbers = rows // self.pieces[0].last
+        numbers = rows // self.each
         for number in np.unique(numbers):
             chosen, piece = numbers == number, self.pieces[number]
             taken[chosen] = piece.rows()[rows[chosen] - piece.first]
