@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 
-import pandas as pd
-
 from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS, RECALLS
 from vprbench.metrics.tolerance import hits_within
@@ -59,6 +57,8 @@ def _fit(run: Run) -> str:
 
 def markdown(rows: Sequence[dict[str, str]]) -> str:
     """Return rows of text as a Markdown table; what a row lacks is a dash."""
+    import pandas as pd  # takes long to import, and a run needs none
+
     rows = [{name: text.replace("|", r"\|") for name, text in row.items()} for row in rows]
     return str(pd.DataFrame(rows).fillna(NOTHING).to_markdown(index=False, disable_numparse=True))
 
@@ -104,6 +104,8 @@ def numbers(run: Run, metrics: Sequence[str] = ()) -> dict[str, float | int | st
 
 def csv(results: Sequence[Run | Failure], metrics: Sequence[str] = ()) -> str:
     """Return runs as CSV, one line each, unrounded; a failed one has its error and no numbers."""
+    import pandas as pd
+
     lines = []
     for result in results:
         line: dict[str, object] = {"method": label(result), "dataset": result.dataset}

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-import scipy.stats
 
 Small = npt.NDArray[np.uint8]  # (n_images, 16, 32), grey
 Descriptors = npt.NDArray[np.float32]  # (n, 512), unit rows; a row of zeros if there is no picture
@@ -128,6 +127,8 @@ def stretches_won(better: Descriptors, worse: Descriptors) -> tuple[int, int, bo
     Returns in how many stretches the first is larger, how many there are, and whether a paired t-test over them leaves
     chance less than one in 10,000 (stretches, because neighbouring frames are no independent evidence).
     """
+    from scipy.special import stdtr  # scipy.stats takes long to import, and every run would wait
+
     difference = better - worse
     difference = difference[np.isfinite(difference)]
     count = min(_STRETCHES, len(difference) // 3)
@@ -136,7 +137,7 @@ def stretches_won(better: Descriptors, worse: Descriptors) -> tuple[int, int, bo
     means = np.array([stretch.mean() for stretch in np.array_split(difference, count)])
     spread = float(means.std(ddof=1)) / np.sqrt(count)
     t = means.mean() / max(spread, 1e-9)
-    return int((means > 0).sum()), count, bool(scipy.stats.t.sf(t, count - 1) < _CHANCE)
+    return int((means > 0).sum()), count, bool(stdtr(count - 1, -t) < _CHANCE)
 
 
 def _covered(middles: Middles, n_places: int, shifts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
