@@ -1,0 +1,167 @@
+"""Files of event cameras, read chunk by chunk: HDF5, parquet, AEDAT 2 and 4, EVT2 and EVT3 raw, DAT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from vprbench.api import BadInput, Events, NotThere
+
+_CHUNK = 1 << 20  # events
+_NAMES = {
+    "t": ("t", "ts", "time", "timestamp", "timestamps"),
+    "x": ("x", "xs", "x_pos"),
+    "y": ("y", "ys", "y_pos"),
+    "p": ("p", "ps", "pol", "polarity", "polarities", "on"),
+}
+_LIKE = "columns or a group with " + ", ".join(names[0] for names in _NAMES.values())
+_FROM_MICROS, _FROM_NANOS = 1e12, 1e17  # numbers since 1970 tell their unit
+_AEDAT2_END = b"#End Of ASCII Header"
+
+
+def events_in(file: Path) -> Iterator[Events]:
+    """Yield the events of a file in chunks of at most about a million; which reader depends on its suffix.
+
+    Times become microseconds: of floating numbers that are seconds, unless they are as large as microseconds or
+    nanoseconds since 1970. Rows and columns are those of the file. Raises NotThere without the file, BadInput for a
+    file that is not what its suffix says, and where a library is missing (pip install vprbench[events]).
+    """
+    if not file.is_file():
+        raise NotThere(f"{file} is no file: give a recording, {', '.join(READERS)}")
+    reader = READERS.get(file.suffix.lower())
+    if reader is None:
+        raise BadInput(f"{file} is none of the recordings that are read: {', '.join(READERS)}")
+    try:
+        yield from reader(file)
+    except ImportError as error:
+        raise BadInput(f"{file}: {error.name} is not installed: pip install vprbench[events]") from error
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        if isinstance(error, BadInput):
+            raise
+        reason = (str(error).splitlines() or [""])[0]
+        raise BadInput(f"{file} cannot be read as {file.suffix} ({reason}): record or convert it again") from error
+
+
+def _events(t: Any, x: Any, y: Any, p: Any) -> Events:
+    columns = (np.asarray(column).astype(np.uint16, copy=False) for column in (x, y))
+    return Events(_micros(np.asarray(t)), *columns, np.asarray(p) > 0)
+
+
+def _micros(t: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    largest = abs(float(t[0])) if len(t) else 0.0
+    if largest >= _FROM_NANOS:
+        t = t // 1000
+    elif t.dtype.kind == "f" and largest < _FROM_MICROS:
+        t = np.round(t * 1e6)
+    return t.astype(np.int64, copy=False)
+
+
+def _named(names: Iterator[str] | list[str]) -> dict[str, str]:
+    """Return which of the names hold t, x, y and p; fewer if some are missing."""
+    known = {name.lower(): name for name in names}
+    return {key: known[other] for key, others in _NAMES.items() for other in reversed(others) if other in known}
+
+
+def _hdf5(file: Path) -> Iterator[Events]:
+    import h5py
+
+    with suppress(ImportError):
+        import hdf5plugin  # noqa: F401 - Blosc, as DSEC's files want it
+    with h5py.File(file) as stored:
+        columns = _hdf5_columns(stored, h5py)
+        offset = int(stored["t_offset"][()]) if "t_offset" in stored else 0  # DSEC
+        for at in range(0, len(columns["t"]), _CHUNK):
+            chunk = _events(*(columns[key][at : at + _CHUNK] for key in _NAMES))
+            yield Events(chunk.t + offset, chunk.x, chunk.y, chunk.p) if offset else chunk
+
+
+def _hdf5_columns(stored: Any, h5py: Any) -> Mapping[str, Any]:
+    """Return the columns of the group or table with the most events; raises BadInput if there is none."""
+    found: list[dict[str, Any]] = []
+
+    def look(_: str, node: Any) -> None:
+        names = list(node) if isinstance(node, h5py.Group) else list(node.dtype.names or ())
+        chosen = _named(names)
+        if len(chosen) == len(_NAMES):
+            table = isinstance(node, h5py.Dataset)
+            found.append({key: node.fields(name) if table else node[name] for key, name in chosen.items()})
+
+    look("", stored)
+    stored.visititems(look)
+    if not found:
+        raise BadInput(f"{stored.filename} holds no {_LIKE}: rename what holds the events")
+    return max(found, key=lambda columns: len(columns["t"]))
+
+
+def _parquet(file: Path) -> Iterator[Events]:
+    from pyarrow.parquet import ParquetFile
+
+    with ParquetFile(file) as stored:
+        names = _named(list(stored.schema_arrow.names))
+        if len(names) < len(_NAMES):
+            raise BadInput(f"{file} holds no {_LIKE}: rename its columns")
+        for batch in stored.iter_batches(_CHUNK, columns=[*names.values()]):
+            yield _events(*(batch.column(names[key]).to_numpy(zero_copy_only=False) for key in _NAMES))
+
+
+def _aedat(file: Path) -> Iterator[Events]:
+    with file.open("rb") as stored:
+        version = stored.readline().strip().removeprefix(b"#!AER-DAT").decode("ascii", "replace")
+        if version.startswith("2"):
+            yield from _aedat2(stored)
+            return
+    if not version.startswith("4"):
+        raise BadInput(f"{file} is AEDAT {version[:4]}: read are 2 and 4, convert it with DV")
+    from aedat import Decoder
+
+    for packet in Decoder(file):
+        if "events" in packet:
+            found = packet["events"]
+            yield _events(found["t"], found["x"], found["y"], found["on"])
+
+
+def _aedat2(stored: BinaryIO) -> Iterator[Events]:
+    """Yield the brightness changes of a DAVIS camera (docs.inivation.com, AEDAT 2.0); its 32-bit clock may wrap."""
+    while True:
+        start = stored.tell()
+        line = stored.readline()
+        if not (line.startswith(b"#") and line.isascii() and line.endswith(b"\n")):
+            stored.seek(start)
+            break
+        if line.startswith(_AEDAT2_END):
+            break
+    last = None
+    while words := stored.read(8 * _CHUNK):
+        pairs = np.frombuffer(words, ">u4", len(words) // 8 * 2).astype(np.uint32).reshape(-1, 2)
+        address, ticks = pairs[:, 0], pairs[:, 1]
+        if not len(ticks):
+            return
+        steps = np.diff(ticks, prepend=ticks[0] if last is None else np.uint32(last & 0xFFFFFFFF)).view(np.int32)
+        t = (int(ticks[0]) if last is None else last) + np.cumsum(steps, dtype=np.int64)
+        last = int(t[-1])
+        kept = (address & 0x80000400) == 0  # neither an image or inertia sample nor a signal from outside
+        address = address[kept]
+        yield _events(t[kept], address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1)
+
+
+def _prophesee(file: Path) -> Iterator[Events]:
+    from expelliarmus import Wizard
+
+    with file.open("rb") as stored:
+        head = stored.read(4096).lower()
+    encoding = "dat" if file.suffix.lower() == ".dat" else "evt2" if b"evt 2.0" in head or b"evt2" in head else "evt3"
+    for chunk in Wizard(encoding, file, _CHUNK, buff_size=1 << 16).read_chunk():
+        yield _events(chunk["t"], chunk["x"], chunk["y"], chunk["p"])
+
+
+READERS: Mapping[str, Callable[[Path], Iterator[Events]]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), _hdf5),
+    ".parquet": _parquet,
+    **dict.fromkeys((".aedat", ".aedat4", ".aedat2"), _aedat),
+    **dict.fromkeys((".raw", ".dat"), _prophesee),
+}
