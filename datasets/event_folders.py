@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, EventFrames, Images, NotThere, Recording, event_frames
+from vprbench.api import BadInput, Dataset, Images, NotThere, Recording, event_frames
 
 from .folders import by_index
 from .readers.csv_tables import read_csv
@@ -19,6 +19,8 @@ from .readers.event_files import events_in
 from .readers.file_dataset import Unmatched, dataset_of_files
 from .readers.positions import Metres, by_radius, earth_centred
 from .readers.recipes import function_of
+
+Micros = npt.NDArray[np.int64]  # (n,)
 
 _WANTED = "time (seconds on the clock of the events), lat and lon"
 
@@ -62,14 +64,14 @@ class EventFolders:
             for file, track in zip(files, tracks, strict=True)
         ]
         frames = [self._frames(file, recording) for file, recording in zip(files, recordings, strict=True)]
+        shown = [images for images, _ in frames]
+        reach: dict[str, float] = {"tolerance_places": self.tolerance}
         if by_position:
             placed = [track.place(*part) for track, part in zip(tracks, frames, strict=True) if track]
-            shown = [images for images, _ in placed]
+            shown, reach = [images for images, _ in placed], {"radius_metres": self.radius_metres}
             truth = by_radius(np.concatenate([at for _, at in placed[:-1]]), placed[-1][1], self.radius_metres)
         else:
-            shown = [part.images for part in frames]
             truth = by_index(shown[:-1], self.references, len(shown[-1]), self.tolerance)
-        reach = {"radius_metres": self.radius_metres} if by_position else {"tolerance_places": self.tolerance}
         protocol = {
             "protocol": "event_folders",
             "references": [file.name for file in files[:-1]],
@@ -83,16 +85,15 @@ class EventFolders:
         return replace(dataset, recordings=tuple(recordings))
 
     def _counting(self) -> dict[str, int]:
-        if self.events_per_frame is not None:
-            return {"per_frame": self.events_per_frame}
-        return {"window_us": round(1000 * self.window_ms)}
+        per_frame = self.events_per_frame
+        return {"window_us": round(1000 * self.window_ms)} if per_frame is None else {"per_frame": per_frame}
 
-    def _frames(self, file: Path, recording: Recording) -> EventFrames:
+    def _frames(self, file: Path, recording: Recording) -> tuple[Images, Micros]:
         if not file.is_file():
             raise NotThere(f"{file} is no file: dataset.references and dataset.queries name a recording each")
         state = file.stat()
         what = {"file": str(file.resolve()), "bytes": state.st_size, "changed_ns": state.st_mtime_ns}
-        return event_frames(recording, what, **self._counting(), hot_factor=self.hot_factor)
+        return event_frames(recording, what, self.hot_factor, **self._counting())
 
 
 event_folders = function_of(EventFolders)
@@ -103,7 +104,7 @@ class _Track:
     """Where a camera was, and when."""
 
     file: Path
-    micros: npt.NDArray[np.int64]  # (n,), ascending
+    micros: Micros  # ascending
     metres: Metres  # (n, 3)
 
     @classmethod
@@ -119,7 +120,7 @@ class _Track:
             raise BadInput(f"{file}: wanted are times that ascend, and numbers alone: {_WANTED}")
         return cls(file, np.round(time * 1e6).astype(np.int64), earth_centred(lat, lon))
 
-    def place(self, images: Images, middle_us: npt.NDArray[np.int64]) -> tuple[Images, Metres]:
+    def place(self, images: Images, middle_us: Micros) -> tuple[Images, Metres]:
         """Return the frames between the first and the last position, and where each was taken, (n, 3)."""
         known = np.flatnonzero((middle_us >= self.micros[0]) & (middle_us <= self.micros[-1]))
         if not len(known):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from vprbench.api import BadInput, Events, NotThere
 
@@ -25,11 +25,11 @@ _AEDAT2_END = b"#End Of ASCII Header"
 
 
 def events_in(file: Path) -> Iterator[Events]:
-    """Yield the events of a file in chunks of at most about a million; which reader depends on its suffix.
+    """Yield the events of a file in chunks of about a million at most; its suffix chooses the reader.
 
-    Times become microseconds: of floating numbers that are seconds, unless they are as large as microseconds or
-    nanoseconds since 1970. Rows and columns are those of the file. Raises NotThere without the file, BadInput for a
-    file that is not what its suffix says, and where a library is missing (pip install vprbench[events]).
+    Times become microseconds: numbers with a fraction are seconds, and numbers as large as micro- or nanoseconds since
+    1970 are those. Rows and columns are as stored. Raises NotThere without the file, BadInput for a file that is not
+    what its suffix says, and where a library is missing.
     """
     if not file.is_file():
         raise NotThere(f"{file} is no file: give a recording, {', '.join(READERS)}")
@@ -48,20 +48,16 @@ def events_in(file: Path) -> Iterator[Events]:
 
 
 def _events(t: Any, x: Any, y: Any, p: Any) -> Events:
-    columns = (np.asarray(column).astype(np.uint16, copy=False) for column in (x, y))
-    return Events(_micros(np.asarray(t)), *columns, np.asarray(p) > 0)
-
-
-def _micros(t: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-    largest = abs(float(t[0])) if len(t) else 0.0
-    if largest >= _FROM_NANOS:
+    first = float(t[0]) if len(t) else 0.0
+    if first >= _FROM_NANOS:
         t = t // 1000
-    elif t.dtype.kind == "f" and largest < _FROM_MICROS:
+    elif t.dtype.kind == "f" and first < _FROM_MICROS:
         t = np.round(t * 1e6)
-    return t.astype(np.int64, copy=False)
+    columns = (np.ascontiguousarray(column, np.uint16) for column in (x, y))
+    return Events(np.ascontiguousarray(t, np.int64), *columns, p > 0)
 
 
-def _named(names: Iterator[str] | list[str]) -> dict[str, str]:
+def _named(names: Iterable[str]) -> dict[str, str]:
     """Return which of the names hold t, x, y and p; fewer if some are missing."""
     known = {name.lower(): name for name in names}
     return {key: known[other] for key, others in _NAMES.items() for other in reversed(others) if other in known}
@@ -73,29 +69,27 @@ def _hdf5(file: Path) -> Iterator[Events]:
     with suppress(ImportError):
         import hdf5plugin  # noqa: F401 - Blosc, as DSEC's files want it
     with h5py.File(file) as stored:
-        columns = _hdf5_columns(stored, h5py)
+        found: list[dict[str, Any]] = []
+
+        def look(_: str, node: Any) -> None:  # a group of columns, or a table
+            columns = _named(node if isinstance(node, h5py.Group) else node.dtype.names or ())
+            if len(columns) == len(_NAMES):
+                found.append(
+                    {
+                        key: node[name] if isinstance(node, h5py.Group) else node.fields(name)
+                        for key, name in columns.items()
+                    }
+                )
+
+        look("", stored)
+        stored.visititems(look)
+        if not found:
+            raise BadInput(f"{file} holds no {_LIKE}: rename what holds the events")
+        columns = max(found, key=lambda columns: len(columns["t"]))
         offset = int(stored["t_offset"][()]) if "t_offset" in stored else 0  # DSEC
         for at in range(0, len(columns["t"]), _CHUNK):
             chunk = _events(*(columns[key][at : at + _CHUNK] for key in _NAMES))
-            yield Events(chunk.t + offset, chunk.x, chunk.y, chunk.p) if offset else chunk
-
-
-def _hdf5_columns(stored: Any, h5py: Any) -> Mapping[str, Any]:
-    """Return the columns of the group or table with the most events; raises BadInput if there is none."""
-    found: list[dict[str, Any]] = []
-
-    def look(_: str, node: Any) -> None:
-        names = list(node) if isinstance(node, h5py.Group) else list(node.dtype.names or ())
-        chosen = _named(names)
-        if len(chosen) == len(_NAMES):
-            table = isinstance(node, h5py.Dataset)
-            found.append({key: node.fields(name) if table else node[name] for key, name in chosen.items()})
-
-    look("", stored)
-    stored.visititems(look)
-    if not found:
-        raise BadInput(f"{stored.filename} holds no {_LIKE}: rename what holds the events")
-    return max(found, key=lambda columns: len(columns["t"]))
+            yield replace(chunk, t=chunk.t + offset) if offset else chunk
 
 
 def _parquet(file: Path) -> Iterator[Events]:

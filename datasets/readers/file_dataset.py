@@ -38,12 +38,13 @@ def dataset_of_files(
     protocol: Mapping[str, Any],
     notes: Sequence[str] = (),
 ) -> Dataset:
-    """Return the dataset of these files or images, in their order; how queries without a right place are treated is noted.
+    """Return the dataset of these files or images; how queries without a right place are treated is noted.
 
     Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
     mapped, asked = (part if isinstance(part, Images) else Images.from_files(part) for part in (references, queries))
     files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
+    shown = asked.names if isinstance(queries, Images) else files[-1]
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
     without = len(truth.positives) - len(matched)
@@ -51,7 +52,7 @@ def dataset_of_files(
     if without and unmatched == "error":
         first = next(query for query, right in enumerate(truth.positives) if not len(right))
         raise BadInput(
-            f"{told} (first: {asked.names[first] if isinstance(queries, Images) else queries[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
+            f"{told} (first: {shown[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
             "or dataset.unmatched=drop to leave them out"
         )
     if not len(kept):
