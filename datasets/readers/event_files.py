@@ -1,4 +1,4 @@
-"""Files of event cameras, read chunk by chunk: HDF5, parquet, AEDAT 2 and 4, EVT2 and EVT3 raw, DAT."""
+"""Files of event cameras, read chunk by chunk: HDF5, parquet, AEDAT 2 and 4, EVT3 raw."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from vprbench.api import BadInput, Events, NotThere
+from vprbench.api import BadInput, Events, NotThere, compiled
 
 _CHUNK = 1 << 20  # events
 _NAMES = {
@@ -21,7 +21,6 @@ _NAMES = {
 }
 _LIKE = "columns or a group with " + ", ".join(names[0] for names in _NAMES.values())
 _FROM_MICROS, _FROM_NANOS = 1e12, 1e17  # numbers since 1970 tell their unit
-_AEDAT2_END = b"#End Of ASCII Header"
 
 
 def events_in(file: Path) -> Iterator[Events]:
@@ -121,14 +120,7 @@ def _aedat(file: Path) -> Iterator[Events]:
 
 def _aedat2(stored: BinaryIO) -> Iterator[Events]:
     """Yield the brightness changes of a DAVIS camera (docs.inivation.com, AEDAT 2.0); its 32-bit clock may wrap."""
-    while True:
-        start = stored.tell()
-        line = stored.readline()
-        if not (line.startswith(b"#") and line.isascii() and line.endswith(b"\n")):
-            stored.seek(start)
-            break
-        if line.startswith(_AEDAT2_END):
-            break
+    _read_head(stored, b"#", b"#End Of ASCII Header")
     last = None
     while words := stored.read(8 * _CHUNK):
         pairs = np.frombuffer(words, ">u4", len(words) // 8 * 2).astype(np.uint32).reshape(-1, 2)
@@ -143,19 +135,62 @@ def _aedat2(stored: BinaryIO) -> Iterator[Events]:
         yield _events(t[kept], address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1)
 
 
-def _prophesee(file: Path) -> Iterator[Events]:
-    from expelliarmus import Wizard
-
+def _evt3(file: Path) -> Iterator[Events]:
+    """Yield the events of Prophesee's EVT 3.0 (docs.prophesee.ai); its 24-bit clock may wrap."""
     with file.open("rb") as stored:
-        head = stored.read(4096).lower()
-    encoding = "dat" if file.suffix.lower() == ".dat" else "evt2" if b"evt 2.0" in head or b"evt2" in head else "evt3"
-    for chunk in Wizard(encoding, file, _CHUNK, buff_size=1 << 16).read_chunk():
-        yield _events(chunk["t"], chunk["x"], chunk["y"], chunk["p"])
+        head = _read_head(stored, b"%", b"% end")
+        if head and b"evt 3" not in head and b"evt3" not in head:
+            raise BadInput(f"{file} is no EVT 3.0 by its head: convert it")
+        state = np.zeros(6, np.int64)
+        while words := stored.read(_CHUNK // 4):
+            most = 12 * (len(words) // 2)
+            t, x, y, p = np.empty(most, np.int64), *np.empty((2, most), np.uint16), np.empty(most, np.bool_)
+            n = _decode(np.frombuffer(words, "<u2", len(words) // 2), state, t, x, y, p)
+            yield Events(t[:n], x[:n], y[:n], p[:n])
+
+
+@compiled()
+def _decode(words, state, t, x, y, p):  # type: ignore[no-untyped-def]
+    """Write the events of words of 16 bits, whose first four say what the others mean; return how many they are."""
+    row, base, brighter, high, low, wrapped = state
+    n = 0
+    for word in words:
+        kind, value = word >> 12, np.int64(word & 0xFFF)
+        pixels = 0
+        if kind == 0:
+            row = value & 0x7FF
+        elif kind in (2, 3):
+            base, brighter, pixels = value & 0x7FF, value >> 11, np.int64(kind == 2)
+        elif kind in (4, 5):
+            pixels = value if kind == 4 else value & 0xFF
+        elif kind == 6:
+            low = value
+        elif kind == 8 and value != high:
+            wrapped += (high - value > 0x800) << 24
+            high, low = value, 0
+        for k in range(12):
+            if pixels >> k & 1:
+                t[n], x[n], y[n], p[n] = wrapped + (high << 12) + low, base + k, row, brighter != 0
+                n += 1
+        base += 12 * (kind == 4) + 8 * (kind == 5)
+    state[:] = row, base, brighter, high, low, wrapped
+    return n
+
+
+def _read_head(stored: BinaryIO, mark: bytes, last: bytes) -> bytes:
+    """Read the lines that begin with `mark`, up to one that begins with `last`, and return them in small letters."""
+    head, start = b"", stored.tell()
+    while (line := stored.readline()).startswith(mark) and line.isascii() and line.endswith(b"\n"):
+        head, start = head + line.lower(), stored.tell()
+        if line.startswith(last):
+            break
+    stored.seek(start)
+    return head
 
 
 READERS: Mapping[str, Callable[[Path], Iterator[Events]]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), _hdf5),
     ".parquet": _parquet,
     **dict.fromkeys((".aedat", ".aedat4", ".aedat2"), _aedat),
-    **dict.fromkeys((".raw", ".dat"), _prophesee),
+    ".raw": _evt3,
 }

@@ -78,12 +78,10 @@ def test_aedat_2_is_read_though_its_clock_wraps(begin: int, tmp_path: Path) -> N
 
 
 def test_evt3_is_read_though_its_clock_wraps(tmp_path: Path) -> None:
-    pytest.importorskip("expelliarmus")
     assert same(joined(events_in(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
 
 
 def test_vectors_of_evt3_are_events(tmp_path: Path) -> None:
-    pytest.importorskip("expelliarmus")
     words = [0x8001, 0x6005, 0x0007, 0x3800 | 100, 0x4803, 0x5081]  # base 100, brighter: twelve, then eight pixels
     (tmp_path / "drive.raw").write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
     found = joined(events_in(tmp_path / "drive.raw"))

@@ -90,7 +90,7 @@ def test_brisbane_is_its_two_folders_with_their_matrix(tmp_path: Path) -> None:
     dataset = brisbane_events_7x7(root=str(lens_frames(tmp_path)))
     assert (dataset.n_places, rights(dataset)) == (4, [[0], [1], []])
     assert "sequences of 2" in dataset.notes[-1]
-    assert "ground_truth.npz" in answer(brisbane_events_7x7, root=str(tmp_path / "sunset1"), kind=NotThere)
+    assert "sunset2" in answer(brisbane_events_7x7, root=str(tmp_path / "sunset1"), kind=NotThere)
 
 
 @needs_real_frames

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,8 +140,7 @@ def event_frames(
     """
     shape = (recording.height, recording.width)
     text = json.dumps([_FORMAT, dict(what), shape, counting], sort_keys=True)
-    scratch = None if are_kept() else TemporaryDirectory()  # goes with the images
-    folder = Path(scratch.name) if scratch else cache_folder(_FOLDER, "events")
+    folder = cache_folder(_FOLDER, "events") if are_kept() else Path(mkdtemp())
     path = folder / f"{hashlib.sha256(text.encode()).hexdigest()}.frames"
     row = np.dtype([("middle_us", "<i8"), ("levels", "u1", shape)])
     if not path.is_file():
@@ -152,11 +153,13 @@ def event_frames(
     totals = np.fromfile(path, "<i8", offset=n * row.itemsize).reshape(shape)
     hot = np.zeros(shape, np.bool_) if hot_factor is None else hot_pixels(totals, hot_factor)
 
-    def grey(i: int, _held: Any = scratch) -> npt.NDArray[np.uint8]:
+    def grey(i: int) -> npt.NDArray[np.uint8]:
         levels = np.fromfile(path, row, 1, offset=i * row.itemsize)["levels"][0]
         levels[hot] = 0
         return np.asarray(levels)
 
+    if not are_kept():
+        weakref.finalize(grey, shutil.rmtree, folder, ignore_errors=True)
     names = [f"{recording.name}/{i:06d}" for i in range(n)]
     return Images(lambda i: as_rgb(grey(i)), names, stamp=lambda i: hashlib.sha256(grey(i)).digest()), middle
 
