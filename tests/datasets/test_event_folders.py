@@ -87,16 +87,16 @@ def lens_frames(top: Path) -> Path:
 
 
 def test_brisbane_is_its_two_folders_with_their_matrix(tmp_path: Path) -> None:
-    dataset = brisbane_events_7x7(root=str(lens_frames(tmp_path)))
+    dataset = brisbane_events_7x7("brisbane", root=str(lens_frames(tmp_path)))
     assert (dataset.n_places, rights(dataset)) == (4, [[0], [1], []])
     assert "sequences of 2" in dataset.notes[-1]
-    assert "sunset2" in answer(brisbane_events_7x7, root=str(tmp_path / "sunset1"), kind=NotThere)
+    assert "sunset2" in answer(brisbane_events_7x7, name="brisbane", root=str(tmp_path / "sunset1"), kind=NotThere)
 
 
 @needs_real_frames
 def test_sad_finds_76_of_724_places_of_brisbane_as_through_folders() -> None:
     top = REAL / "brisbane_events_7x7"
-    dataset = brisbane_events_7x7(root=str(top))
+    dataset = brisbane_events_7x7("brisbane", root=str(top))
     plain = folders(
         references=[str(top / "sunset2")],
         queries=str(top / "sunset1"),

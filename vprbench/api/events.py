@@ -53,7 +53,9 @@ class Recording:
     events: Callable[[], Iterator[Events]]
     height: int
     width: int
-    positions_us: Micros | None = None  # when positions were measured; it should be on the clock of the events
+    positions_us: Micros | None = None  # when positions were measured, on the clock that the events should have
+    positions_metres: npt.NDArray[np.float64] | None = None  # (n, 2) or (n, 3), where the camera was then
+    middle_us: Micros | None = None  # of the frames that the dataset takes from it, in their order
 
 
 class Counted(NamedTuple):
