@@ -30,20 +30,17 @@ def events_in(file: Path) -> Iterator[Events]:
     1970 are those. Rows and columns are as stored. Raises NotThere without the file, BadInput for a file that is not
     what its suffix says, and where a library is missing.
     """
-    if not file.is_file():
-        raise NotThere(f"{file} is no file: give a recording, {', '.join(READERS)}")
     reader = READERS.get(file.suffix.lower())
-    if reader is None:
-        raise BadInput(f"{file} is none of the recordings that are read: {', '.join(READERS)}")
+    if reader is None or not file.is_file():
+        raise (NotThere if reader else BadInput)(f"{file} is no recording: give a file, {', '.join(READERS)}")
     try:
         yield from reader(file)
+    except BadInput:
+        raise
     except ImportError as error:
         raise BadInput(f"{file}: {error.name} is not installed: pip install vprbench[events]") from error
     except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        if isinstance(error, BadInput):
-            raise
-        reason = (str(error).splitlines() or [""])[0]
-        raise BadInput(f"{file} cannot be read as {file.suffix} ({reason}): record or convert it again") from error
+        raise BadInput(f"{file} cannot be read as {file.suffix} ({str(error)[:200]!r}): convert it again") from error
 
 
 def _events(t: Any, x: Any, y: Any, p: Any) -> Events:
@@ -70,15 +67,11 @@ def _hdf5(file: Path) -> Iterator[Events]:
     with h5py.File(file) as stored:
         found: list[dict[str, Any]] = []
 
-        def look(_: str, node: Any) -> None:  # a group of columns, or a table
-            columns = _named(node if isinstance(node, h5py.Group) else node.dtype.names or ())
-            if len(columns) == len(_NAMES):
-                found.append(
-                    {
-                        key: node[name] if isinstance(node, h5py.Group) else node.fields(name)
-                        for key, name in columns.items()
-                    }
-                )
+        def look(_: str, node: Any) -> None:
+            grouped = isinstance(node, h5py.Group)  # else a table
+            names = _named(node if grouped else node.dtype.names or ())
+            if len(names) == len(_NAMES):
+                found.append({key: node[name] if grouped else node.fields(name) for key, name in names.items()})
 
         look("", stored)
         stored.visititems(look)
@@ -104,32 +97,26 @@ def _parquet(file: Path) -> Iterator[Events]:
 
 def _aedat(file: Path) -> Iterator[Events]:
     with file.open("rb") as stored:
-        version = stored.readline().strip().removeprefix(b"#!AER-DAT").decode("ascii", "replace")
-        if version.startswith("2"):
+        version = stored.readline().strip()[:11]
+        if version == b"#!AER-DAT2.":
             yield from _aedat2(stored)
-            return
-    if not version.startswith("4"):
-        raise BadInput(f"{file} is AEDAT {version[:4]}: read are 2 and 4, convert it with DV")
-    from aedat import Decoder
+        elif version != b"#!AER-DAT4.":
+            raise BadInput(f"{file} begins with {version!r}: AEDAT 2 and 4 are read, convert it with DV")
+        else:
+            from aedat import Decoder
 
-    for packet in Decoder(file):
-        if "events" in packet:
-            found = packet["events"]
-            yield _events(found["t"], found["x"], found["y"], found["on"])
+            for found in (packet["events"] for packet in Decoder(file) if "events" in packet):
+                yield _events(*(found[name] for name in ("t", "x", "y", "on")))
 
 
 def _aedat2(stored: BinaryIO) -> Iterator[Events]:
     """Yield the brightness changes of a DAVIS camera (docs.inivation.com, AEDAT 2.0); its 32-bit clock may wrap."""
     _read_head(stored, b"#", b"#End Of ASCII Header")
-    last = None
-    while words := stored.read(8 * _CHUNK):
-        pairs = np.frombuffer(words, ">u4", len(words) // 8 * 2).astype(np.uint32).reshape(-1, 2)
-        address, ticks = pairs[:, 0], pairs[:, 1]
-        if not len(ticks):
-            return
-        steps = np.diff(ticks, prepend=ticks[0] if last is None else np.uint32(last & 0xFFFFFFFF)).view(np.int32)
-        t = (int(ticks[0]) if last is None else last) + np.cumsum(steps, dtype=np.int64)
-        last = int(t[-1])
+    now, last = np.int64(0), np.zeros(1, np.uint32)
+    while len(words := stored.read(8 * _CHUNK)) >= 8:
+        address, ticks = np.frombuffer(words, ">u4", len(words) // 8 * 2).astype(np.uint32).reshape(-1, 2).T
+        t = now + np.cumsum(np.diff(ticks, prepend=last).view(np.int32), dtype=np.int64)
+        now, last = t[-1], ticks[-1:]
         kept = (address & 0x80000400) == 0  # neither an image or inertia sample nor a signal from outside
         address = address[kept]
         yield _events(t[kept], address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from event_recordings import by_chance, joined, same, write_aedat2, write_evt3
+from event_recordings import by_chance, joined, same, write_aedat2, write_aedat4, write_evt3
 
 from vprbench.datasets.readers import event_files
 from vprbench.datasets.readers.event_files import events_in
@@ -74,7 +74,13 @@ def test_parquet_as_brisbane_event_vpr_has_it_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
 def test_aedat_2_is_read_though_its_clock_wraps(begin: int, tmp_path: Path) -> None:
     found = joined(events_in(write_aedat2(tmp_path / "drive.aedat", EVENTS, begin)))
-    assert same(found, replace(EVENTS, t=EVENTS.t + begin))
+    since = begin - 2**32 * (begin >= 2**31)  # its numbers are signed
+    assert same(found, replace(EVENTS, t=EVENTS.t + since))
+
+
+def test_aedat_4_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("aedat")
+    assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
 def test_evt3_is_read_though_its_clock_wraps(tmp_path: Path) -> None:
