@@ -21,7 +21,7 @@ def brisbane_events_7x7(
 
     `default_root` is relative to the checkout. Raises NotThere for what is missing, BadInput for another ground truth.
     """
-    layout = f"run python -m vprbench fetch {name}, or set dataset.root to the folder that holds {_HOLDING}"
+    layout = f"run python -m vprbench fetch brisbane_events_7x7, or set dataset.root to what holds {_HOLDING}"
     top = root_folder(name, root, _HOLDING, layout, default_root=default_root)
     places, queries, truth = (str(top / part) for part in ("sunset2", "sunset1", "ground_truth.npz"))
     whole = folders(name, [places], queries, truth, unmatched=unmatched)

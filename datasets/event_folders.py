@@ -54,14 +54,10 @@ class EventFolders:
                 "pass dataset.references=[/path/to/first.h5] dataset.queries=/path/to/queries.h5"
             )
         files = [Path(file).expanduser() for file in (*self.references, self.queries)]
-        drives = [self._drive(file) for file in files]
-        shown, at = [images for _, images, _ in drives], [metres for _, _, metres in drives]
-        reach: dict[str, float] = {"tolerance_places": self.tolerance}
-        if self.ground_truth == "gps":
-            truth, reach = (
-                by_radius(np.concatenate(at[:-1]), at[-1], self.radius_metres),
-                {"radius_metres": self.radius_metres},
-            )
+        recordings, shown, at = zip(*(self._drive(file) for file in files), strict=True)
+        by_position = self.ground_truth == "gps"
+        if by_position:
+            truth = by_radius(np.concatenate(at[:-1]), at[-1], self.radius_metres)
         else:
             truth = by_index(shown[:-1], self.references, len(shown[-1]), self.tolerance)
         protocol = {
@@ -71,10 +67,10 @@ class EventFolders:
             "hot_factor": self.hot_factor,
             "ground_truth": self.ground_truth,
             **self._counting(),
-            **reach,
+            **({"radius_metres": self.radius_metres} if by_position else {"tolerance_places": self.tolerance}),
         }
         dataset = dataset_of_files(self.name, _joined(shown[:-1]), shown[-1], truth, self.unmatched, protocol)
-        return replace(dataset, recordings=tuple(recording for recording, _, _ in drives))
+        return replace(dataset, recordings=recordings)
 
     def _counting(self) -> dict[str, int]:
         per_frame = self.events_per_frame
@@ -86,10 +82,9 @@ class EventFolders:
             raise NotThere(f"{file} is no file: dataset.references and dataset.queries name a recording each")
         recording, state = Recording(file.stem, partial(events_in, file), self.height, self.width), file.stat()
         what = {"file": str(file.resolve()), "bytes": state.st_size, "changed_ns": state.st_mtime_ns}
-        if self.ground_truth == "gps":
-            track = _track(file.with_suffix(".csv"))
+        track = _track(file.with_suffix(".csv")) if self.ground_truth == "gps" else None
         images, middle = event_frames(recording, what, self.hot_factor, **self._counting())
-        if self.ground_truth != "gps":
+        if track is None:
             return replace(recording, middle_us=middle), images, np.empty((0, 3))
         at_us, metres = track
         known = np.flatnonzero((middle >= at_us[0]) & (middle <= at_us[-1]))
