@@ -131,7 +131,7 @@ def _evt3(file: Path) -> Iterator[Events]:
         state = np.zeros(6, np.int64)
         while words := stored.read(_CHUNK // 4):
             most = 12 * (len(words) // 2)
-            t, x, y, p = np.empty(most, np.int64), *np.empty((2, most), np.uint16), np.empty(most, np.bool_)
+            t, (x, y), p = np.empty(most, np.int64), np.empty((2, most), np.uint16), np.empty(most, np.bool_)
             n = _decode(np.frombuffer(words, "<u2", len(words) // 2), state, t, x, y, p)
             yield Events(t[:n], x[:n], y[:n], p[:n])
 

@@ -77,7 +77,8 @@ def counted(
     """
     if (window_us is None) == (per_frame is None) or (window_us or per_frame or 0) < 1:
         raise BadInput(f"window_us={window_us}, per_frame={per_frame}: give one of them, 1 or more")
-    counts, held, first = np.zeros((height, width), np.uint32), 0, None
+    counts, held = np.zeros((height, width), np.uint32), 0
+    first: int | None = None
     for chunk in _read_ahead(chunks):
         at, n = 0, len(chunk.t)
         while at < n:
