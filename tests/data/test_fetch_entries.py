@@ -55,6 +55,10 @@ def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry: 
         ),
         ("pitts30k", "lists", "datasets/", "pitts30k_test.mat", "read.me"),
         ("gardens_point", "frames", "day_left/", "Image000.jpg", "Thumbs.db"),
+        (
+            *("brisbane_events_7x7", "frames", "LENS-f44a08c/lens/dataset/brisevent/davis346/"),
+            *("sunset1/images_00000.png", "night/images_00000.png"),
+        ),
     ],
 )
 def test_a_part_takes_its_files_out_of_an_archive(
@@ -69,7 +73,10 @@ def test_a_part_takes_its_files_out_of_an_archive(
 
 @pytest.mark.parametrize(
     ("name", "folder"),
-    [("nordland_64x32", "summer"), ("nordland_64x32", "winter"), ("corridor", "query"), ("corridor", "ref")],
+    [
+        *(("nordland_64x32", "summer"), ("nordland_64x32", "winter"), ("corridor", "query"), ("corridor", "ref")),
+        *(("brisbane_events_7x7", "sunset1"), ("brisbane_events_7x7", "sunset2")),
+    ],
 )
 def test_the_stated_hash_is_that_of_the_frames(name: str, folder: str) -> None:
     frames = DATA / name / folder

@@ -48,6 +48,11 @@ def frames_kept(wanted: bool) -> Iterator[None]:
         _keeping.reset(token)
 
 
+def are_kept() -> bool:
+    """Tell whether images that are built now may keep their frames."""
+    return _keeping.get()
+
+
 def kept_frames(images: Images, what: Mapping[str, Any]) -> Images:
     """Return images of equal shape that are kept in VPRBENCH_FRAMES, or a folder in the user's cache, once made.
 
