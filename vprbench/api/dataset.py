@@ -86,7 +86,7 @@ class Dataset:
     query_breaks: Places | None = None  # queries, ascending, before which frames of the journey are missing
     place_breaks: Places | None = None  # the same of the map's places
     folders: tuple[FrameFolder, ...] = ()  # where the frames lie, for checks; empty if they are no files
-    recordings: tuple[Recording, ...] = ()  # of event cameras, that the frames were counted from, for checks
+    recordings: tuple[Recording, ...] = ()  # of event cameras: of reference traverses, then of queries; for checks
     notes: tuple[str, ...] = ()  # what a reader of results on it has to know; a line each, kept with every run
 
     def __post_init__(self) -> None:

@@ -54,6 +54,8 @@ class Recording:
     height: int
     width: int
     positions_us: Micros | None = None  # when positions were measured, on the clock that the events should have
+    positions_metres: npt.NDArray[np.float64] | None = None  # (n, 2) or (n, 3), where the camera was then
+    middle_us: Micros | None = None  # of the frames that the dataset takes from it, in their order
 
 
 class Counted(NamedTuple):

@@ -18,6 +18,7 @@ from .alignment import alignment
 from .files import Contents
 from .finding import LEVELS, Finding, as_text, is_wrong
 from .looking import look_at
+from .recordings import of_recordings
 from .traverse import traverses_of
 
 _UNUSED_LOOKED_AT = 1000  # images of a folder
@@ -53,6 +54,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *pictures.between(looks),
         *pictures.shared(looks),
         *alignment(dataset, looks[:-1], looks[-1]),
+        *of_recordings(dataset),
     ])  # fmt: skip
 
 
