@@ -50,7 +50,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *_cheap(dataset, known),
         *(finding for found in known if found for finding in _unused(found)),
         *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
-        *(finding for seen in looks for finding in pictures.of_traverse(seen)),
+        *(finding for seen in looks for finding in pictures.of_traverse(seen) if not _of_counts(dataset, finding)),
         *pictures.between(looks),
         *pictures.shared(looks),
         *alignment(dataset, looks[:-1], looks[-1]),
@@ -101,6 +101,11 @@ def _cheap(dataset: Dataset, known: Iterable[Contents | None]) -> Iterator[Findi
     yield from ground_truth.course(dataset)
     for folder, found in zip(dataset.folders, known, strict=True):
         yield from files.of_folder(folder, found)
+
+
+def _of_counts(dataset: Dataset, finding: Finding) -> bool:
+    """Tell whether a finding says that frames are dark which count events: most pixels count none."""
+    return bool(dataset.recordings) and finding.check == "black frames"
 
 
 def _unused(found: Contents) -> Iterator[Finding]:

@@ -74,7 +74,7 @@ def of_recordings(dataset: Dataset) -> Iterator[Finding]:
             yield Finding("error", "events", f"the recording of {one.of.name} cannot be read to its end: {error}")
         if one.rates:
             yield from _times(one)
-            yield from _pixels(one)
+            yield from _pixels(one, removed=dataset.protocol.get("hot_factor") is not None)
             yield from _clock(one)
     if seen:
         yield from _inverted(dataset, seen)
@@ -91,14 +91,15 @@ def _times(seen: _Seen) -> Iterator[Finding]:
         yield Finding("warning", "gaps", text, "data were lost: leave out the places of these times")
 
 
-def _pixels(seen: _Seen) -> Iterator[Finding]:
+def _pixels(seen: _Seen, removed: bool) -> Iterator[Finding]:
     totals, width, name = seen.totals.sum(0), seen.of.width, seen.of.name
     number = totals.sum()
     hot = np.flatnonzero(hot_pixels(totals.reshape(-1, width), _HOT_FACTOR))
     if len(hot):
         where = some(f"({pixel % width}, {pixel // width})" for pixel in hot[np.argsort(-totals[hot], kind="stable")])
         text = f"{plural(len(hot), 'pixel')} sent {totals[hot].sum() / number:.1%} of {name} (column, row): {where}"
-        yield Finding("warning", "hot pixels", text, "let the dataset remove them: they send whatever the camera sees")
+        advice = "let the dataset remove them (dataset.hot_factor): they send whatever the camera sees"
+        yield Finding("note" if removed else "warning", "hot pixels", text, "" if removed else advice)
     rising = seen.totals[1].sum() / number
     if not 1 - _ONE_POLARITY <= rising <= _ONE_POLARITY:
         text = f"{rising:.1%} of the {number:,} events of {name} are rising"
