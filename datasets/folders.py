@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Sized
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ def folders(
     asked = images_in(queries, "dataset.queries", _ADVICE)
     chosen: dict[str, float] = {}
     if ground_truth == "index":
-        truth, chosen = _by_index(traverses, references, len(asked), tolerance), {"tolerance_places": tolerance}
+        truth, chosen = by_index(traverses, references, len(asked), tolerance), {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         truth, chosen = by_names(mapped, asked, radius_metres), {"radius_metres": radius_metres}
     else:
@@ -67,8 +68,11 @@ def folders(
     )
 
 
-def _by_index(traverses: list[Paths], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
-    """Return the place of every reference and the right places of every query, by their number in the traverse."""
+def by_index(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
+    """Return the place of every reference and the right places of every query, by their number in the traverse.
+
+    Raises BadInput for traverses of different lengths.
+    """
     counts = {len(files) for files in traverses}
     if len(counts) > 1:
         listed = ", ".join(f"{name} {len(files)}" for name, files in zip(names, traverses, strict=True))

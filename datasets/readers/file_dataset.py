@@ -31,18 +31,20 @@ def each_a_place(n_references: int, right: Iterable[npt.ArrayLike], lacking: str
 
 def dataset_of_files(
     name: str,
-    references: Sequence[Path],
-    queries: Sequence[Path],
+    references: Sequence[Path] | Images,
+    queries: Sequence[Path] | Images,
     truth: GroundTruth,
     unmatched: Unmatched,
     protocol: Mapping[str, Any],
     notes: Sequence[str] = (),
 ) -> Dataset:
-    """Return the dataset of these files, in their order; how queries without a right place are treated is noted.
+    """Return the dataset of these files or images; how queries without a right place are treated is noted.
 
     Raises BadInput if `unmatched` is error and such queries exist, or drop and no other queries exist.
     """
-    references, queries = Paths.of(references), Paths.of(queries)
+    mapped, asked = (part if isinstance(part, Images) else Images.from_files(part) for part in (references, queries))
+    files = [Paths.of(part) for part in (references, queries) if not isinstance(part, Images)]
+    shown = asked.names if isinstance(queries, Images) else files[-1]
     matched = [query for query, right in enumerate(truth.positives) if len(right)]
     kept = np.array(matched if unmatched == "drop" else range(len(queries)), dtype=np.int64)
     without = len(truth.positives) - len(matched)
@@ -50,7 +52,7 @@ def dataset_of_files(
     if without and unmatched == "error":
         first = next(query for query, right in enumerate(truth.positives) if not len(right))
         raise BadInput(
-            f"{told} (first: {queries[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
+            f"{told} (first: {shown[first]}): correct the data, pass dataset.unmatched=keep to count them as misses, "
             "or dataset.unmatched=drop to leave them out"
         )
     if not len(kept):
@@ -58,13 +60,13 @@ def dataset_of_files(
     outcome = "are left out" if unmatched == "drop" else "count as misses"
     return Dataset(
         name=name,
-        references=Images.from_files(references),
+        references=mapped,
         places=truth.places,
-        queries=Images.from_files(queries[kept]),
+        queries=asked[kept],
         positives=tuple(truth.positives[query] for query in kept.tolist()),
         protocol={**protocol, "unmatched": unmatched},
         query_breaks=np.flatnonzero(np.diff(matched) > 1) + 1 if unmatched == "drop" else None,
-        folders=folders_of(Paths.joined([references, queries])),
+        folders=folders_of(Paths.joined(files)),
         notes=(*notes, *([f"{told}; they {outcome} (dataset.unmatched={unmatched})"] if without else ())),
     )
 

@@ -36,15 +36,8 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         is_image_name as is_image_name,
         open_image as open_image,
     )
-    from vprbench.api.events import (
-        Counted as Counted,
-        EventFrames as EventFrames,
-        Events as Events,
-        Recording as Recording,
-        counted as counted,
-        event_frames as event_frames,
-        hot_pixels as hot_pixels,
-    )
+    from vprbench.api.events import Counted as Counted, Events as Events, Recording as Recording
+    from vprbench.api.events import counted as counted, event_frames as event_frames, hot_pixels as hot_pixels
     from vprbench.api.gabor import GaborBank as GaborBank
     from vprbench.api.hamming import packed as packed
     from vprbench.api.images import Images as Images

@@ -1,0 +1,196 @@
+"""Files of event cameras, read chunk by chunk: HDF5, parquet, AEDAT 2 and 4, EVT3 raw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from vprbench.api import BadInput, Events, NotThere, compiled
+
+_CHUNK = 1 << 20  # events
+_NAMES = {
+    "t": ("t", "ts", "time", "timestamp", "timestamps"),
+    "x": ("x", "xs", "x_pos"),
+    "y": ("y", "ys", "y_pos"),
+    "p": ("p", "ps", "pol", "polarity", "polarities", "on"),
+}
+_LIKE = "columns or a group with " + ", ".join(names[0] for names in _NAMES.values())
+_FROM_MICROS, _FROM_NANOS = 1e12, 1e17  # numbers since 1970 tell their unit
+
+
+def events_in(file: Path) -> Iterator[Events]:
+    """Yield the events of a file in chunks of about a million at most; its suffix chooses the reader.
+
+    Times become microseconds: numbers with a fraction are seconds, and numbers as large as micro- or nanoseconds since
+    1970 are those. Rows and columns are as stored. Raises NotThere without the file, BadInput for a file that is not
+    what its suffix says, and where a library is missing.
+    """
+    if not file.is_file():
+        raise NotThere(f"{file} is no file: give a recording, {', '.join(READERS)}")
+    reader = READERS.get(file.suffix.lower())
+    if reader is None:
+        raise BadInput(f"{file} is none of the recordings that are read: {', '.join(READERS)}")
+    try:
+        yield from reader(file)
+    except ImportError as error:
+        raise BadInput(f"{file}: {error.name} is not installed: pip install vprbench[events]") from error
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        if isinstance(error, BadInput):
+            raise
+        reason = (str(error).splitlines() or [""])[0]
+        raise BadInput(f"{file} cannot be read as {file.suffix} ({reason}): record or convert it again") from error
+
+
+def _events(t: Any, x: Any, y: Any, p: Any) -> Events:
+    first = float(t[0]) if len(t) else 0.0
+    if first >= _FROM_NANOS:
+        t = t // 1000
+    elif t.dtype.kind == "f" and first < _FROM_MICROS:
+        t = np.round(t * 1e6)
+    columns = (np.ascontiguousarray(column, np.uint16) for column in (x, y))
+    return Events(np.ascontiguousarray(t, np.int64), *columns, p > 0)
+
+
+def _named(names: Iterable[str]) -> dict[str, str]:
+    """Return which of the names hold t, x, y and p; fewer if some are missing."""
+    known = {name.lower(): name for name in names}
+    return {key: known[other] for key, others in _NAMES.items() for other in reversed(others) if other in known}
+
+
+def _hdf5(file: Path) -> Iterator[Events]:
+    import h5py
+
+    with suppress(ImportError):
+        import hdf5plugin  # noqa: F401 - Blosc, as DSEC's files want it
+    with h5py.File(file) as stored:
+        found: list[dict[str, Any]] = []
+
+        def look(_: str, node: Any) -> None:  # a group of columns, or a table
+            columns = _named(node if isinstance(node, h5py.Group) else node.dtype.names or ())
+            if len(columns) == len(_NAMES):
+                found.append(
+                    {
+                        key: node[name] if isinstance(node, h5py.Group) else node.fields(name)
+                        for key, name in columns.items()
+                    }
+                )
+
+        look("", stored)
+        stored.visititems(look)
+        if not found:
+            raise BadInput(f"{file} holds no {_LIKE}: rename what holds the events")
+        columns = max(found, key=lambda columns: len(columns["t"]))
+        offset = int(stored["t_offset"][()]) if "t_offset" in stored else 0  # DSEC
+        for at in range(0, len(columns["t"]), _CHUNK):
+            chunk = _events(*(columns[key][at : at + _CHUNK] for key in _NAMES))
+            yield replace(chunk, t=chunk.t + offset) if offset else chunk
+
+
+def _parquet(file: Path) -> Iterator[Events]:
+    from pyarrow.parquet import ParquetFile
+
+    with ParquetFile(file) as stored:
+        names = _named(list(stored.schema_arrow.names))
+        if len(names) < len(_NAMES):
+            raise BadInput(f"{file} holds no {_LIKE}: rename its columns")
+        for batch in stored.iter_batches(_CHUNK, columns=[*names.values()]):
+            yield _events(*(batch.column(names[key]).to_numpy(zero_copy_only=False) for key in _NAMES))
+
+
+def _aedat(file: Path) -> Iterator[Events]:
+    with file.open("rb") as stored:
+        version = stored.readline().strip().removeprefix(b"#!AER-DAT").decode("ascii", "replace")
+        if version.startswith("2"):
+            yield from _aedat2(stored)
+            return
+    if not version.startswith("4"):
+        raise BadInput(f"{file} is AEDAT {version[:4]}: read are 2 and 4, convert it with DV")
+    from aedat import Decoder
+
+    for packet in Decoder(file):
+        if "events" in packet:
+            found = packet["events"]
+            yield _events(found["t"], found["x"], found["y"], found["on"])
+
+
+def _aedat2(stored: BinaryIO) -> Iterator[Events]:
+    """Yield the brightness changes of a DAVIS camera (docs.inivation.com, AEDAT 2.0); its 32-bit clock may wrap."""
+    _read_head(stored, b"#", b"#End Of ASCII Header")
+    last = None
+    while words := stored.read(8 * _CHUNK):
+        pairs = np.frombuffer(words, ">u4", len(words) // 8 * 2).astype(np.uint32).reshape(-1, 2)
+        address, ticks = pairs[:, 0], pairs[:, 1]
+        if not len(ticks):
+            return
+        steps = np.diff(ticks, prepend=ticks[0] if last is None else np.uint32(last & 0xFFFFFFFF)).view(np.int32)
+        t = (int(ticks[0]) if last is None else last) + np.cumsum(steps, dtype=np.int64)
+        last = int(t[-1])
+        kept = (address & 0x80000400) == 0  # neither an image or inertia sample nor a signal from outside
+        address = address[kept]
+        yield _events(t[kept], address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1)
+
+
+def _evt3(file: Path) -> Iterator[Events]:
+    """Yield the events of Prophesee's EVT 3.0 (docs.prophesee.ai); its 24-bit clock may wrap."""
+    with file.open("rb") as stored:
+        head = _read_head(stored, b"%", b"% end")
+        if head and b"evt 3" not in head and b"evt3" not in head:
+            raise BadInput(f"{file} is no EVT 3.0 by its head: convert it")
+        state = np.zeros(6, np.int64)
+        while words := stored.read(_CHUNK // 4):
+            most = 12 * (len(words) // 2)
+            t, x, y, p = np.empty(most, np.int64), *np.empty((2, most), np.uint16), np.empty(most, np.bool_)
+            n = _decode(np.frombuffer(words, "<u2", len(words) // 2), state, t, x, y, p)
+            yield Events(t[:n], x[:n], y[:n], p[:n])
+
+
+@compiled()
+def _decode(words, state, t, x, y, p):  # type: ignore[no-untyped-def]
+    """Write the events of words of 16 bits, whose first four say what the others mean; return how many they are."""
+    row, base, brighter, high, low, wrapped = state
+    n = 0
+    for word in words:
+        kind, value = word >> 12, np.int64(word & 0xFFF)
+        pixels = 0
+        if kind == 0:
+            row = value & 0x7FF
+        elif kind in (2, 3):
+            base, brighter, pixels = value & 0x7FF, value >> 11, np.int64(kind == 2)
+        elif kind in (4, 5):
+            pixels = value if kind == 4 else value & 0xFF
+        elif kind == 6:
+            low = value
+        elif kind == 8 and value != high:
+            wrapped += (high - value > 0x800) << 24
+            high, low = value, 0
+        for k in range(12):
+            if pixels >> k & 1:
+                t[n], x[n], y[n], p[n] = wrapped + (high << 12) + low, base + k, row, brighter != 0
+                n += 1
+        base += 12 * (kind == 4) + 8 * (kind == 5)
+    state[:] = row, base, brighter, high, low, wrapped
+    return n
+
+
+def _read_head(stored: BinaryIO, mark: bytes, last: bytes) -> bytes:
+    """Read the lines that begin with `mark`, up to one that begins with `last`, and return them in small letters."""
+    head, start = b"", stored.tell()
+    while (line := stored.readline()).startswith(mark) and line.isascii() and line.endswith(b"\n"):
+        head, start = head + line.lower(), stored.tell()
+        if line.startswith(last):
+            break
+    stored.seek(start)
+    return head
+
+
+READERS: Mapping[str, Callable[[Path], Iterator[Events]]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), _hdf5),
+    ".parquet": _parquet,
+    **dict.fromkeys((".aedat", ".aedat4", ".aedat2"), _aedat),
+    ".raw": _evt3,
+}
