@@ -28,8 +28,11 @@ _UNITS = 16  # of a painter, in a metre
 _LUMA = np.array([0.299, 0.587, 0.114])
 _DARK = 0.02  # of white, added to all light: one grey level in darkness is then no event
 _HOT_HZ = 200.0  # events a second of a hot pixel
-_LEAST: dict[str, float] = {"metres": 0, "window_ms": 1, "steps": 1, "threshold": 0.01, "threshold_spread": 0}
-_LEAST |= {"refractory_us": 0, "noise_hz": 0, "hot_pixels": 0, "grey_per_event": 1}
+_RANGES: dict[str, tuple[float, float]] = {
+    **{"metres": (0, 1000), "window_ms": (1, 1e6), "steps": (1, 1000), "threshold": (0.01, 10)},
+    **{"threshold_spread": (0, 10), "refractory_us": (0, 1e9), "noise_hz": (0, 1e4)},
+    **{"hot_pixels": (0, _PIXELS), "grey_per_event": (1, 255)},
+}
 
 
 @dataclass(frozen=True)
@@ -81,17 +84,15 @@ class EventJourney(Rendered):
         return replace(_WORLDS[self.journey], painter=lambda _: EventCamera(self))
 
     def _painted(self) -> dict[str, Any]:
-        sensor = {option: getattr(self, option) for option in ("journey", *_LEAST)}
+        sensor = {option: getattr(self, option) for option in ("journey", *_RANGES)}
         return {**super()._painted(), **sensor, "simulator": VERSION}
 
     def _check(self) -> None:
         if self.journey not in _WORLDS:
             raise BadInput(f"dataset.journey={self.journey}: choose {' or '.join(_WORLDS)}")
-        for option, least in _LEAST.items():
-            if not least <= getattr(self, option) <= 1e9:
-                raise BadInput(f"dataset.{option}={getattr(self, option)}: give {least} or more")
-        if self.hot_pixels > _PIXELS:
-            raise BadInput(f"dataset.hot_pixels={self.hot_pixels}: the camera has {_PIXELS} pixels")
+        for option, (least, most) in _RANGES.items():
+            if not least <= getattr(self, option) <= most:
+                raise BadInput(f"dataset.{option}={getattr(self, option)}: give {least} to {most}")
         super()._check()
 
 
@@ -106,7 +107,7 @@ class EventCamera:
         self.window_us = round(1000 * options.window_ms)
         chance = np.random.default_rng(options.seed)
         drawn = chance.normal(options.threshold, options.threshold_spread, (2, _PIXELS))
-        self._thresholds = np.maximum(drawn, _LEAST["threshold"])  # of falling and of rising light
+        self._thresholds = np.maximum(drawn, _RANGES["threshold"][0])  # of falling and of rising light
         self._hot = chance.choice(_PIXELS, options.hot_pixels, replace=False)
 
     def render(self, traverse: str, place: int, ahead: int = 0) -> Image:

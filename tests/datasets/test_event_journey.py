@@ -133,7 +133,7 @@ def test_a_written_recording_holds_the_events(tmp_path):
         ({"journey": "sea"}, "dataset.journey=sea: choose synthetic or street"),
         ({"threshold": 0}, "dataset.threshold=0: "),
         ({"noise_hz": float("nan")}, "dataset.noise_hz=nan: "),
-        ({"hot_pixels": 20_000}, "dataset.hot_pixels=20000: the camera has 14400 pixels"),
+        ({"hot_pixels": 20_000}, "dataset.hot_pixels=20000: give 0 to 14400"),
         ({"journey": "street"}, "the city street has sun, rain, dusk"),
     ],
 )

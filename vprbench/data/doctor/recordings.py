@@ -24,7 +24,7 @@ _HOT_FACTOR = 10.0
 _ONE_POLARITY = 0.98  # share of the events
 _CELLS = 8  # rows and columns of the small picture of a frame's net polarity
 _BIN_US = 500_000
-_REACH = 60  # bins by which the clock of the positions may be off
+_REACH = 40  # bins by which the clock of the positions may be off
 _AGREE, _BETTER = 0.5, 0.1  # correlation of speed and rate of events under another clock, and by how much it is better
 _COVERED = 0.9  # share of a recording with positions
 
@@ -116,11 +116,10 @@ def _inverted(dataset: Dataset, seen: Sequence[_Seen]) -> Iterator[Finding]:
             likeness = offsets.under(query[asked], middles[asked], net)
             won, stretches, sure = offsets.stretches_won(0 * likeness, likeness)
             if sure:
-                text = (
-                    f"light falls in {one.of.name} where it rises in {seen[-1].of.name} (likeness {likeness.mean():.2f}"
-                )
+                told = f"likeness {likeness.mean():.2f}; {won} of {stretches} stretches agree"
+                text = f"light falls in {one.of.name} where it rises in {seen[-1].of.name} ({told})"
                 advice = "the polarity of one of them is inverted, or they run in opposite directions"
-                yield Finding("warning", "polarity", f"{text}; {won} of {stretches} stretches agree)", advice)
+                yield Finding("warning", "polarity", text, advice)
 
 
 def _clock(seen: _Seen) -> Iterator[Finding]:
