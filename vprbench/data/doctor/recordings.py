@@ -110,7 +110,9 @@ def _inverted(dataset: Dataset, seen: Sequence[_Seen]) -> Iterator[Finding]:
     """Find reference traverses whose light falls where that of the queries rises at the same places."""
     middles = middles_of(dataset)
     asked = np.flatnonzero(middles >= 0)
-    *references, query = [offsets.of_places(one.net, np.arange(len(one.net)), len(one.net)) for one in seen]
+    *references, query = [  # without the camera's own inclination to either polarity
+        offsets.of_places(one.net - one.net.mean(0), np.arange(len(one.net)), len(one.net)) for one in seen
+    ]
     for one, net in zip(seen, references, strict=False):
         if (len(net), len(query)) == (dataset.n_places, len(middles)):
             likeness = offsets.under(query[asked], middles[asked], net)
@@ -134,7 +136,9 @@ def _clock(seen: _Seen) -> Iterator[Finding]:
     if share < _COVERED:
         theirs, ours = (f"{a / 1e6:.1f} to {b / 1e6:.1f} s" for a, b in (times[[0, -1]], (first, last)))
         text = f"positions of {name} are of {theirs}, events of {ours}: {share:.0%} of these have positions"
-        yield Finding("warning" if share else "error", "clocks", text, "bring both to one unit and one zero")
+        yield Finding(
+            "warning" if share > _COVERED / 2 else "error", "clocks", text, "bring both to one unit and one zero"
+        )
     late, there, here = _offset(seen, times)
     if late and there > max(_AGREE, here + _BETTER):
         text = f"positions of {name} come {late:+.1f} s late: speed and events a second correlate with {there:.2f} then"
