@@ -14,7 +14,7 @@ from vprbench.errors import BadInput
 from vprbench.text import plural, some
 
 from . import offsets
-from .finding import Finding
+from .finding import Finding, Level
 from .traverse import middles_of
 
 _LATE_US = 10_000  # sensors send packets whose events are not all in order
@@ -110,9 +110,8 @@ def _inverted(dataset: Dataset, seen: Sequence[_Seen]) -> Iterator[Finding]:
     """Find reference traverses whose light falls where that of the queries rises at the same places."""
     middles = middles_of(dataset)
     asked = np.flatnonzero(middles >= 0)
-    *references, query = [  # without the camera's own inclination to either polarity
-        offsets.of_places(one.net - one.net.mean(0), np.arange(len(one.net)), len(one.net)) for one in seen
-    ]
+    nets = [one.net - one.net.sum(0) / max(1, len(one.net)) for one in seen]  # without what a camera favours
+    *references, query = [offsets.of_places(net, np.arange(len(net)), len(net)) for net in nets]
     for one, net in zip(seen, references, strict=False):
         if (len(net), len(query)) == (dataset.n_places, len(middles)):
             likeness = offsets.under(query[asked], middles[asked], net)
@@ -136,9 +135,8 @@ def _clock(seen: _Seen) -> Iterator[Finding]:
     if share < _COVERED:
         theirs, ours = (f"{a / 1e6:.1f} to {b / 1e6:.1f} s" for a, b in (times[[0, -1]], (first, last)))
         text = f"positions of {name} are of {theirs}, events of {ours}: {share:.0%} of these have positions"
-        yield Finding(
-            "warning" if share > _COVERED / 2 else "error", "clocks", text, "bring both to one unit and one zero"
-        )
+        level: Level = "warning" if share > _COVERED / 2 else "error"
+        yield Finding(level, "clocks", text, "bring both to one unit and one zero")
     late, there, here = _offset(seen, times)
     if late and there > max(_AGREE, here + _BETTER):
         text = f"positions of {name} come {late:+.1f} s late: speed and events a second correlate with {there:.2f} then"
