@@ -20,8 +20,8 @@ _BEYOND = 100  # places between the last one of the map and the first that has n
 class Painter(Protocol):
     """Renders any place of the journey of one seed; several threads may share it."""
 
-    def render(self, traverse: str, place: int, /) -> Image:
-        """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
+    def render(self, traverse: str, place: int, ahead: int = 0, /) -> Image:
+        """Return the frame of a place, or from 1/16 metres `ahead` of it, uint8 (HEIGHT, WIDTH, 3), RGB."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ class Rendered:
     def build(self) -> Dataset:
         """Return the dataset of these options; raises BadInput for what cannot be rendered."""
         self._check()
-        world, (part, whole) = self.world, self.world.skipped
+        world = self._world()
+        part, whole = world.skipped
         first = round(self.places * part / whole) if self.first_query_place is None else self.first_query_place
         count = self.places - first if self.query_places is None else self.query_places
         parts = split(self.protocol, self.places, first, count, self.tolerance)
@@ -97,13 +98,17 @@ class Rendered:
         none = [np.array([], dtype=np.int64)] * self.unanswerable
         return replace(dataset, queries=frames(shown), positives=(*dataset.positives, *none))
 
-    def _painted(self) -> dict[str, int]:
+    def _world(self) -> World:
+        """Return what can be rendered under these options."""
+        return self.world
+
+    def _painted(self) -> dict[str, Any]:
         """Return what decides about the frame of a place, for a record."""
-        return {"seed": self.seed, "width": WIDTH, "height": HEIGHT, "renderer": self.world.version}
+        return {"seed": self.seed, "width": WIDTH, "height": HEIGHT, "renderer": self._world().version}
 
     def _check(self) -> None:
         """Raise BadInput for traverses and numbers that nobody can render."""
-        world = self.world
+        world = self._world()
         if not world.fewest_places <= self.places <= world.most_places:
             least, most = world.fewest_places, world.most_places
             raise BadInput(f"dataset.places={self.places}: {world.journey} has {least} to {most} places")

@@ -38,13 +38,13 @@ class Renderer:
         self._furniture = Furniture(self._chance)
         self._film = Film(self._chance)
 
-    def render(self, traverse: str, place: int) -> Image:
-        """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
+    def render(self, traverse: str, place: int, ahead: int = 0) -> Image:
+        """Return the frame of a place, or from 1/16 metres `ahead` of it, uint8 (HEIGHT, WIDTH, 3), RGB."""
         weather = WEATHERS[traverse]
         own = 600 + 20 * weather.number
         luck = self._chance.dice(own + 15, np.array([place]))[:, 0].tolist()
         mood = self._chance.smooth(own + np.arange(len(_MOOD_PLACES)), np.array(place), _MOOD_PLACES).tolist()
-        position = place * PLACE_SPACING + (mood[4] - FULL // 2) * 4 * METRE // FULL + (luck[0] - 128) // 16
+        position = place * PLACE_SPACING + ahead + (mood[4] - FULL // 2) * 4 * METRE // FULL + (luck[0] - 128) // 16
         lie, lots = self._town.lie(position), self._town.lots(position)
         camera = self._camera(weather, lie, luck, mood)
 

@@ -39,14 +39,15 @@ class Renderer:
         self._scenery = Scenery(self._chance)
         self._film = Film(self._chance)
 
-    def render(self, season_name: str, place: int) -> Image:
-        """Return the frame of a place, uint8 (HEIGHT, WIDTH, 3), RGB."""
+    def render(self, season_name: str, place: int, ahead: int = 0) -> Image:
+        """Return the frame of a place, or from 1/16 metres `ahead` of it, uint8 (HEIGHT, WIDTH, 3), RGB."""
         season = SEASONS[season_name]
         luck = self._chance.dice(600 + season.number, np.array([place]))[:, 0].tolist()
         mood = self._chance.smooth(
             600 + 10 * season.number + np.arange(len(_MOOD_PLACES)), np.array([place]), _MOOD_PLACES
         ).tolist()
-        position = place * PLACE_SPACING + (mood[4] - FULL // 2) * season.astray * METRE // FULL + (luck[0] - 128) // 16
+        astray = (mood[4] - FULL // 2) * season.astray * METRE // FULL + (luck[0] - 128) // 16
+        position = place * PLACE_SPACING + ahead + astray
         view = self._route.view(position)
         overcast = min(max(season.overcast + (mood[0] - FULL // 2) // 4, 0), 256)
         camera = self._camera(season, view, luck, mood, overcast)

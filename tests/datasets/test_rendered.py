@@ -25,7 +25,7 @@ class Slate:
     def __init__(self, seed):
         self.seed = seed
 
-    def render(self, traverse, place):
+    def render(self, traverse, place, ahead=0):
         return np.full((2, 3, 3), (self.seed, place, len(traverse)), np.uint8)
 
 

@@ -18,6 +18,7 @@ from .alignment import alignment
 from .files import Contents
 from .finding import LEVELS, Finding, as_text, is_wrong
 from .looking import look_at
+from .recordings import of_recordings
 from .traverse import traverses_of
 
 _UNUSED_LOOKED_AT = 1000  # images of a folder
@@ -49,10 +50,11 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
         *_cheap(dataset, known),
         *(finding for found in known if found for finding in _unused(found)),
         *(finding for seen in looks for finding in pictures.unreadable(seen, broken)),
-        *(finding for seen in looks for finding in pictures.of_traverse(seen)),
+        *(finding for seen in looks for finding in pictures.of_traverse(seen) if not _of_counts(dataset, finding)),
         *pictures.between(looks),
         *pictures.shared(looks),
         *alignment(dataset, looks[:-1], looks[-1]),
+        *of_recordings(dataset),
     ])  # fmt: skip
 
 
@@ -99,6 +101,11 @@ def _cheap(dataset: Dataset, known: Iterable[Contents | None]) -> Iterator[Findi
     yield from ground_truth.course(dataset)
     for folder, found in zip(dataset.folders, known, strict=True):
         yield from files.of_folder(folder, found)
+
+
+def _of_counts(dataset: Dataset, finding: Finding) -> bool:
+    """Tell whether a finding says that frames are dark which count events: most pixels count none."""
+    return bool(dataset.recordings) and finding.check == "black frames"
 
 
 def _unused(found: Contents) -> Iterator[Finding]:
