@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 import torch
+from numba import types
 
 from vprbench.api import BadInput, Images, LayerSpikes, Method, NotFittedError, Places, Scores, compiled
 
@@ -19,7 +20,7 @@ from .vprtempo.method import VPRTempo
 Floats = npt.NDArray[np.float32]
 
 _FEATURES, _OUTPUTS = "feature_layer.w.weight", "output_layer.w.weight"  # in the published state dictionary
-_MIDDLE = 0.5 * 255  # what gamma correction makes of a frame's mean
+_MIDDLE = 0.5 * 255  # counts
 
 
 @dataclass
@@ -128,7 +129,7 @@ class Lens(Method):
 
 @dataclass
 class _Training(VPRTempo):
-    """VPRTempo, but for its input: counts as they are, each frame raised to a power that gives it a mean of 127.5."""
+    """VPRTempo, but for its input: counts as they are, each frame raised to the power that takes its mean to 127.5."""
 
     def encode(self, images: Images) -> Floats:
         """Return the input spikes, (n_images, n_pixels), 0 to 1; a mean count of 1 or less stays as it is."""
@@ -148,7 +149,10 @@ def _drawn(steps: int, n_pixels: int, seed: int) -> Floats:
     return torch.rand(steps, n_pixels, generator=torch.Generator().manual_seed(seed)).numpy()
 
 
-@compiled()
+_ROWS, _READ = types.float32[:, ::1], types.Array(types.float32, 2, "C", readonly=True)
+
+
+@compiled(_READ, _READ, _READ, _READ, _ROWS, _ROWS, _ROWS)
 def _fire(codes, drawn, features, outputs, of_inputs, of_features, of_outputs):  # type: ignore[no-untyped-def]
     """Count the spikes of all layers, each query from rest; only what spikes is added to the next layer's membranes."""
     for query in range(len(codes)):
