@@ -165,15 +165,18 @@ def _fire(codes, drawn, features, outputs, of_inputs, of_features, of_outputs): 
                         hidden[feature] += features[pixel, feature]
             changed = False
             for feature in range(len(hidden)):
-                fired = np.floor(max(hidden[feature], np.float32(0)))
-                hidden[feature] = max(hidden[feature] - fired, np.float32(-1))
-                if fired > 0:
-                    changed = True
+                if hidden[feature] >= 1:
+                    fired, changed = np.floor(hidden[feature]), True
+                    hidden[feature] -= fired
                     of_features[query, feature] += fired
                     for place in range(len(membranes)):
                         membranes[place] += fired * outputs[feature, place]
-            if changed:
-                for place in range(len(membranes)):
-                    fired = np.floor(max(membranes[place], np.float32(0)))
+                elif hidden[feature] < -1:
+                    hidden[feature] = -1
+            for place in range(len(membranes) if changed else 0):
+                if membranes[place] >= 1:
+                    fired = np.floor(membranes[place])
+                    membranes[place] -= fired
                     of_outputs[query, place] += fired
-                    membranes[place] = max(membranes[place] - fired, np.float32(-1))
+                elif membranes[place] < -1:
+                    membranes[place] = -1
