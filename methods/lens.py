@@ -73,7 +73,7 @@ class Lens(Method):
 
     def encode(self, images: Images) -> Floats:
         """Return the probability that a pixel spikes in a step, (n_images, n_pixels)."""
-        return pixels(images, "grey", self.height, self.width, 1) / np.float32(255)
+        return pixels(images, "grey", self.height, self.width, 1).astype(np.float32) / np.float32(255)
 
     def match(self, codes: Floats) -> Scores:
         """Return the spikes of all output neurons, (n_queries, n_places)."""
