@@ -63,6 +63,34 @@ def test_the_right_place_is_that_of_the_query_at_the_end_or_in_the_middle() -> N
         assert all(right[0] == query for query, right in zip(queries_shown(view), view.positives, strict=True))
 
 
+def as_lens_scores(scores: Any, positives: Any, length: int) -> float:
+    """LENS, step by step: sums along the diagonal, zeros around them, 3 places to either side, queries with a match."""
+    n_queries, n_places = scores.shape
+    padded = np.zeros_like(scores)
+    for query in range(n_queries - length + 1):
+        for place in range(n_places - length + 1):
+            total = sum(scores[query + k, place + k] for k in range(length)) / length
+            padded[query + (length - 1) // 2, place + (length - 1) // 2] = total
+    asked = [query for query in range(n_queries) if len(positives[query])]
+    found = [padded[query].any() and min(abs(padded[query].argmax() - positives[query])) <= 3 for query in asked]
+    return float(np.mean(found))  # where all is padding, any place would do: a miss here
+
+
+@pytest.mark.parametrize("length", [1, 2, 4, 5])
+def test_the_protocol_of_lens_counts_as_its_code_counts(length: int) -> None:
+    run = aligned(query_breaks=np.array([10]), place_breaks=np.array([20]))
+    positives = tuple(np.array([] if query % 9 == 4 else [max(0, query - 1)], np.int64) for query in range(N))
+    scores = (run.scores - run.scores.min() + 1).astype(np.float32)  # type: ignore[operator, union-attr]
+    run = replace(run, positives=positives, scores=scores, outcome=outcome(scores, positives))
+    (view,) = (seen(run) for seen in views({"length": length, "window": "lens"}))
+    assert mean_hits(view) == pytest.approx(as_lens_scores(scores, positives, length))
+    found = np.isfinite(view.outcome.best_score)
+    full = [q for q in queries_shown(view) if (length - 1) // 2 <= q < N - length // 2]
+    assert queries_shown(view)[found].tolist() == full
+    assert view.protocol["sequence"] == f"{length} lens, within 3 places"
+    assert len(view.outcome) == sum(len(places) > 0 for places in positives)
+
+
 def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is() -> None:
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([10]))
     left_out, shortened = (
@@ -185,6 +213,7 @@ def test_files_of_views_have_names_of_their_own() -> None:
         (2.5, None, "sequence.length=2.5"),
         ("four", None, "sequence.length=four"),
         ({"length": 4, "windwo": "causal"}, None, "sequence.windwo is unknown.*window"),
+        ({"length": 4, "window": "lens", "contrast": 9}, None, "window=lens"),
         ({"window": "centred"}, None, "length"),
         ({"length": 4, "window": "future"}, None, "sequence.window=future"),
         ({"length": 4, "velocities": ["fast"]}, None, "velocities"),

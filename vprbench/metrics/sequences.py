@@ -29,7 +29,7 @@ class Sequences:
     """
 
     length: int
-    window: Literal["causal", "centred"] = "causal"  # it ends with the query, or has it in the middle
+    window: Literal["causal", "centred", "lens"] = "causal"  # it ends with the query, has it in the middle, or as LENS
     velocities: tuple[float, ...] = (1.0,)  # places a query, as multiples of the usual step; the best one counts
     contrast: int = 0  # neighbouring places that scores are normalised over; 0: none
     incomplete: Literal["left_out", "shortened"] = "left_out"  # queries without a full window: with what there is
@@ -43,11 +43,14 @@ class Sequences:
             raise ValueError(f"velocities={list(self.velocities)}: give multiples above 0, as in [0.8,1,1.2]")
         if self.contrast < 0 or self.contrast == 1:
             raise ValueError(f"contrast={self.contrast}: give 2 or more neighbouring places, or 0 for none")
+        others = (self.velocities, self.contrast, self.incomplete, self.gaps)
+        if self.window == "lens" and others != ((1.0,), 0, "left_out", "break"):
+            raise ValueError("window=lens is a whole protocol, which has no other option: give the length alone")
 
     @property
     def steps(self) -> range:
-        """The queries of a window, counted from the query: (-3, -2, -1, 0) of 4; centred (-2, -1, 0, 1)."""
-        after = 1 if self.window == "causal" else (self.length + 1) // 2
+        """The queries of a window, counted from the query: (-3, -2, -1, 0) of 4; centred (-2, -1, 0, 1); lens -1..2."""
+        after = {"causal": 1, "centred": (self.length + 1) // 2, "lens": self.length // 2 + 1}[self.window]
         return range(after - self.length, after)
 
 

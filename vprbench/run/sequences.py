@@ -40,6 +40,8 @@ def in_sequences(run: Run, asked: Sequences) -> Run:
 
     The right places are those of the query itself, which ends a causal window and is in the middle of a centred one.
     """
+    if asked.window == "lens":
+        return _as_lens(run, asked)
     queries, places, told_gaps = _parts(run, asked.gaps)
     told = {"sequence": f"{asked.length} {asked.window}"}
     if asked.velocities != (1.0,):
@@ -65,6 +67,25 @@ def in_sequences(run: Run, asked: Sequences) -> Run:
             "fewer queries, or gaps:bridge or incomplete:shortened, as in sequence={length:4,gaps:bridge}"
         )
     return restricted(view, np.flatnonzero(counts == asked.length), {})
+
+
+def _as_lens(run: Run, asked: Sequences) -> Run:
+    """Return a run under the protocol of LENS (run_model.py and create_GTtol.py of its public code).
+
+    Right is what lies within 3 places of a right place. A query whose window is not full is a miss, a place whose
+    window is not is never the best, gaps of the journey count as none, and only queries with a right place are asked.
+    """
+    n_queries, n_places = len(run.outcome), run.outcome.n_places
+    found, counts = sequence_scores(_scores(run), asked, np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64))
+    found[counts < asked.length] = -np.inf
+    around = np.arange(-_LENS_TOLERANCE, _LENS_TOLERANCE + 1)
+    right = tuple(np.unique(np.clip(places[:, None] + around, 0, n_places - 1)) for places in run.positives)
+    told = {"sequence": f"{asked.length} lens, within {_LENS_TOLERANCE} places"}
+    view = rescored(replace(run, positives=right), found, told, asked.length)
+    return restricted(view, np.flatnonzero(view.outcome.answerable), {})
+
+
+_LENS_TOLERANCE = 3  # places
 
 
 def filtered(run: Run, asked: Filter) -> Run:

@@ -1,0 +1,116 @@
+"""LENS: its neurons against a simulation written out, its training, and the layout its authors store."""
+
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+import torch
+
+from vprbench.api import BadInput
+from vprbench.api.images import Images
+from vprbench.methods.lens import Lens
+from vprbench.plugins import networks
+
+SIDE, PLACES = 4, 12
+DRAW = np.random.default_rng(0)
+FRAMES = Images.from_arrays(
+    [np.repeat(frame, 3, 2) for frame in DRAW.integers(0, 256, (PLACES, SIDE, SIDE, 1), np.uint8)]
+)
+SMALL = {"height": SIDE, "width": SIDE, "steps": 200}
+
+
+def published(n_features=9, n_places=PLACES, n_pixels=SIDE**2):
+    """A state dictionary as LENS stores it; its weights are multiples of 1/16, so that every sum is exact."""
+    generator = torch.Generator().manual_seed(3)
+    layers = {"feature_layer": (n_features, n_pixels), "output_layer": (n_places, n_features)}
+    state = OrderedDict()
+    for layer, (post, pre) in layers.items():
+        state[f"{layer}.thr"] = torch.rand(1, post, generator=generator)
+        state[f"{layer}.w.weight"] = torch.randint(-10, 24, (post, pre), generator=generator) / 16
+    return state
+
+
+def neuron(currents):
+    """Integrate and fire step by step: as many spikes as whole thresholds of 1, which are subtracted; -1 at least."""
+    spikes, membrane = [], 0.0
+    for current in currents:
+        membrane += current
+        now = 0
+        while membrane >= 1:
+            membrane, now = membrane - 1, now + 1
+        membrane = max(membrane, -1.0)
+        spikes.append(now)
+    return spikes
+
+
+def layer(weights, spikes):
+    """The spikes (steps, post) of a layer of such neurons for the spikes (steps, pre) of the layer before."""
+    return np.array([neuron(row) for row in (spikes @ weights.double().numpy().T).T]).T
+
+
+def test_neurons_count_the_spikes_that_a_simulation_step_by_step_counts():
+    state = published()
+    method = Lens(**SMALL).restore({name: tensor.numpy() for name, tensor in state.items()})
+    torch.manual_seed(50)  # as the public data loader does before each frame
+    drawn = torch.rand(200, SIDE**2)
+    codes = np.stack([frame[:, :, 0].ravel() / np.float32(255) for frame in FRAMES])
+    for number, code in enumerate(codes):
+        inputs = (drawn < torch.from_numpy(code)).double().numpy()
+        features = layer(state["feature_layer.w.weight"], inputs)
+        outputs = layer(state["output_layer.w.weight"], features.astype(float))
+        assert [found.values[0].tolist() for found in method.spikes(codes[number : number + 1])] == [
+            inputs.sum(0).tolist(),
+            features.sum(0).tolist(),
+            outputs.sum(0).tolist(),
+        ]
+        assert features.max() > 1  # several spikes in one step
+    scores = method.query(FRAMES)
+    assert (scores > 0).any(1).all()
+    assert np.array_equal(scores, method.match(codes))
+
+
+def test_a_published_file_answers_by_its_two_weight_matrices_alone(tmp_path):
+    state = published()
+    torch.save(state, tmp_path / "lens.pth")
+    method = Lens(**SMALL)
+    networks.load(tmp_path / "lens.pth", method, None)  # a published file says nothing of where it comes from
+    weights = {name: tensor.numpy() for name, tensor in state.items() if name.endswith("weight")}
+    assert np.array_equal(method.query(FRAMES), Lens(**SMALL).restore(weights).query(FRAMES))
+    assert {name: array.tolist() for name, array in method.state().items()} == {
+        name: array.tolist() for name, array in weights.items()
+    }
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"height": 5},
+        {"output_layer.w.weight": None},
+        {"output_layer.w.weight": np.ones((PLACES, 8), np.float32)},
+        {"feature_layer.w.weight": np.full((9, SIDE**2), np.nan, np.float32)},
+    ],
+    ids=["other frames", "a layer is missing", "layers do not fit", "not finite"],
+)
+def test_a_network_that_does_not_fit_is_refused(change):
+    state = {name: tensor.numpy() for name, tensor in published().items()}
+    arguments = {name: value for name, value in change.items() if name in SMALL}
+    state |= {name: value for name, value in change.items() if name not in SMALL}
+    state = {name: array for name, array in state.items() if array is not None}
+    with pytest.raises(BadInput, match="feature_layer"):
+        Lens(**SMALL | arguments).restore(state)
+
+
+def test_a_trained_network_finds_most_of_the_frames_that_it_learnt():
+    method = Lens(**SMALL, epochs=40).fit(FRAMES, np.arange(PLACES))
+    assert (method.query(FRAMES).argmax(1) == np.arange(PLACES)).mean() > 0.6
+    assert Lens(features_per_pixel=1.3, epochs=1).fit(FRAMES, np.arange(PLACES)).state()[
+        "feature_layer.w.weight"
+    ].shape == (63, 49)
+
+
+def test_frames_of_one_level_are_the_same_to_the_training_whatever_the_level():
+    weights = []
+    for levels in ([20, 60, 100, 180], [127, 127, 127, 127]):
+        frames = Images.from_arrays([np.full((SIDE, SIDE, 3), level, np.uint8) for level in levels])
+        weights.append(Lens(**SMALL, epochs=3).fit(frames, np.arange(4)).state()["feature_layer.w.weight"])
+    assert weights[0] == pytest.approx(weights[1], abs=1e-4)
