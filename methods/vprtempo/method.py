@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from types import ModuleType
 from typing import Any, ClassVar, Self
 
@@ -21,29 +22,34 @@ from vprbench.api import (
     NotFittedError,
     Places,
     Scores,
+    insist_on_new_places,
     progress,
 )
 
 from . import fused, training
 from .arguments import Arguments
-from .layer import Layer, draw_layer, feature_rates
+from .growing import learnt_beside
+from .layer import Layer, draw_layer
 from .network import Network, members_from_state, members_state
-from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
+from .query import JoinedQuery, LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
 from .training import (
     Schedule,
-    Training,
     associate_places,
     check_inputs,
     check_weights,
     check_winners,
+    draw_outputs,
     draw_schedule,
+    draws,
     module_sizes,
     set_thresholds,
+    training_of,
 )
 
 logger = logging.getLogger(__name__)
 
+_LATEST = 500  # reference images that a new place is told from
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
@@ -66,6 +72,8 @@ class VPRTempo(Arguments, Method):
     _spiking_query: ClassVar[Any] = SpikingQuery
 
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
+    _grown: list[list[Network]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _latest: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
     _query: Query | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
@@ -93,27 +101,64 @@ class VPRTempo(Arguments, Method):
         self._members = self._train(sizes, spikes, places, rules)
         if rules.calibrated_scores:
             self._members = [calibrated(member, spikes, rules) for member in self._members]
-        query = self._asking()
+        query = self._asking(self._members)
         check_winners(query.scores(codes[probes]), np.repeat(np.arange(len(sizes)), sizes))
-        self._query = query
+        self._query, self._grown, self._latest = query, [], codes[-_LATEST:].copy()
         return self
+
+    @property
+    def extends(self) -> bool:
+        """Whether new places are learnt; not if one place has to answer where all others are silent."""
+        return not self.chosen_rules().silent_winner
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Give each new place an output neuron on the features of the last module that `fit` trained.
+
+        It learns its references among the latest others, as in a module of its own; known neurons do not learn. Every
+        `max_module` new places another module begins, of the same features. Raises BadInput for a stored network.
+        """
+        query, rules = self._trained(), self.chosen_rules()
+        n_known = sum(part[0].n_places for part in (self._members, *self._grown))
+        if not self.extends:
+            return super().extend(references, places)
+        if self._latest is None:
+            raise BadInput("a stored network has no references that a new place could be told from: call fit first")
+        insist_on_new_places(places, len(references), n_known)
+        n_new, codes = int(places.max()) + 1 - n_known, self.encode(references)
+        shown = np.concatenate([codes, self._latest])
+        numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
+        spikes = torch.from_numpy(shown).to(self.device)
+        grown = [
+            learnt_beside(self, member, [seed, n_known], spikes, numbers, self._output_training(rules))
+            for seed, member in zip(self._seeds(), self._members, strict=True)
+        ]
+        queries = [*query.queries] if isinstance(query, JoinedQuery) else [query]
+        if self._grown and self._grown[-1][0].n_places + n_new <= self.max_module:
+            queries.pop()
+            last = self._grown.pop()
+            grown = [known.followed_by(new, in_one_module=True) for known, new in zip(last, grown, strict=True)]
+        self._grown.append(grown)
+        self._query, self._latest = JoinedQuery([*queries, self._asking(grown)]), shown[:_LATEST]
+        return self
+
+    def _networks(self) -> list[Network]:
+        """Return the networks of all places, those that were learnt after `fit` too."""
+        return [reduce(Network.followed_by, parts) for parts in zip(self._members, *self._grown, strict=True)]
 
     def _seeds(self) -> list[int]:
         """Return the seed of each network that is trained."""
         return [self.seed]
 
-    def _asking(self) -> Query:
-        """Return the query of the trained networks."""
-        return asking(self._members, self.chosen_rules(), self._linear_query, self._spiking_query)
+    def _asking(self, members: Sequence[Network]) -> Query:
+        """Return the query of trained networks."""
+        return asking(members, self.chosen_rules(), self._linear_query, self._spiking_query)
 
     def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
         """Train one network a seed: the modules of all of them lie side by side."""
         engine = self._engine()
         features, outputs, order, output_order = self._draw(sizes, spikes.shape[1], places, rules)
         n_modules, n_features = features.thresholds.shape
-        rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
-        output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
-        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
+        training = training_of(self, spikes, n_features)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
@@ -126,21 +171,20 @@ class VPRTempo(Arguments, Method):
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
-            train = associate_places if rules.output_rule == "covariance" else engine.train_places
-            train(outputs[group], features[group], output_order[group], training, report)
+            self._output_training(rules)(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
         return [Network.of(features[own], outputs[own], sizes) for own in members]
+
+    def _output_training(self, rules: Rules) -> Callable[..., None]:
+        """Return what trains an output layer by these rules."""
+        return associate_places if rules.output_rule == "covariance" else self._engine().train_places
 
     def _draw(
         self, sizes: list[int], n_pixels: int, places: Places, rules: Rules
     ) -> tuple[Layer, Layer, Schedule, Schedule]:
         """Draw both layers of all networks and what each of the layers will see."""
-        generators = [
-            torch.Generator().manual_seed(int(state))
-            for seed in self._seeds()
-            for state in np.random.SeedSequence(seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
-        ]
+        generators = [each for seed in self._seeds() for each in draws(seed, len(sizes))]
         all_sizes = sizes * len(self._seeds())
         n_features = round(self.features_per_pixel * n_pixels)
         probabilities = (self.p_excitatory, self.p_inhibitory)
@@ -148,13 +192,7 @@ class VPRTempo(Arguments, Method):
         features = draw_layer(
             generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
         )
-        outputs = draw_layer(generators, all_sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
-        for weights in (outputs.excitation, outputs.inhibition):
-            if self.equal_output_weights:
-                for module, size in enumerate(all_sizes):
-                    weights[module, :size] = 1 / n_features
-            if self.output_norm != 1:
-                weights *= self.output_norm
+        outputs = draw_outputs(self, generators, all_sizes, n_features)
         order, output_order = (
             draw_schedule(generators, sizes, places, self.epochs, rules).to(self.device) for _ in range(2)
         )
@@ -176,19 +214,19 @@ class VPRTempo(Arguments, Method):
         self._trained()
         layers = {"input": codes}
         if self.chosen_rules().query_rule == "spiking":
-            query = self._spiking_query(self._members[0], self.chosen_rules())
+            query = self._spiking_query(self._networks()[0], self.chosen_rules())
             layers["feature"], layers["output"] = query.layers(codes)
         return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
 
     def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
         """Return the feature neurons of all networks: their spikes, or the sums of a linear query."""
         self._trained()
-        return {"feature": feature_layers(self._members, self.chosen_rules(), codes, self._spiking_query)}
+        return {"feature": feature_layers(self._networks(), self.chosen_rules(), codes, self._spiking_query)}
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
-        return members_state(self._members)
+        return members_state(self._networks())
 
     def _trained(self) -> Query:
         if self._query is None:
@@ -213,7 +251,7 @@ class VPRTempo(Arguments, Method):
                     f"the stored network is {'' if is_calibrated else 'not '}calibrated: "
                     f"set method.calibrated_scores={str(is_calibrated).lower()}"
                 )
-        self._query = self._asking()
+        self._query, self._grown, self._latest = self._asking(self._members), [], None
         return self
 
     def _engine(self) -> ModuleType:

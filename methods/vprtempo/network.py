@@ -17,6 +17,7 @@ from vprbench.api import BadInput
 from .layer import Layer
 
 _CALIBRATION = ("score_mean", "score_spread")
+_FEATURES = ("features", "constant", "feature_thresholds")
 _LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
@@ -100,6 +101,20 @@ class Network:
             tuple(tensors[f"output_thresholds_{module}"] for module in range(modules)),
             (tensors["score_mean"], tensors["score_spread"]) if "score_mean" in tensors else None,
         )
+
+    def followed_by(self, other: Network, in_one_module: bool = False) -> Self:
+        """Return the network with the places of another behind its own: its modules, or its neurons `in_one_module`.
+
+        For neurons both networks are one module, of the same features.
+        """
+        both = (self, other)
+        joined = {name: torch.cat([getattr(one, name) for one in both]) for name in _FEATURES if not in_one_module}
+        outputs, thresholds = self.outputs + other.outputs, self.output_thresholds + other.output_thresholds
+        if in_one_module:
+            outputs, thresholds = (torch.cat(outputs, dim=1),), (torch.cat(thresholds),)
+        parts = [one.calibration for one in both if one.calibration is not None]
+        known = (torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])) if parts else None
+        return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
 
     def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
         """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Descriptors, Places, Scores
+from vprbench.api.growing import insist_on_new_places
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
@@ -78,6 +79,20 @@ class DescriptorMethod(Method):
         """
         self.searched = None
         self.searched = Search(descriptors, places.copy(), self.index, self.neighbours, self.rerank, self.probes)
+        return self
+
+    @property
+    def extends(self) -> bool:
+        """Whether new vectors are appended: to exact search, of descriptors as they are encoded."""
+        return self.index == "exact" and type(self).fit_descriptors is DescriptorMethod.fit_descriptors
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Encode the references of new places and append their vectors."""
+        known = self._indexed()
+        if not self.extends:
+            return super().extend(references, places)
+        insist_on_new_places(places, len(references), int(known.places.max()) + 1)
+        self.searched = known.extended(np.concatenate([*map(self.encode, encoded_blocks(references))]), places)
         return self
 
     def _in_scratch(self, references: Images) -> Shards:
