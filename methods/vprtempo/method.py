@@ -28,28 +28,24 @@ from vprbench.api import (
 
 from . import fused, training
 from .arguments import Arguments
-from .growing import learnt_beside
-from .layer import Layer, draw_layer
-from .network import Network, members_from_state, members_state
+from .layer import Layer, draw_layer, feature_rates
+from .network import Network, last_features, members_from_state, members_state
 from .query import JoinedQuery, LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
 from .training import (
     Schedule,
+    Training,
     associate_places,
     check_inputs,
     check_weights,
     check_winners,
-    draw_outputs,
     draw_schedule,
-    draws,
     module_sizes,
     set_thresholds,
-    training_of,
 )
 
 logger = logging.getLogger(__name__)
 
-_LATEST = 500  # reference images that a new place is told from
 _PROBES = 200  # reference images shown to a trained network to see whether it diverged
 
 
@@ -99,11 +95,10 @@ class VPRTempo(Arguments, Method):
         spikes = torch.from_numpy(codes).to(self.device)
         sizes = module_sizes(n_places, self.max_module)
         self._members = self._train(sizes, spikes, places, rules)
-        if rules.calibrated_scores:
-            self._members = [calibrated(member, spikes, rules) for member in self._members]
         query = self._asking(self._members)
         check_winners(query.scores(codes[probes]), np.repeat(np.arange(len(sizes)), sizes))
-        self._query, self._grown, self._latest = query, [], codes[-_LATEST:].copy()
+        self._query, self._grown = query, []
+        self._latest = codes[-(self.max_module * len(codes) // n_places) :].copy()
         return self
 
     @property
@@ -114,35 +109,28 @@ class VPRTempo(Arguments, Method):
     def extend(self, references: Images, places: Places) -> Self:
         """Give each new place an output neuron on the features of the last module that `fit` trained.
 
-        It learns its references among the latest others, as in a module of its own; known neurons do not learn. Every
+        It learns its references among the latest others, as many as a module has; known neurons do not learn. Every
         `max_module` new places another module begins, of the same features. Raises BadInput for a stored network.
         """
-        query, rules = self._trained(), self.chosen_rules()
-        n_known = sum(part[0].n_places for part in (self._members, *self._grown))
-        if not self.extends:
+        query, n_known = self._trained(), sum(part[0].n_places for part in (self._members, *self._grown))
+        if self._latest is None or not self.extends:
             return super().extend(references, places)
-        if self._latest is None:
-            raise BadInput("a stored network has no references that a new place could be told from: call fit first")
         insist_on_new_places(places, len(references), n_known)
-        n_new, codes = int(places.max()) + 1 - n_known, self.encode(references)
-        shown = np.concatenate([codes, self._latest])
+        n_new, shown = int(places.max()) + 1 - n_known, np.concatenate([self.encode(references), self._latest])
         numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
         spikes = torch.from_numpy(shown).to(self.device)
-        grown = [
-            learnt_beside(self, member, [seed, n_known], spikes, numbers, self._output_training(rules))
-            for seed, member in zip(self._seeds(), self._members, strict=True)
-        ]
+        grown = self._train([n_new], spikes, numbers, self.chosen_rules(), n_known)
         queries = [*query.queries] if isinstance(query, JoinedQuery) else [query]
         if self._grown and self._grown[-1][0].n_places + n_new <= self.max_module:
             queries.pop()
             last = self._grown.pop()
             grown = [known.followed_by(new, in_one_module=True) for known, new in zip(last, grown, strict=True)]
         self._grown.append(grown)
-        self._query, self._latest = JoinedQuery([*queries, self._asking(grown)]), shown[:_LATEST]
+        self._query, self._latest = JoinedQuery([*queries, self._asking(grown)]), shown[: len(self._latest)]
         return self
 
     def _networks(self) -> list[Network]:
-        """Return the networks of all places, those that were learnt after `fit` too."""
+        """Return the networks with all places, those that were learnt after `fit` too."""
         return [reduce(Network.followed_by, parts) for parts in zip(self._members, *self._grown, strict=True)]
 
     def _seeds(self) -> list[int]:
@@ -153,16 +141,22 @@ class VPRTempo(Arguments, Method):
         """Return the query of trained networks."""
         return asking(members, self.chosen_rules(), self._linear_query, self._spiking_query)
 
-    def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
-        """Train one network a seed: the modules of all of them lie side by side."""
+    def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules, n_known: int = 0) -> list[Network]:
+        """Train one network a seed: the modules of all of them lie side by side.
+
+        After `n_known` places their last features stay, and one more output neuron, then left out, stands for others.
+        """
         engine = self._engine()
-        features, outputs, order, output_order = self._draw(sizes, spikes.shape[1], places, rules)
+        drawn = [size + bool(n_known) for size in sizes]
+        features, outputs, order, output_order = self._draw(drawn, spikes.shape[1], places, rules, n_known)
         n_modules, n_features = features.thresholds.shape
-        training = training_of(self, spikes, n_features)
+        rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
+        output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
+        training = Training(spikes, rates, rules, self.stdp_rate, self.itp_rate, output_stdp)
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
-        for number, group in enumerate(groups):
+        for number, group in enumerate([] if n_known else groups):
             report = _reporting("training features", number, len(groups))
             if rules.feature_rule == "rates":
                 set_thresholds(features[group], order[group], training)
@@ -171,28 +165,43 @@ class VPRTempo(Arguments, Method):
         check_weights(features, "feature")
         for number, group in enumerate(groups):
             report = _reporting("training places", number, len(groups))
-            self._output_training(rules)(outputs[group], features[group], output_order[group], training, report)
+            train = associate_places if rules.output_rule == "covariance" else engine.train_places
+            train(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
-        return [Network.of(features[own], outputs[own], sizes) for own in members]
-
-    def _output_training(self, rules: Rules) -> Callable[..., None]:
-        """Return what trains an output layer by these rules."""
-        return associate_places if rules.output_rule == "covariance" else self._engine().train_places
+        networks = [Network.of(features[own], outputs[own], sizes) for own in members]
+        return [calibrated(network, spikes, rules) for network in networks] if rules.calibrated_scores else networks
 
     def _draw(
-        self, sizes: list[int], n_pixels: int, places: Places, rules: Rules
+        self, sizes: list[int], n_pixels: int, places: Places, rules: Rules, n_known: int
     ) -> tuple[Layer, Layer, Schedule, Schedule]:
         """Draw both layers of all networks and what each of the layers will see."""
-        generators = [each for seed in self._seeds() for each in draws(seed, len(sizes))]
+        generators = [
+            torch.Generator().manual_seed(int(state))
+            for seed in self._seeds()
+            for state in np.random.SeedSequence([seed, n_known] if n_known else seed).generate_state(
+                len(sizes), np.uint64
+            )
+            >> np.uint64(1)
+        ]
         all_sizes = sizes * len(self._seeds())
         n_features = round(self.features_per_pixel * n_pixels)
         probabilities = (self.p_excitatory, self.p_inhibitory)
         n_post = [n_features] * len(all_sizes)
-        features = draw_layer(
-            generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
+        features = (
+            last_features(self._members)
+            if n_known
+            else draw_layer(
+                generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
+            )
         )
-        outputs = draw_outputs(self, generators, all_sizes, n_features)
+        outputs = draw_layer(generators, all_sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
+        for weights in (outputs.excitation, outputs.inhibition):
+            if self.equal_output_weights:
+                for module, size in enumerate(all_sizes):
+                    weights[module, :size] = 1 / n_features
+            if self.output_norm != 1:
+                weights *= self.output_norm
         order, output_order = (
             draw_schedule(generators, sizes, places, self.epochs, rules).to(self.device) for _ in range(2)
         )

@@ -103,17 +103,16 @@ class Network:
         )
 
     def followed_by(self, other: Network, in_one_module: bool = False) -> Self:
-        """Return the network with the places of another behind its own: its modules, or its neurons `in_one_module`.
-
-        For neurons both networks are one module, of the same features.
-        """
+        """Return the network with the modules of another behind its own, or of one module with the neurons behind."""
         both = (self, other)
-        joined = {name: torch.cat([getattr(one, name) for one in both]) for name in _FEATURES if not in_one_module}
+        joined: dict[str, Any] = (
+            {} if in_one_module else {n: torch.cat([getattr(o, n) for o in both]) for n in _FEATURES}
+        )
         outputs, thresholds = self.outputs + other.outputs, self.output_thresholds + other.output_thresholds
         if in_one_module:
             outputs, thresholds = (torch.cat(outputs, dim=1),), (torch.cat(thresholds),)
         parts = [one.calibration for one in both if one.calibration is not None]
-        known = (torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])) if parts else None
+        known = (torch.cat([mean for mean, _ in parts]), torch.cat([spread for _, spread in parts])) if parts else None
         return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
 
     def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
@@ -124,6 +123,12 @@ class Network:
         spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
         device = self.features.device
         return replace(self, calibration=(mean.float().to(device), spread.float().to(device)))
+
+
+def last_features(members: Sequence[Network]) -> Layer:
+    """Return the last feature layer of each network, side by side."""
+    signed, constant, thresholds = (torch.cat([getattr(one, name)[-1:] for one in members]) for name in _FEATURES)
+    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), None, None, thresholds, constant)
 
 
 def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:

@@ -13,8 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from vprbench.api import BadInput, Scores, TrainingDivergedError
 
-from .arguments import Arguments
-from .layer import LARGEST, SMALLEST, Layer, draw_layer, feature_rates, learn_features, learn_places
+from .layer import LARGEST, SMALLEST, Layer, learn_features, learn_places
 from .rules import Rules, annealing
 
 _REPORT_EVERY = 100  # steps
@@ -60,33 +59,6 @@ def module_sizes(n_places: int, max_module: int) -> list[int]:
     """Split consecutive places into modules; only the last may be smaller."""
     whole, rest = divmod(n_places, max_module)
     return [max_module] * whole + [rest] * (rest > 0)
-
-
-def training_of(arguments: Arguments, spikes: Tensor, n_features: int) -> Training:
-    """Return what a network of these arguments learns from these inputs, (n_references, n_pixels)."""
-    rates = feature_rates(n_features, arguments.rate_min, arguments.rate_max).to(arguments.device)
-    output_stdp = arguments.stdp_rate if arguments.output_stdp_rate is None else arguments.output_stdp_rate
-    return Training(spikes, rates, arguments.chosen_rules(), arguments.stdp_rate, arguments.itp_rate, output_stdp)
-
-
-def draws(seed: int | list[int], n_modules: int) -> list[torch.Generator]:
-    """Return what draws for each module."""
-    states = np.random.SeedSequence(seed).generate_state(n_modules, np.uint64) >> np.uint64(1)
-    return [torch.Generator().manual_seed(int(state)) for state in states]
-
-
-def draw_outputs(
-    arguments: Arguments, generators: Sequence[torch.Generator], sizes: Sequence[int], n_features: int
-) -> Layer:
-    """Draw the output layers of modules of these sizes, in places."""
-    outputs = draw_layer(generators, sizes, n_features, (1.0, 1.0), 0.0, 0.0, arguments.chosen_rules())
-    for weights in (outputs.excitation, outputs.inhibition):
-        if arguments.equal_output_weights:
-            for module, size in enumerate(sizes):
-                weights[module, :size] = 1 / n_features
-        if arguments.output_norm != 1:
-            weights *= arguments.output_norm
-    return outputs
 
 
 def draw_schedule(

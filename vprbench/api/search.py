@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.bit_indexes import BitGraph, Bits, RaBitQ
-from vprbench.api.growing import Growing
 from vprbench.api.nearest import (
     CELLS,
     ROUNDING,
@@ -96,7 +95,6 @@ class Search:
         self.places = places
         self.kind = kind
         self._n_places = int(places.max()) + 1
-        self._grown: tuple[Growing, Growing] | None = None  # references and places, with room behind them
         self._neighbours = min(rerank or neighbours, len(references))
         self.rerank = 0 if kind == "exact" else rerank
         if self.rerank:
@@ -109,22 +107,6 @@ class Search:
         one_each = np.array_equal(places, np.arange(len(places)))
         self._shown = None if one_each else places
         self._blocks = None if one_each else [*_blocks_of_places(places)]
-
-    def extended(self, references: Vectors, places: Numbers) -> Search:
-        """Return exact search of these references and more behind them; this one stays as it is.
-
-        Raises BadInput for a map in files.
-        """
-        if self.references.array is None:
-            raise BadInput(
-                f"a map of {self.references.nbytes / 1e9:.1f} GB lies in files, which do not grow: fit again"
-            )
-        grown, self._grown = self._grown or (Growing(self.references.array), Growing(self.places)), None
-        for part, more in zip(grown, (references, places), strict=True):
-            part.append(more)
-        longer = Search(*(part.rows for part in grown))
-        longer._grown = grown
-        return longer
 
     @property
     def bytes_per_place(self) -> int:
