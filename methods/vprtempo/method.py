@@ -30,7 +30,7 @@ from . import fused, training
 from .arguments import Arguments
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
-from .query import JoinedQuery, LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
+from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
 from .training import (
     Schedule,
@@ -68,7 +68,7 @@ class VPRTempo(Arguments, Method):
     _spiking_query: ClassVar[Any] = SpikingQuery
 
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
-    _grown: list[list[Network]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _grown: list[tuple[list[Network], Query]] = field(default_factory=list, init=False, repr=False, compare=False)
     _latest: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
     _query: Query | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -112,7 +112,8 @@ class VPRTempo(Arguments, Method):
         It learns its references among the latest others, as many as a module has; known neurons do not learn. Every
         `max_module` new places another module begins, of the same features. Raises BadInput for a stored network.
         """
-        query, n_known = self._trained(), sum(part[0].n_places for part in (self._members, *self._grown))
+        self._trained()
+        n_known = sum(networks[0].n_places for networks in (self._members, *(known for known, _ in self._grown)))
         if self._latest is None or not self.extends:
             return super().extend(references, places)
         insist_on_new_places(places, len(references), n_known)
@@ -120,18 +121,17 @@ class VPRTempo(Arguments, Method):
         numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
         spikes = torch.from_numpy(shown).to(self.device)
         grown = self._train([n_new], spikes, numbers, self.chosen_rules(), n_known)
-        queries = [*query.queries] if isinstance(query, JoinedQuery) else [query]
-        if self._grown and self._grown[-1][0].n_places + n_new <= self.max_module:
-            queries.pop()
-            last = self._grown.pop()
+        if self._grown and self._grown[-1][0][0].n_places + n_new <= self.max_module:
+            last, _ = self._grown.pop()
             grown = [known.followed_by(new, in_one_module=True) for known, new in zip(last, grown, strict=True)]
-        self._grown.append(grown)
-        self._query, self._latest = JoinedQuery([*queries, self._asking(grown)]), shown[: len(self._latest)]
+        self._grown.append((grown, self._asking(grown)))
+        self._latest = shown[: len(self._latest)]
         return self
 
     def _networks(self) -> list[Network]:
         """Return the networks with all places, those that were learnt after `fit` too."""
-        return [reduce(Network.followed_by, parts) for parts in zip(self._members, *self._grown, strict=True)]
+        every = zip(self._members, *(known for known, _ in self._grown), strict=True)
+        return [reduce(Network.followed_by, networks) for networks in every]
 
     def _seeds(self) -> list[int]:
         """Return the seed of each network that is trained."""
@@ -179,22 +179,15 @@ class VPRTempo(Arguments, Method):
         generators = [
             torch.Generator().manual_seed(int(state))
             for seed in self._seeds()
-            for state in np.random.SeedSequence([seed, n_known] if n_known else seed).generate_state(
-                len(sizes), np.uint64
-            )
-            >> np.uint64(1)
+            for entropy in [[seed, n_known] if n_known else seed]
+            for state in np.random.SeedSequence(entropy).generate_state(len(sizes), np.uint64) >> np.uint64(1)
         ]
         all_sizes = sizes * len(self._seeds())
         n_features = round(self.features_per_pixel * n_pixels)
         probabilities = (self.p_excitatory, self.p_inhibitory)
         n_post = [n_features] * len(all_sizes)
-        features = (
-            last_features(self._members)
-            if n_known
-            else draw_layer(
-                generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
-            )
-        )
+        drawn = generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
+        features = last_features(self._members) if n_known else draw_layer(*drawn)
         outputs = draw_layer(generators, all_sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
         for weights in (outputs.excitation, outputs.inhibition):
             if self.equal_output_weights:
@@ -213,7 +206,8 @@ class VPRTempo(Arguments, Method):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
-        return self._trained().scores(codes)
+        scores = [query.scores(codes) for query in (self._trained(), *(query for _, query in self._grown))]
+        return scores[0] if len(scores) == 1 else np.concatenate(scores, axis=1)
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of the input, feature and output layers of the network, or of the first of several.

@@ -105,9 +105,8 @@ class Network:
     def followed_by(self, other: Network, in_one_module: bool = False) -> Self:
         """Return the network with the modules of another behind its own, or of one module with the neurons behind."""
         both = (self, other)
-        joined: dict[str, Any] = (
-            {} if in_one_module else {n: torch.cat([getattr(o, n) for o in both]) for n in _FEATURES}
-        )
+        names = () if in_one_module else _FEATURES
+        joined: dict[str, Any] = {name: torch.cat([getattr(one, name) for one in both]) for name in names}
         outputs, thresholds = self.outputs + other.outputs, self.output_thresholds + other.output_thresholds
         if in_one_module:
             outputs, thresholds = (torch.cat(outputs, dim=1),), (torch.cat(thresholds),)

@@ -73,18 +73,6 @@ class MeanQuery:
         return scores
 
 
-class JoinedQuery:
-    """Networks of places that follow one another, each asked by its own query."""
-
-    def __init__(self, queries: Sequence[Query]) -> None:
-        """Ask each network by its query."""
-        self.queries = queries
-
-    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
-        """Return the state of every place's output neuron."""
-        return np.concatenate([query.scores(spikes) for query in self.queries], axis=1)
-
-
 class SpikingQuery:
     """The paper's query: both layers as in Eq. 1.
 

@@ -38,7 +38,5 @@ def insist_on_new_places(places: Places, n_images: int, n_known: int) -> None:
     """Raise BadInput unless `places` (n_images,) are the numbers from `n_known` on, each at least once."""
     numbers = np.unique(places)
     if len(places) != n_images or not n_images or not np.array_equal(numbers, n_known + np.arange(len(numbers))):
-        raise BadInput(
-            f"{n_images} images of {len(places)} places, {numbers[:3].tolist()} and so on, came to a map of {n_known}: "
-            f"give the place of each image, from {n_known} on without a gap"
-        )
+        came = f"places {numbers[:3].tolist()} and so on, {len(places)} in all, came of {n_images} new images"
+        raise BadInput(f"{came}: give the place of each, from {n_known} on without a gap")

@@ -134,8 +134,10 @@ def _found_or_made(
         ending.leave_if_forked(process)  # a plug-in's fork has the same run to store
         # yaml and dataset may say so only since the run was stored
         known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
-        if stored is not None:  # what was not asked for again stays
-            run = replace(run, readouts=run.readouts or stored.readouts, stream=run.stream or stored.stream)
+        if run.readouts is None and stored is not None:
+            run = replace(run, readouts=stored.readouts)
+        if run.stream is None and stored is not None:
+            run = replace(run, stream=stored.stream)
         try:
             if not known:
                 store.save(run)

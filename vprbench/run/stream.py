@@ -81,27 +81,31 @@ def stream_numbers(run: Run) -> list[dict[str, Any]]:
     """
     lines, stops = [], run.stream or ()
     for stop in stops:
-        line: dict[str, Any] = {"places": stop["places"], "queries": len(stop["hits"])}
-        of_first = np.isin(_asked(run.positives, stop["places"]), _asked(run.positives, stops[0]["places"]))
-        for of, hits in (("", np.array(stop["hits"])), ("_of_first", np.array(stop["hits"])[of_first])):
-            interval = share_interval(hits) if len(hits) else None
-            ends = (None,) * 3 if interval is None else (float(hits.mean()), interval.low, interval.high)
-            line |= {f"recall_at_1{of}{end}": share for end, share in zip(("", "_low", "_high"), ends, strict=True)}
-        line["seconds_a_place"] = float(np.median(stop["seconds"])) if stop["seconds"] else None
-        lines.append({**line, "most_seconds_a_place": max(stop["seconds"], default=None)})
+        hits, seconds = np.array(stop["hits"]), stop["seconds"]
+        first = hits[np.isin(_asked(run.positives, stop["places"]), _asked(run.positives, stops[0]["places"]))]
+        interval = share_interval(hits) if len(hits) else None
+        line = {
+            "places": stop["places"],
+            "queries": len(hits),
+            "recall_at_1": float(hits.mean()) if interval else None,
+            "recall_at_1_low": interval.low if interval else None,
+            "recall_at_1_high": interval.high if interval else None,
+            "recall_at_1_of_first": float(first.mean()) if len(first) else None,
+            "seconds_a_place": float(np.median(seconds)) if seconds else None,
+            "most_seconds_a_place": max(seconds, default=None),
+        }
+        lines.append(line)
     return lines
 
 
 def stream_text(run: Run) -> str:
     """Return a growing map as a small table, whose last line is the map that was learnt at once."""
-    lines, rows = stream_numbers(run), []
-    for line in lines:
-        shares = [[line[f"recall_at_1{of}{end}"] for end in ("", "_low", "_high")] for of in ("", "_of_first")]
-        told = [
-            "-" if None in ends else "{:.1f} [{:.1f}, {:.1f}]".format(*(100 * end for end in ends)) for ends in shares
-        ]
+    lines, percent = stream_numbers(run), METRICS["recall_at_1"].text
+    rows = [[f"{run.outcome.n_places:,} at once", percent(METRICS["recall_at_1"].of(run)), *[""] * 4]]
+    for line in reversed(lines):
+        shares = [percent(line[f"recall_at_1{of}"]) for of in ("", "_low", "_high", "_of_first")]
         times = [line["seconds_a_place"], line["most_seconds_a_place"]]
-        rows.append([f"{line['places']:,}", *told, *("-" if time is None else f"{1000 * time:.2f}" for time in times)])
-    at_once = METRICS["recall_at_1"].text(METRICS["recall_at_1"].of(run))
-    heads = ["places", "R@1 % [95 %]", f"of the first {lines[0]['places']:,}", "ms a place", "most ms"]
-    return table_text(heads, [*rows, [f"{run.outcome.n_places:,} at once", at_once, "", "", ""]])
+        told = ["-" if seconds is None else f"{1000 * seconds:.2f}" for seconds in times]
+        rows.insert(0, [f"{line['places']:,}", shares[0], f"[{shares[1]}, {shares[2]}]", shares[3], *told])
+    first = f"of the first {lines[0]['places']:,}"
+    return table_text(["places", "R@1 %", "[95 %]", first, "ms a place", "most ms"], rows)
