@@ -15,6 +15,7 @@ import torch
 from numba import types
 
 from vprbench.api import (
+    Growing,
     Images,
     Method,
     NotFittedError,
@@ -22,6 +23,7 @@ from vprbench.api import (
     Scores,
     best_image_of_place,
     compiled,
+    insist_on_new_places,
 )
 
 from .parts.pixels import Preprocessing, pixels
@@ -47,14 +49,26 @@ class SAD(Method):
     patch: int = 7
     device: str = "cpu"
 
-    _references: Levels | torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _references: Growing | torch.Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Keep the preprocessed references."""
         levels = self.encode(references)
         on_cpu = torch.device(self.device).type == "cpu"
-        self._references = np.ascontiguousarray(levels) if on_cpu else self._to_device(levels)
-        self._places = places.copy()
+        self._references = Growing(np.ascontiguousarray(levels)) if on_cpu else self._to_device(levels)
+        self._places = Growing(places.copy())
+        return self
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Append the preprocessed references of new places."""
+        known = self._fitted()
+        insist_on_new_places(places, len(references), int(self._places.rows.max()) + 1)
+        levels = self.encode(references)
+        if isinstance(known, Growing):
+            known.append(levels)
+        else:
+            self._references = torch.cat([known, self._to_device(levels)])
+        self._places.append(places)
         return self
 
     def encode(self, images: Images) -> Levels:
@@ -63,13 +77,17 @@ class SAD(Method):
 
     def match(self, codes: Levels) -> Scores:
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
+        known = self._fitted()
+        if isinstance(known, Growing):
+            return best_image_of_place(_similarity(codes, known.rows), self._places.rows)
+        # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
+        total = torch.cdist(self._to_device(codes), known, p=1)
+        return best_image_of_place((total / -codes.shape[1]).cpu().numpy(), self._places.rows)
+
+    def _fitted(self) -> Growing | torch.Tensor:
         if self._references is None:
             raise NotFittedError("SAD has no map yet: call fit(references, places) first")
-        if isinstance(self._references, np.ndarray):
-            return best_image_of_place(_similarity(codes, self._references), self._places)
-        # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
-        total = torch.cdist(self._to_device(codes), self._references, p=1)
-        return best_image_of_place((total / -codes.shape[1]).cpu().numpy(), self._places)
+        return self._references
 
     def _to_device(self, levels: Levels) -> torch.Tensor:
         return torch.from_numpy(levels).to(self.device, torch.float32)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from types import ModuleType
 from typing import Any, ClassVar, Self
 
@@ -21,13 +22,14 @@ from vprbench.api import (
     NotFittedError,
     Places,
     Scores,
+    insist_on_new_places,
     progress,
 )
 
 from . import fused, training
 from .arguments import Arguments
 from .layer import Layer, draw_layer, feature_rates
-from .network import Network, members_from_state, members_state
+from .network import Network, last_features, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
 from .rules import Rules
 from .training import (
@@ -66,6 +68,8 @@ class VPRTempo(Arguments, Method):
     _spiking_query: ClassVar[Any] = SpikingQuery
 
     _members: list[Network] = field(default_factory=list, init=False, repr=False, compare=False)
+    _grown: list[tuple[list[Network], Query]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _latest: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False, compare=False)
     _query: Query | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
@@ -91,25 +95,60 @@ class VPRTempo(Arguments, Method):
         spikes = torch.from_numpy(codes).to(self.device)
         sizes = module_sizes(n_places, self.max_module)
         self._members = self._train(sizes, spikes, places, rules)
-        if rules.calibrated_scores:
-            self._members = [calibrated(member, spikes, rules) for member in self._members]
-        query = self._asking()
+        query = self._asking(self._members)
         check_winners(query.scores(codes[probes]), np.repeat(np.arange(len(sizes)), sizes))
-        self._query = query
+        self._query, self._grown = query, []
+        self._latest = codes[-(self.max_module * len(codes) // n_places) :].copy()
         return self
+
+    @property
+    def extends(self) -> bool:
+        """Whether new places are learnt; not if one place has to answer where all others are silent."""
+        return not self.chosen_rules().silent_winner
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Give each new place an output neuron on the features of the last module that `fit` trained.
+
+        It learns its references among the latest others, as many as a module has; known neurons do not learn. Every
+        `max_module` new places another module begins, of the same features. Raises BadInput for a stored network.
+        """
+        self._trained()
+        n_known = sum(networks[0].n_places for networks in (self._members, *(known for known, _ in self._grown)))
+        if self._latest is None or not self.extends:
+            return super().extend(references, places)
+        insist_on_new_places(places, len(references), n_known)
+        n_new, shown = int(places.max()) + 1 - n_known, np.concatenate([self.encode(references), self._latest])
+        numbers = np.append(places - n_known, np.full(len(self._latest), n_new))
+        spikes = torch.from_numpy(shown).to(self.device)
+        grown = self._train([n_new], spikes, numbers, self.chosen_rules(), n_known)
+        if self._grown and self._grown[-1][0][0].n_places + n_new <= self.max_module:
+            last, _ = self._grown.pop()
+            grown = [known.followed_by(new, in_one_module=True) for known, new in zip(last, grown, strict=True)]
+        self._grown.append((grown, self._asking(grown)))
+        self._latest = shown[: len(self._latest)]
+        return self
+
+    def _networks(self) -> list[Network]:
+        """Return the networks with all places, those that were learnt after `fit` too."""
+        every = zip(self._members, *(known for known, _ in self._grown), strict=True)
+        return [reduce(Network.followed_by, networks) for networks in every]
 
     def _seeds(self) -> list[int]:
         """Return the seed of each network that is trained."""
         return [self.seed]
 
-    def _asking(self) -> Query:
-        """Return the query of the trained networks."""
-        return asking(self._members, self.chosen_rules(), self._linear_query, self._spiking_query)
+    def _asking(self, members: Sequence[Network]) -> Query:
+        """Return the query of trained networks."""
+        return asking(members, self.chosen_rules(), self._linear_query, self._spiking_query)
 
-    def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules) -> list[Network]:
-        """Train one network a seed: the modules of all of them lie side by side."""
+    def _train(self, sizes: list[int], spikes: Tensor, places: Places, rules: Rules, n_known: int = 0) -> list[Network]:
+        """Train one network a seed: the modules of all of them lie side by side.
+
+        After `n_known` places their last features stay, and one more output neuron, then left out, stands for others.
+        """
         engine = self._engine()
-        features, outputs, order, output_order = self._draw(sizes, spikes.shape[1], places, rules)
+        drawn = [size + bool(n_known) for size in sizes]
+        features, outputs, order, output_order = self._draw(drawn, spikes.shape[1], places, rules, n_known)
         n_modules, n_features = features.thresholds.shape
         rates = feature_rates(n_features, self.rate_min, self.rate_max).to(self.device)
         output_stdp = self.stdp_rate if self.output_stdp_rate is None else self.output_stdp_rate
@@ -117,7 +156,7 @@ class VPRTempo(Arguments, Method):
         # The weights of one module fit into a processor's cache; a GPU wants all modules at once.
         together = 1 if spikes.device.type == "cpu" else n_modules
         groups = [slice(start, start + together) for start in range(0, n_modules, together)]
-        for number, group in enumerate(groups):
+        for number, group in enumerate([] if n_known else groups):
             report = _reporting("training features", number, len(groups))
             if rules.feature_rule == "rates":
                 set_thresholds(features[group], order[group], training)
@@ -130,24 +169,25 @@ class VPRTempo(Arguments, Method):
             train(outputs[group], features[group], output_order[group], training, report)
         check_weights(outputs, "output")
         members = [slice(first, first + len(sizes)) for first in range(0, n_modules, len(sizes))]
-        return [Network.of(features[own], outputs[own], sizes) for own in members]
+        networks = [Network.of(features[own], outputs[own], sizes) for own in members]
+        return [calibrated(network, spikes, rules) for network in networks] if rules.calibrated_scores else networks
 
     def _draw(
-        self, sizes: list[int], n_pixels: int, places: Places, rules: Rules
+        self, sizes: list[int], n_pixels: int, places: Places, rules: Rules, n_known: int
     ) -> tuple[Layer, Layer, Schedule, Schedule]:
         """Draw both layers of all networks and what each of the layers will see."""
         generators = [
             torch.Generator().manual_seed(int(state))
             for seed in self._seeds()
-            for state in np.random.SeedSequence(seed).generate_state(len(sizes), np.uint64) >> np.uint64(1)
+            for entropy in [[seed, n_known] if n_known else seed]
+            for state in np.random.SeedSequence(entropy).generate_state(len(sizes), np.uint64) >> np.uint64(1)
         ]
         all_sizes = sizes * len(self._seeds())
         n_features = round(self.features_per_pixel * n_pixels)
         probabilities = (self.p_excitatory, self.p_inhibitory)
         n_post = [n_features] * len(all_sizes)
-        features = draw_layer(
-            generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
-        )
+        drawn = generators, n_post, n_pixels, probabilities, self.threshold_max, rules.constant_input, rules
+        features = last_features(self._members) if n_known else draw_layer(*drawn)
         outputs = draw_layer(generators, all_sizes, n_features, (1.0, 1.0), 0.0, 0.0, rules)
         for weights in (outputs.excitation, outputs.inhibition):
             if self.equal_output_weights:
@@ -166,7 +206,8 @@ class VPRTempo(Arguments, Method):
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         """Return the output neurons' states, (n_queries, n_places)."""
-        return self._trained().scores(codes)
+        scores = [query.scores(codes) for query in (self._trained(), *(query for _, query in self._grown))]
+        return scores[0] if len(scores) == 1 else np.concatenate(scores, axis=1)
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of the input, feature and output layers of the network, or of the first of several.
@@ -176,19 +217,19 @@ class VPRTempo(Arguments, Method):
         self._trained()
         layers = {"input": codes}
         if self.chosen_rules().query_rule == "spiking":
-            query = self._spiking_query(self._members[0], self.chosen_rules())
+            query = self._spiking_query(self._networks()[0], self.chosen_rules())
             layers["feature"], layers["output"] = query.layers(codes)
         return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
 
     def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
         """Return the feature neurons of all networks: their spikes, or the sums of a linear query."""
         self._trained()
-        return {"feature": feature_layers(self._members, self.chosen_rules(), codes, self._spiking_query)}
+        return {"feature": feature_layers(self._networks(), self.chosen_rules(), codes, self._spiking_query)}
 
     def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
         """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
-        return members_state(self._members)
+        return members_state(self._networks())
 
     def _trained(self) -> Query:
         if self._query is None:
@@ -213,7 +254,7 @@ class VPRTempo(Arguments, Method):
                     f"the stored network is {'' if is_calibrated else 'not '}calibrated: "
                     f"set method.calibrated_scores={str(is_calibrated).lower()}"
                 )
-        self._query = self._asking()
+        self._query, self._grown, self._latest = self._asking(self._members), [], None
         return self
 
     def _engine(self) -> ModuleType:

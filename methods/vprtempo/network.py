@@ -17,6 +17,7 @@ from vprbench.api import BadInput
 from .layer import Layer
 
 _CALIBRATION = ("score_mean", "score_spread")
+_FEATURES = ("features", "constant", "feature_thresholds")
 _LEAST_SPREAD = 0.01  # of the mean spread
 _PUBLISHED = ("feature_layer.w.weight", "feature_layer.thr", "output_layer.w.weight", "output_layer.thr")
 
@@ -101,6 +102,18 @@ class Network:
             (tensors["score_mean"], tensors["score_spread"]) if "score_mean" in tensors else None,
         )
 
+    def followed_by(self, other: Network, in_one_module: bool = False) -> Self:
+        """Return the network with the modules of another behind its own, or of one module with the neurons behind."""
+        both = (self, other)
+        names = () if in_one_module else _FEATURES
+        joined: dict[str, Any] = {name: torch.cat([getattr(one, name) for one in both]) for name in names}
+        outputs, thresholds = self.outputs + other.outputs, self.output_thresholds + other.output_thresholds
+        if in_one_module:
+            outputs, thresholds = (torch.cat(outputs, dim=1),), (torch.cat(thresholds),)
+        parts = [one.calibration for one in both if one.calibration is not None]
+        known = (torch.cat([mean for mean, _ in parts]), torch.cat([spread for _, spread in parts])) if parts else None
+        return replace(self, **joined, outputs=outputs, output_thresholds=thresholds, calibration=known)
+
     def calibrated(self, total: Tensor, total_of_squares: Tensor, count: int) -> Self:
         """Return the network with its mean score and spread a place, from sums (n_places,) over `count` references."""
         mean = total / count
@@ -109,6 +122,12 @@ class Network:
         spread = spread.clamp(min=float(_LEAST_SPREAD * spread.mean()) or 1.0)
         device = self.features.device
         return replace(self, calibration=(mean.float().to(device), spread.float().to(device)))
+
+
+def last_features(members: Sequence[Network]) -> Layer:
+    """Return the last feature layer of each network, side by side."""
+    signed, constant, thresholds = (torch.cat([getattr(one, name)[-1:] for one in members]) for name in _FEATURES)
+    return Layer(signed.clamp(min=0), (-signed).clamp_(min=0), None, None, thresholds, constant)
 
 
 def members_state(members: Sequence[Network]) -> dict[str, npt.NDArray[np.float32]]:

@@ -84,8 +84,34 @@ class Pixels(Prototypes):
             raise NotFittedError("not fitted")
         return -np.abs(codes[:, None] - self._means).mean(2)
 
+    def extend(self, references: Images, places: Places) -> Self:
+        """Append the means of new places."""
+        codes, known = self.encode(references), self.state()["means"]
+        self._means = np.concatenate([known, [codes[places == place].mean(0) for place in np.unique(places)]])
+        return self
+
 
 Codes = npt.NDArray[np.float32]
+
+
+class ChangesWhatItGave(Pixels):
+    def match(self, codes: Codes) -> Scores:
+        self.given = super().match(codes)
+        return self.given
+
+    def extend(self, references: Images, places: Places) -> Self:
+        self.given += 1
+        return super().extend(references, places)
+
+
+def forget(method: Pixels, references: Images, places: Places) -> Pixels:
+    Pixels.extend(method, references, places).state()["means"][0] += 9
+    return method
+
+
+def learn_nothing(method: Pixels, references: Images, places: Places) -> Pixels:
+    Pixels.extend(method, references, places).state()["means"][places[0]] = 0
+    return method
 
 
 def wrong(name: str, **methods: Callable[..., Any]) -> type[Pixels]:
@@ -218,6 +244,7 @@ class Excused(Random):
             "the order of queries does not matter",
             "the names of images do not matter",
             "a stored network answers as the trained one",
+            "places learnt after fit are scored and change no score of known ones",
         ],
         "it draws",
     )
@@ -264,6 +291,11 @@ WRONG: dict[str, list[type[Pixels]]] = {
         wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()}),
         wrong("StoresUnfitted", state=lambda self: {} if self._means is None else Pixels.state(self)),
         *(KeepsTheEarlierFit, LosesWhatItStores),
+    ],
+    "places learnt after fit are scored and change no score of known ones": [
+        wrong("ForgetsThePast", extend=forget),
+        wrong("LearnsNothing", extend=learn_nothing),
+        ChangesWhatItGave,
     ],
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
@@ -323,7 +355,7 @@ def test_an_approximate_index_breaks_no_rule(neighbours: int, index: str) -> Non
 def test_a_declared_exception_is_counted_with_its_reason() -> None:
     excepted = [r for r in check({"_target_": "wrong_methods.Excused"}) if r.state == "excepted"]
     assert {r.reason for r in excepted} == {"it draws"}
-    assert len(excepted) == 6
+    assert len(excepted) == 7
 
 
 def test_a_method_that_keeps_no_network_is_excepted_from_the_rule_on_stored_ones() -> None:

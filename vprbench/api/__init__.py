@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench.api.events import counted as counted, event_frames as event_frames, hot_pixels as hot_pixels
     from vprbench.api.gabor import GaborBank as GaborBank
     from vprbench.api.hamming import packed as packed
+    from vprbench.api.growing import Growing as Growing, insist_on_new_places as insist_on_new_places
     from vprbench.api.images import Images as Images
     from vprbench.api.frame_cache import frames_kept as frames_kept, kept_frames as kept_frames
     from vprbench.api.method import LayerSpikes as LayerSpikes, Method as Method

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from vprbench import progress
 from vprbench.api.arrays import Descriptors, Places, Scores
+from vprbench.api.growing import Growing, insist_on_new_places
 from vprbench.api.method import Method
 from vprbench.api.search import Audit, Mapped, Search, agreement, check_index
 from vprbench.api.search_indexes import Kind
@@ -49,6 +50,7 @@ class DescriptorMethod(Method):
 
     #: The indexed references; None before `fit`, and None in a subclass that matches in its own way.
     searched: Search | None = field(default=None, init=False, repr=False, compare=False)
+    _grown: tuple[Growing, Growing] | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, references: Images, places: Places) -> Self:
         """Encode the references block by block and learn the map from that: from one array, or shards if it is large.
@@ -76,8 +78,25 @@ class DescriptorMethod(Method):
         They are not copied and may be memory-mapped; more than 1 GiB come as shards. Raises BadInput if `index` cannot
         be made of them.
         """
-        self.searched = None
+        self.searched = self._grown = None
         self.searched = Search(descriptors, places.copy(), self.index, self.neighbours, self.rerank, self.probes)
+        return self
+
+    @property
+    def extends(self) -> bool:
+        """Whether new vectors are appended: to exact search, of descriptors as they are encoded."""
+        return self.index == "exact" and type(self).fit_descriptors is DescriptorMethod.fit_descriptors
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Encode the references of new places and append their vectors."""
+        known = self._indexed()
+        if not self.extends:
+            return super().extend(references, places)
+        insist_on_new_places(places, len(references), int(known.places.max()) + 1)
+        vectors, numbers = self._grown = self._grown or (Growing(known.references[:]), Growing(known.places))
+        vectors.append(np.concatenate([*map(self.encode, encoded_blocks(references))]))
+        numbers.append(places)
+        self.searched = Search(vectors.rows, numbers.rows)
         return self
 
     def _in_scratch(self, references: Images) -> Shards:

@@ -68,6 +68,19 @@ class Method(ABC):
         """
 
     @property
+    def extends(self) -> bool:
+        """Whether `extend` learns new places under the arguments that were given."""
+        return type(self).extend is not Method.extend
+
+    def extend(self, references: Images, places: Places) -> Self:
+        """Learn places that follow those of the map, after `fit`; the scores of known places stay what they are.
+
+        `places` (n_references,) are the numbers after the last known one, each at least once. Raises NotFittedError
+        before `fit`, BadInput for other numbers and where places can only be learnt together.
+        """
+        raise BadInput(f"{type(self).__name__} learns its places together: call fit with the references of all places")
+
+    @property
     def calibrates(self) -> bool:
         """Whether `calibrate` chooses anything under the arguments that were given; else it is not called."""
         return type(self).calibrate is not Method.calibrate

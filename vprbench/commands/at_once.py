@@ -58,6 +58,7 @@ _NOT_THE_TABLES = (
     "load",
     "wide",
     "readouts",
+    "stream",
     "corruption",
 )  # options of a run; rows and devices say what it holds
 

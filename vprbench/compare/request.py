@@ -73,7 +73,7 @@ def asked(options: Sequence[str]) -> Asked:
             raise BadInput(
                 f"{option}: give corruptions{option.removeprefix(name)}, beside which clean frames are asked"
             )
-        if name.partition(".")[0] in ("method", "seed", "output", "save", "load", "readouts"):
+        if name.partition(".")[0] in ("method", "seed", "output", "save", "load", "readouts", "stream"):
             raise BadInput(
                 f"{option}: a comparison takes methods=NAME,NAME and seeds=NUMBER, and NAME.option=value for an "
                 "option of one of the methods"

@@ -234,7 +234,26 @@ def _spikes(make: Make, _: Mapping[str, Any]) -> None:
         _broken("counting spikes or reading layers changes codes or later scores")
 
 
+def _extended(make: Make, _: Mapping[str, Any]) -> None:
+    world, first = Journey.draw(0), N_PLACES * 3 // 4
+    images, new = Images.from_arrays(world.references), np.flatnonzero(world.places >= first)
+    old = np.flatnonzero(world.places < first)
+    method = make().fit(images[old], world.places[old])
+    before = _scores(method, world)
+    kept = before.copy()
+    for place in range(first, N_PLACES):
+        own = np.flatnonzero(world.places == place)
+        method.extend(images[own], world.places[own])
+    _same(kept, _scores(method, world)[:, :first], "learning more places changes the scores of known ones")
+    if not np.array_equal(before, kept):
+        _broken("extend changes what match returned")
+    right = np.count_nonzero(method.query(images[new])[:, first:].argmax(1) == world.places[new] - first)
+    if right <= len(new) // 2:
+        _broken(f"only {right} of {len(new)} images of new places score highest at their own among these")
+
+
 STORED_RULE = "a stored network answers as the trained one"
+EXTENDED_RULE = "places learnt after fit are scored and change no score of known ones"
 
 RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "the constructor only stores its arguments": _constructor,
@@ -251,6 +270,7 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     "the names of images do not matter": _names,
     "black images and images of other sizes are accepted": _any_image,
     STORED_RULE: _stored,
+    EXTENDED_RULE: _extended,
     "spikes are counts or amplitudes by layer and query": _spikes,
 }
 

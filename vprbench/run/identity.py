@@ -80,6 +80,7 @@ class Request:
     files: networks.Files = _NO_FILES  # networks to load or to store
     cache: Path | None = None  # a folder for descriptors worth keeping
     scores: bool = False  # keep them all, however many
+    stream: int = 0  # places from one stop of a growing map to the next, which changes no answer; 0: none is asked for
     readouts: bool = False  # whether the layers are read too, which changes no answer
     data: DataRecord | None = None  # of the dataset; None: its files are looked at when it runs
 

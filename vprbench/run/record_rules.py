@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -186,6 +186,7 @@ class _Summary(_Part):
     method_seconds: _Number
     spikes: _Spikes | None
     readouts: list[_Readout] | None = None
+    stream: list[dict[Literal["places", "hits", "seconds"], _Places | list[_Seconds]]] | None = None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
     tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
     timing: _Timing | None

@@ -40,6 +40,7 @@ class Settings:
     corruption: str | None = None  # of the query frames, as in shift-1; None: they are clean
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
+    stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
     readouts: bool = False  # what the codes and the layers of a learnt method find on their own
     timing: Protocol = field(default_factory=Protocol)
 

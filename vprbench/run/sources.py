@@ -25,6 +25,7 @@ COMPUTING = frozenset(
             "descriptor",
             "gabor",
             "gabor_compiled",
+            "growing",
             "hamming",
             "method",
             "nearest",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +14,10 @@ from vprbench.errors import BadInput
 from vprbench.metrics.growth import LAWS, Comparison, Law, compare
 from vprbench.paper.figures.captions import caption
 from vprbench.paper.figures.log_axis import plain_log
-from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, looks, new, styled, wrapped
+from vprbench.paper.figures.style import DOUBLE_MM, GREY, Dash, Drawn, Look, legend_above, looks, new, styled, wrapped
 from vprbench.paper.growth import GrowthSamples, Sample
+from vprbench.paper.selection import Series
+from vprbench.run.stream import stream_numbers
 
 _CLAIMS: dict[str, tuple[Law, Law]] = {"VPRTempo": ("linear", "logarithmic")}  # by the paper: training, query
 _DASHES: dict[Law, Dash] = {"constant": (0, (1, 2)), "logarithmic": (0, (4, 2)), "linear": (0, ())}
@@ -67,6 +70,30 @@ def growth(rows: Sequence[GrowthSamples]) -> Drawn:
         "several_seeds": any(len({run.config["seed"] for run in row.runs}) > 1 for row in rows),
     }
     return Drawn(figure, caption("growth", rows, rows=fitted, orders=_ORDER, **told))
+
+
+@styled
+def growing_map(series: Sequence[Series]) -> Drawn:
+    """Draw recall at 1 (left) and the time of a new place (right) over the places of a map that grew one by one.
+
+    Of several seeds the first that did. Raises BadInput if no run did.
+    """
+    grown = {one.name: run for one in series for run in reversed(one.runs) if run.stream}
+    if not grown:
+        raise BadInput("no map grew while it was asked: give a run stream=true")
+    figure, (left, right) = new(DOUBLE_MM, _HEIGHT_MM, 1, 2)
+    for name, look in looks([*grown]).items():
+        stops = stream_numbers(grown[name])
+        places = [stop["places"] for stop in stops]
+        style: dict[str, Any] = {"color": look.colour, "marker": look.marker}
+        for of, dash, label in (("", "-", name), ("_of_first", ":", f"{name}, of the first {places[0]:,}")):
+            shares = np.array([stop[f"recall_at_1{of}"] for stop in stops], np.float64)  # NaN where nothing was asked
+            left.plot(places, 100 * shares, linestyle=dash, label=label, **style)
+        right.plot(places[1:], [_MS * stop["seconds_a_place"] for stop in stops[1:]], **style)
+    left.set(xlabel="Places in the map", ylabel="Recall at 1 (%)", ylim=(0, 102))
+    right.set(xlabel="Places in the map", ylabel="Time of a new place (ms)", yscale="log")
+    legend_above(figure, left.get_legend_handles_labels()[0])
+    return Drawn(figure, caption("growing_map", [one for one in series if one.name in grown]))
 
 
 def _fitted(row: GrowthSamples) -> _Fitted:

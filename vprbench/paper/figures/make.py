@@ -153,7 +153,7 @@ def _growing(found: Material) -> list[Row]:
 
 def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, metrics, pictures, sequences, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, growth, metrics, pictures, sequences, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
@@ -176,6 +176,8 @@ def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
             yield f"{metric.replace('_', '-')}-{name}", partial(metrics.of_rows, shown, METRICS[metric])
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
+        if any(run.stream for one in shown for run in one.runs):
+            yield f"growing-map-{name}", partial(growth.growing_map, shown)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
     for column in found.chosen.columns:
         groups_of = [group for group in found.groups if group.asked is column and group.runs]
