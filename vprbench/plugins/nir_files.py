@@ -8,7 +8,7 @@ at 0, spikes above the threshold, and subtracts the threshold then. `check_input
 
 from __future__ import annotations
 
-import importlib.util
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ _ROUNDING = 1e-4  # of the largest answer
 
 def insist(path: Path, method: Method | None = None) -> None:
     """Raise BadInput if a file of NIR cannot be read here, or cannot hold the network of a method."""
-    if importlib.util.find_spec("nir") is None:
+    if find_spec("nir") is None:
         raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
     if method is None:
         return
