@@ -5,9 +5,10 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.installed
 PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt $(PIP_ARGS)
+BRIAN2 := build/brian2
 LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check test test-triton chaos check docs clean
+.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check nir-check test test-triton chaos check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -45,6 +46,9 @@ bench-maps: $(READY) ## Measure what large maps cost by each index, write result
 gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it, write results/gpu.md (ARGS passes options).
 	$(RUN) -m vprbench gpu-check $(ARGS)
 
+nir-check: $(READY) $(BRIAN2)/.installed ## Ask networks that are stored as NIR in snnTorch and in Brian2, count equal best places: QUERIES=
+	$(RUN) tests/oracles/nir_check.py $(BRIAN2)/bin/python $(QUERIES)
+
 test: $(READY) ## Run all tests, a worker with one thread for each core (ARGS passes options).
 	OMP_NUM_THREADS=1 $(RUN) -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
@@ -74,6 +78,13 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) -e ".[dev]" | $(LARGE_DOWNLOADS)
 	@$(RUN) -m pip show --quiet vprbench
+	@touch $@
+
+# Brian2 2.9 asks NumPy for a method that is no more in 2.4: it has a Python of its own.
+$(BRIAN2)/.installed:
+	$(PYTHON) -m venv $(BRIAN2)
+	$(BRIAN2)/bin/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) \
+		brian2==2.9.0 "numpy<2.4" nir==1.0.8 h5py==3.16.0
 	@touch $@
 
 $(VENV)/.docs: $(READY)

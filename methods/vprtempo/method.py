@@ -16,6 +16,8 @@ from torch import Tensor
 
 from vprbench.api import (
     BadInput,
+    Circuit,
+    HasCircuit,
     Images,
     LayerSpikes,
     Method,
@@ -28,6 +30,7 @@ from vprbench.api import (
 
 from . import fused, training
 from .arguments import Arguments
+from .circuit import check_circuit, circuit_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
 from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
@@ -50,7 +53,7 @@ _PROBES = 200  # reference images shown to a trained network to see whether it d
 
 
 @dataclass
-class VPRTempo(Arguments, Method):
+class VPRTempo(Arguments, Method, HasCircuit):
     """The spiking network of the VPRTempo paper, its public code (64154e5) or the submission's (v1.0.0).
 
     `rules` chooses one of the three; an argument of None is what the rules say, any other value replaces that
@@ -230,6 +233,15 @@ class VPRTempo(Arguments, Method):
         """Return the arrays of the trained network; the arrays of several networks are numbered."""
         self._trained()
         return members_state(self._networks())
+
+    def check_circuit(self) -> None:
+        """Raise BadInput for a spiking query that does more than its two layers."""
+        check_circuit(len(self._seeds()), self.chosen_rules())
+
+    def circuit(self) -> Circuit:
+        """Return the layers of the trained networks as the query rule asks them, in full precision."""
+        self._trained()
+        return circuit_of(self._networks(), self.chosen_rules())
 
     def _trained(self) -> Query:
         if self._query is None:

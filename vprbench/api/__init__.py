@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
         Scores as Scores,
     )
     from vprbench.api.binary import BinaryMap as BinaryMap, BinaryMethod as BinaryMethod
+    from vprbench.api.circuit import Circuit as Circuit, HasCircuit as HasCircuit
     from vprbench.api.compiling import compiled as compiled
     from vprbench.api.dataset import Dataset as Dataset, FrameFolder as FrameFolder, HeldOut as HeldOut
     from vprbench.api.decoding import read_image as read_image

@@ -19,6 +19,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method, calibration
 from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
+from vprbench.plugins import nir_files
 from vprbench.storage.atomic import remove_leftovers, unfinished
 from vprbench.storage.tensors import Arrays, Seal, plain
 
@@ -100,8 +101,10 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
     if path is None:
         return None
     _insist_on_a_network(method)
-    if path.suffix != _OURS:
-        raise BadInput(f"save={path}: give a file that ends in {_OURS}")
+    if path.suffix == nir_files.SUFFIX:
+        nir_files.insist(path, method)
+    elif path.suffix != _OURS:
+        raise BadInput(f"save={path}: give a file that ends in {_OURS} or {nir_files.SUFFIX}")
     try:
         _refuse_to_replace(path, files.replace)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +133,10 @@ def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_
     state = {name: plain(array, f"{type(method).__name__}.state()[{name!r}]") for name, array in method.state().items()}
     partial = unfinished(to.path.parent, f"-{to.path.name}")
     try:
-        save_file(state, partial, _SEAL.metadata(text, state))
+        if to.path.suffix == nir_files.SUFFIX:
+            nir_files.write(partial, method, text, state, _SEAL)
+        else:
+            save_file(state, partial, _SEAL.metadata(text, state))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         _refuse_to_replace(to.path, to.replace or made_by(to.path) == run_key)
@@ -211,7 +217,7 @@ def _shown(arguments: Mapping[str, Any], name: str) -> str:
 def _read(path: Path) -> tuple[dict[str, Any], Arrays]:
     """Return description and arrays; raises BadInput for a file that is not ours, damaged or of another layout."""
     try:
-        text, state, whole = _SEAL.read(path)
+        text, state, whole = nir_files.read(path, _SEAL) if path.suffix == nir_files.SUFFIX else _SEAL.read(path)
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise BadInput(
@@ -259,8 +265,10 @@ def _published(path: Path) -> Arrays:
 
 
 def _file_digest(path: Path) -> str:
-    if path.suffix not in (_OURS, _PUBLISHED):
-        raise BadInput(f"load={path}: give a stored network ({_OURS}) or a published one ({_PUBLISHED})")
+    if path.suffix not in (_OURS, nir_files.SUFFIX, _PUBLISHED):
+        raise BadInput(
+            f"load={path}: give a stored network ({_OURS}, {nir_files.SUFFIX}) or a published one ({_PUBLISHED})"
+        )
     try:
         if not path.is_file():
             raise BadInput(f"load={path} is no file: give one that save= wrote, or a published {_PUBLISHED}")

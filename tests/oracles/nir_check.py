@@ -1,0 +1,82 @@
+"""Ask stored VPRTempo networks in other simulators: `nir_check.py PYTHON [QUERIES]`; PYTHON has Brian2.
+
+Exits with 1 if one of them names another best place too often, misses the check vector, or if a wrong neuron passes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import nir
+import nir_simulators as simulators
+import numpy as np
+
+from vprbench.api.dataset import Dataset
+from vprbench.datasets.nordland import nordland
+from vprbench.datasets.synthetic import synthetic
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins import networks
+
+WANTED = {"spiking": 0.99, "linear": 1.0}  # shares of queries with the same best place
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "nordland_64x32"
+WRONG: Mapping[str, simulators.Simulate] = {
+    "reset to 0": partial(simulators.plain, reset="zero"),
+    "leak of 0.9": partial(simulators.plain, kept=0.9),
+}
+
+
+def journey(n_queries: int) -> Dataset:
+    """Return 1000 places of Nordland where its frames lie beside the checkout, else of the rendered journey."""
+    places = {"places": 1000, "query_places": -(-n_queries // 3) * 3, "query_stride": 3, "first_query_place": 0}
+    if REAL.is_dir():
+        return nordland(
+            name="nordland_64x32", root=str(REAL), references=["winter"], stride=1, frame_multiple=10, **places
+        )
+    return synthetic(**places)
+
+
+def main(python: Path, n_queries: int = 333) -> bool:
+    """Print a line for each network and simulator; return whether all agree."""
+    dataset, fine = journey(n_queries), True
+    trained = VPRTempo(max_module=500).fit(dataset.references, dataset.places)
+    inputs = trained.encode(dataset.queries)[:n_queries]
+    print(f"{dataset.name}: {dataset.n_places} places, {len(inputs)} queries")
+    for rule, wanted in WANTED.items():
+        method = VPRTempo(max_module=500, query_rule=rule).restore(trained.state())
+        own = method.match(inputs)
+        with TemporaryDirectory() as folder:
+            net = Path(folder) / f"{rule}.nir"
+            arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+            destination = networks.prepare(networks.Files(save=net), method, arguments, dataset)
+            assert destination is not None
+            networks.save(destination, method, "check", 0.0, 0.0)
+            graph = nir.read(net)
+            in_brian2 = partial(simulators.in_brian2, python, net, Path(folder))
+            ways = {"plain": simulators.plain, "snnTorch": simulators.in_snntorch, "Brian2": in_brian2}
+            if rule == "spiking":
+                ways = {f"plain, {n} steps": partial(simulators.plain, steps=n) for n in (8, 16, 32, 128)} | ways
+            for name, simulate in ways.items():
+                answers = simulators.scores(graph, simulate, inputs)
+                same = float((answers.argmax(1) == own.argmax(1)).mean())
+                known = simulators.knows_the_neurons(graph, simulate)
+                print(
+                    f"{rule:8} {name:18} same best place {100 * same:6.2f} %, largest difference of scores "
+                    f"{np.abs(answers - own).max():.1e}, check vector {'answered' if known else 'missed'}"
+                )
+                fine &= "steps" in name or (known and same >= wanted)
+            for name, simulate in WRONG.items() if rule == "spiking" else ():
+                known = simulators.knows_the_neurons(graph, simulate)
+                print(
+                    f"{rule:8} {name:18} check vector {'answered: NOT DETECTED' if known else 'missed, as it has to'}"
+                )
+                fine &= not known
+    print("all agree" if fine else "NOT all agree")
+    return fine
+
+
+if __name__ == "__main__":
+    sys.exit(not main(Path(sys.argv[1]), *map(int, sys.argv[2:3])))

@@ -1,0 +1,162 @@
+"""VPRTempo networks as files of NIR: other simulators answer as we do, a wrong neuron is noticed, ours come back."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from checkout import ROOT
+from little import Prototypes, destination, journey
+
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.errors import BadInput
+from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.methods.vprtempo.int8 import VPRTempoInt8
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.plugins import networks
+from vprbench.plugins.rules import Journey
+
+WORLD = Journey.draw(0)
+SEEN = Images.from_arrays([*WORLD.references, *WORLD.queries])
+RIDE = Dataset("ride", SEEN[: len(WORLD.places)], WORLD.places, SEEN, (np.array([0]),) * len(SEEN), {})
+SMALL: dict[str, Any] = {"max_module": 10, "height": 20, "width": 20}
+KINDS = {
+    "spiking": (VPRTempo, {}),
+    "linear": (VPRTempo, {"rules": "reference"}),
+    "ensemble": (VPRTempoEnsemble, {"members": 2, "calibrated_scores": True, "query_rule": "linear"}),
+}
+BRIAN2 = ROOT / "build" / "brian2" / "bin" / "python"
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def trained(request: pytest.FixtureRequest) -> VPRTempo:
+    kind, arguments = KINDS[request.param]
+    return kind(**SMALL, **arguments).fit(RIDE.references, RIDE.places)
+
+
+def stored(method: VPRTempo, folder: Path) -> Path:
+    pytest.importorskip("nir", reason="the extra nir is not installed")
+    path = folder / "net.nir"
+    networks.save(destination(path, method, RIDE), method, "0123", 1.0, 1.0)
+    return path
+
+
+def loaded(path: Path, method: VPRTempo) -> VPRTempo:
+    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    networks.load(path, method, networks.origin(method, arguments, RIDE))
+    return method
+
+
+def anew(method: VPRTempo, kind: type[VPRTempo] | None = None) -> VPRTempo:
+    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
+    return (kind or type(method))(**arguments)
+
+
+def test_the_layers_of_a_circuit_answer_as_the_network(trained: VPRTempo) -> None:
+    x, circuit = trained.encode(SEEN).astype(np.float64), trained.circuit()
+    for weights, bias in circuit.layers:
+        x = x @ weights.T + bias
+        x = x if circuit.clip is None else x.clip(0, circuit.clip)
+    assert np.allclose(x, trained.query(SEEN), atol=1e-5)
+
+
+def test_a_network_comes_back_from_nir_to_the_bit(trained: VPRTempo, tmp_path: Path) -> None:
+    back = loaded(stored(trained, tmp_path), anew(trained))
+    assert np.array_equal(back.query(SEEN), trained.query(SEEN))
+    assert {name: array.tobytes() for name, array in back.state().items()} == {
+        name: array.tobytes() for name, array in trained.state().items()
+    }
+
+
+def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path: Path) -> None:
+    method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
+    back = loaded(stored(method, tmp_path), anew(method, VPRTempoInt8))
+    assert np.allclose(back.query(SEEN), method.query(SEEN), atol=0.02)
+
+
+@pytest.mark.parametrize("simulator", ["plain", "snntorch", "brian2"])
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")  # of snnTorch
+def test_another_simulator_names_the_same_places(trained: VPRTempo, simulator: str, tmp_path: Path) -> None:
+    path = stored(trained, tmp_path)
+    import nir
+    import nir_simulators as simulators
+
+    if simulator == "plain":
+        simulate = simulators.plain
+    elif simulator == "snntorch":
+        pytest.importorskip("snntorch", reason="snnTorch is not installed")
+        simulate = simulators.in_snntorch
+    elif BRIAN2.exists():
+        simulate = partial(simulators.in_brian2, BRIAN2, path, tmp_path)
+    else:
+        pytest.skip(f"make nir-check makes {BRIAN2}, which asks Brian2")
+    graph, own = nir.read(path), trained.query(SEEN)
+    answers = simulators.scores(graph, simulate, trained.encode(SEEN))
+    spikes = "reset" in graph.metadata
+    assert np.mean(answers.argmax(1) == own.argmax(1)) >= (0.99 if spikes else 1)
+    assert np.abs(answers - own).max() <= (0.01 if spikes else 1e-4 * np.abs(own).max())
+    assert simulators.knows_the_neurons(graph, simulate)
+
+
+@pytest.mark.parametrize("wrong", [{"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}, {"steps": 32}], ids=str)
+def test_a_wrong_neuron_is_noticed(wrong: dict[str, Any], tmp_path: Path) -> None:
+    path = stored(VPRTempo(**SMALL).fit(RIDE.references, RIDE.places), tmp_path)
+    import nir
+    import nir_simulators as simulators
+
+    graph = nir.read(path)
+    assert graph.metadata["steps"] == 64
+    assert not simulators.knows_the_neurons(graph, partial(simulators.plain, **wrong))
+
+
+def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path: Path) -> None:
+    method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
+    path = stored(method, tmp_path)
+    import h5py
+
+    for change in ("node/nodes/affine/bias", "vprbench/constant"):
+        with h5py.File(path, "r+") as file:
+            whole = file[change][...]
+            file[change][...] = whole + 1
+        with pytest.raises(BadInput, match="is not what was written"):
+            loaded(path, anew(method))
+        with h5py.File(path, "r+") as file:
+            file[change][...] = whole
+    loaded(path, anew(method))
+    with h5py.File(path, "r+") as file:
+        file.attrs.clear()
+    with pytest.raises(BadInput, match="was not stored by vprbench"):
+        loaded(path, anew(method))
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(BadInput, match="cannot be read as a stored network"):
+        loaded(path, anew(method))
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "named"),
+    [
+        (VPRTempo, {"calibrated_scores": True}, "method.calibrated_scores"),
+        (VPRTempo, {"rules": "v1"}, "method.silent_winner"),
+        (VPRTempoEnsemble, {}, "method.members"),
+        (Prototypes, {}, "Prototypes"),
+    ],
+)
+def test_what_is_no_circuit_is_refused_before_the_training(
+    kind: type, arguments: dict[str, Any], named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: name)  # as if nir was installed
+    with pytest.raises(BadInput, match=named):
+        destination(tmp_path / "net.nir", kind(**arguments), journey(8, 4))
+
+
+def test_a_missing_package_is_named_before_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vprbench.plugins.nir_files.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
+        destination(tmp_path / "net.nir", VPRTempo(**SMALL), RIDE)
+    (tmp_path / "net.nir").touch()
+    with pytest.raises(BadInput, match=r"vprbench\[nir\]"):
+        loaded(tmp_path / "net.nir", VPRTempo(**SMALL))

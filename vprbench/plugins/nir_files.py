@@ -1,0 +1,147 @@
+"""Trained networks as files of NIR, the intermediate representation that simulators and chips of spikes read.
+
+A reader shows the first node an input for `steps` steps of length 1, takes the mean of what the last node gives, and
+limits it to `output_min` and `output_max` where these are there. An IF node adds its input to a potential that begins
+at 0, spikes above the threshold, and subtracts the threshold then. `check_input` is answered by `check_output` within
+`check_tolerance`, before any limit. All of these are metadata of the graph.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vprbench.api.circuit import Circuit, HasCircuit
+from vprbench.api.method import Method
+from vprbench.errors import BadInput
+from vprbench.storage.tensors import Array, Arrays, Seal
+
+SUFFIX = ".nir"
+STEPS = 64
+_OURS = "vprbench"  # the group of what we alone read
+_CANDIDATES = 16  # inputs, the one of which is kept that tells most about the reset
+_ROUNDING = 1e-4  # of the largest answer
+
+
+def insist(path: Path, method: Method | None = None) -> None:
+    """Raise BadInput if a file of NIR cannot be read here, or cannot hold the network of a method."""
+    if find_spec("nir") is None:
+        raise BadInput(f"{path} needs the package nir, which is not installed: pip install 'vprbench[nir]'")
+    if method is None:
+        return
+    if not isinstance(method, HasCircuit):
+        raise BadInput(f"save={path}: {type(method).__name__} has no layers that NIR could hold: save .safetensors")
+    method.check_circuit()
+
+
+def write(path: Path, method: Method, text: str, state: Arrays, seal: Seal) -> None:
+    """Write the network of a method as a graph, and beside it what `read` returns; raises OSError."""
+    import h5py  # type: ignore[import-untyped, unused-ignore]
+    import nir  # type: ignore[import-untyped, unused-ignore]
+
+    assert isinstance(method, HasCircuit)
+    circuit = method.circuit()
+    graph = _graph(circuit)
+    graph.metadata = _told(graph, circuit)
+    nir.write(path, graph)
+    with h5py.File(path, "r+") as file:
+        for name, array in state.items():
+            file.create_dataset(f"{_OURS}/{name}", data=array, compression="gzip" if array.ndim else None)
+        file.attrs.update(seal.metadata(text, _arrays(file)))
+
+
+def read(path: Path, seal: Seal) -> tuple[str | None, dict[str, Array], bool]:
+    """Return what `Seal.read` does of such a file: text, state, and whether all arrays in it are what was written.
+
+    Raises OSError for a file that cannot be read, ValueError for another.
+    """
+    insist(path)
+    import h5py  # type: ignore[import-untyped, unused-ignore]
+
+    try:
+        with h5py.File(path) as file:
+            text, digest = file.attrs.get(seal.text), file.attrs.get(seal.digest)
+            arrays = _arrays(file)
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    own = {name.removeprefix(f"{_OURS}/"): array for name, array in arrays.items() if name.startswith(f"{_OURS}/")}
+    return text, own, digest == seal.metadata(text or "", arrays)[seal.digest]
+
+
+def _arrays(file: Any) -> dict[str, Array]:
+    """Return all numbers in a file under their paths."""
+    found: dict[str, Array] = {}
+
+    def keep(name: str, item: Any) -> None:
+        if getattr(item, "dtype", np.dtype(object)).kind in "biuf":
+            found[name] = np.asarray(item[()])
+
+    file.visititems(keep)
+    return found
+
+
+def _graph(circuit: Circuit) -> Any:
+    """Return the nodes of a circuit: neurons before the last layer spike, and weights after them hold their clip.
+
+    A neuron of activation a spikes in a / clip of the steps; half a spike ahead its count is rounded, not cut off.
+    """
+    import nir  # type: ignore[import-untyped, unused-ignore]
+
+    nodes: list[Any] = []
+    for weights, bias in circuit.layers[:-1]:
+        if circuit.clip is None:
+            nodes.append(nir.Affine(weights, bias))
+            continue
+        threshold = np.full_like(bias, circuit.clip)
+        ahead = np.float32(circuit.clip / (2 * STEPS))
+        nodes += [nir.Affine(weights, bias + ahead), nir.IF(np.ones_like(bias), threshold)]
+    weights, bias = circuit.layers[-1]
+    nodes.append(nir.Affine(weights * np.float32(circuit.clip or 1), bias))
+    return nir.NIRGraph.from_list(*nodes)
+
+
+def _told(graph: Any, circuit: Circuit) -> dict[str, Any]:
+    """Return what a reader of a graph has to know and can test itself by."""
+    inputs = np.random.default_rng(0).uniform(size=(_CANDIDATES, circuit.layers[0][0].shape[1])).astype(np.float32)
+    inputs *= np.linspace(0, 1, _CANDIDATES + 1, dtype=np.float32)[1:, None]
+    steps = 1 if circuit.clip is None else STEPS
+    answers, others = (_simulated(graph, inputs, steps, subtracted) for subtracted in (True, False))
+    apart = np.abs(answers - others).max(1)
+    best = int(apart.argmax())
+    told = {
+        "steps": steps,
+        "input": "the same in every step",
+        "output": "the mean of the steps",
+        "check_input": inputs[best],
+        "check_output": answers[best],
+        "check_tolerance": float(max(apart[best] / 4, _ROUNDING * np.abs(answers[best]).max())),
+    }
+    if circuit.clip is not None:
+        told |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
+    return told
+
+
+def _simulated(graph: Any, inputs: Array, steps: int, subtracted: bool) -> Array:
+    """Return the mean of the last node's outputs (n, n_out) over the steps, before any limit, for inputs (n, n_in).
+
+    A spike subtracts the threshold from the potential, or sets it to 0.
+    """
+    import nir  # type: ignore[import-untyped, unused-ignore]
+
+    nodes = [node for node in graph.nodes.values() if isinstance(node, (nir.Affine, nir.IF))]
+    potentials: dict[int, Array] = {}
+    total: Any = np.float32(0)
+    for _ in range(steps):
+        x = inputs
+        for number, node in enumerate(nodes):
+            if isinstance(node, nir.Affine):
+                x = x @ node.weight.T + node.bias
+                continue
+            v = potentials.get(number, np.float32(0)) + x
+            x = (v > node.v_threshold).astype(np.float32)
+            potentials[number] = v - node.v_threshold * x if subtracted else v * (1 - x)
+        total = total + x
+    return np.asarray(total / np.float32(steps))
