@@ -13,6 +13,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.search import Search
+from vprbench.api.stepwise import StepwiseMethod
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import Outcome, concatenate, outcome
 from vprbench.run.answers import block_size
@@ -27,12 +28,13 @@ def read(method: Method, dataset: Dataset) -> tuple[list[dict[str, Any]] | None,
     """Return what the cosines of a fitted method's codes and layers find, as plain values, and what went wrong.
 
     A place is worth its most similar reference, as in a search by descriptors. Of each readout: its `name`, its
-    `neurons`, and for each query the chance `hits` that the best place is right. Empty for a method without layers.
+    `neurons`, and for each query the chance `hits` that the best place is right; of each answer of a stepwise method
+    the mean number of `steps` too. Empty for a method without layers.
     """
     if type(method).layers is Method.layers:
         return [], ()
     try:
-        return _hits(method, dataset), ()
+        return _hits(method, dataset) + (_in_time(method, dataset) if isinstance(method, StepwiseMethod) else []), ()
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         reason = " ".join(str(error).split())
         return None, (Note("readouts", f"no layer was read ({type(error).__name__}: {reason})"),)
@@ -57,6 +59,23 @@ def _hits(method: Method, dataset: Dataset) -> list[dict[str, Any]]:
             "hits": hits_at(concatenate(found), 1).tolist(),
         }
         for name, found in outcomes.items()
+    ]
+
+
+def _in_time(method: StepwiseMethod, dataset: Dataset) -> list[dict[str, Any]]:
+    found: dict[str, tuple[list[float], list[int]]] = {}
+    done = 0
+    for block in dataset.queries.unnamed().blocks(block_size(method, dataset.n_places)):
+        right = dataset.positives[done : done + len(block)]
+        for name, taken, scores in method.answers(np.asarray(method.encode(block))):
+            hits, steps = found.setdefault(name, ([], []))
+            hits += hits_at(outcome(scores, right), 1).tolist()
+            steps += taken.tolist()
+        done += len(block)
+        progress.report("asking step by step", done / len(dataset.queries))
+    return [
+        {"name": name, "neurons": dataset.n_places, "hits": hits, "steps": float(np.mean(steps))}
+        for name, (hits, steps) in found.items()
     ]
 
 

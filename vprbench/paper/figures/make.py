@@ -153,7 +153,7 @@ def _growing(found: Material) -> list[Row]:
 
 def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, metrics, pictures, sequences, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, metrics, pictures, raster, sequences, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
@@ -177,6 +177,9 @@ def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
+        if raster.in_time(shown):
+            yield f"raster-{name}", partial(raster.raster, shown)
+            yield f"steps-{name}", partial(raster.recall_at_step, shown)
     for column in found.chosen.columns:
         groups_of = [group for group in found.groups if group.asked is column and group.runs]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]

@@ -1,0 +1,135 @@
+"""VPRTempo in time: an amplitude is how early in a cycle a neuron spikes, and a query may stop early."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench.api import BadInput, Scores, StepwiseMethod, TimedSpikes
+
+from .compiled import compiled
+from .method import VPRTempo
+from .network import Network
+from .query import Amplitudes, SpikingQuery
+from .rules import Rules
+
+_BLOCK = 128  # queries whose output neurons are held together
+
+Steps = npt.NDArray[np.int64]
+
+
+class LatencyQuery(SpikingQuery):
+    """The paper's query, each layer in a cycle of `steps` time steps: spikes of larger amplitude come earlier.
+
+    A spike adds its synapse's weight times the amplitude that its step stands for. The thresholds of output neurons
+    grow evenly to their full value at the end of the features' cycle.
+    """
+
+    def __init__(self, network: Network, rules: Rules, steps: int, patience: int | None) -> None:
+        """Lay out the weights; a query ends when one place has led for `patience` steps, or with the cycle."""
+        super().__init__(network, rules)
+        self._steps, self._patience, self._clip = steps, patience or steps, rules.clip
+        self._weights = [weights.cpu().numpy() for weights in network.outputs]
+        self._full = torch.cat(network.output_thresholds).cpu().numpy()
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the state of every place's output neuron where the query ends."""
+        blocks = np.split(spikes, range(_BLOCK, len(spikes), _BLOCK))
+        return np.concatenate([[*self.run(block, self._patience)][-1][1] for block in blocks])
+
+    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
+        """Return the feature spikes that came before the end, as amplitudes, and the output neurons at the end."""
+        *_, (steps, scores) = self.run(spikes, self._patience)
+        levels = self._levels(spikes)
+        came = levels > (self._steps - steps)[:, None]
+        return levels * came * np.float32(self._clip / self._steps), scores
+
+    def run(self, spikes: npt.NDArray[np.float32], patience: int) -> Iterator[tuple[Steps, Scores]]:
+        """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
+        levels = self._levels(spikes)
+        features = levels.reshape(len(spikes), len(self._weights), -1)
+        net, scores = np.zeros((2, len(spikes), len(self._full)), np.float32)
+        steps, leader, led = np.zeros((3, len(spikes)), np.int64)
+        going = np.ones(len(spikes), bool)
+        for step in range(1, self._steps + 1):
+            level = self._steps + 1 - step
+            for module, weights in enumerate(self._weights):
+                own = net[:, self._ends[module] : self._ends[module + 1]]
+                _arrive(weights, features[:, module], level, np.float32(self._clip * level / self._steps), going, own)
+            above = net[going] - self._full * np.float32(step / self._steps)
+            scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
+            yield steps, scores
+            led = (np.where(scores.argmax(1) == leader, led, 0) + 1) * scores.any(1)
+            leader = scores.argmax(1)
+            going &= led < patience
+            if not going.any():
+                return
+
+    def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+        """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
+        shown = torch.tensor(np.rint(spikes * np.float32(self._steps)) / np.float32(self._steps), device=self._device)
+        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip)).astype(np.uint16)
+
+
+@compiled
+def _arrive(weights, levels, level, amplitude, going, net):  # type: ignore[no-untyped-def]
+    """Add the spikes of one step, those of `levels` (n_queries, n_features), to the net input (n_queries, n_places)."""
+    for query in range(len(net)):
+        if going[query]:
+            for feature in range(len(weights)):
+                if levels[query, feature] == level:
+                    for place in range(len(weights[feature])):
+                        net[query, place] += amplitude * weights[feature, place]
+
+
+@dataclass
+class VPRTempoLatencies(VPRTempo, StepwiseMethod):
+    """VPRTempo asked by spike times: input and features spike in a cycle of `steps` time steps each; trained as ever.
+
+    `patience` ends a query once one place has led for so many steps; None waits for the end of the features' cycle.
+    """
+
+    steps: int = 16
+    patience: int | None = None
+
+    @property
+    def query_arguments(self) -> frozenset[str]:  # type: ignore[override]  # it depends on another argument
+        """The arguments that may differ in a stored network."""
+        return super().query_arguments | {"steps", "patience"}
+
+    def chosen_rules(self) -> Rules:
+        """Return the rules; raises BadInput where spikes have no times."""
+        rules = super().chosen_rules()
+        if not 2 <= self.steps <= 1000 or (self.patience or 1) < 1:
+            raise BadInput(f"method.steps={self.steps}, method.patience={self.patience}: give 2 to 1000, 1 or more")
+        if rules.query_rule == "linear" or rules.calibrated_scores:
+            raise BadInput("spike times need method.query_rule=spiking and method.calibrated_scores=false: set them")
+        return rules
+
+    @property
+    def _spiking_query(self) -> Any:  # type: ignore[override]  # it depends on arguments
+        return partial(LatencyQuery, steps=self.steps, patience=self.patience)
+
+    def answers(self, codes: npt.NDArray[np.float32]) -> Iterator[tuple[str, Steps, Scores]]:
+        """Yield the answers after each step of the features' cycle, and with a patience of 2, 4, 8 ... steps."""
+        query = cast(LatencyQuery, self._trained())
+        for steps, scores in query.run(codes, self.steps):
+            yield f"step {self.steps + steps[0]}", self.steps + steps, scores
+        for patience in (2**power for power in range(1, self.steps.bit_length() - 1)):
+            *_, (steps, scores) = query.run(codes, patience)
+            yield f"led for {patience} steps", self.steps + steps, scores
+
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[TimedSpikes]:
+        """Return the spikes of each layer until the query ends; the outputs spike in a cycle after the features'."""
+        clip, found = self.chosen_rules().clip, []
+        for cycle, (layer, most) in enumerate(zip(super().spikes(codes), (1, clip, clip), strict=True), 1):
+            levels = np.rint(layer.values * (self.steps / most)).astype(np.int64)
+            times = np.where(levels > 0, cycle * self.steps + 1 - levels, 0)
+            found.append(TimedSpikes(layer.name, layer.values, "amplitude", times=times))
+        return found
