@@ -19,9 +19,7 @@ from .network import Network
 from .query import Amplitudes, SpikingQuery
 from .rules import Rules
 
-_BLOCK = 128  # queries whose output neurons are held together
-
-Steps = npt.NDArray[np.int64]
+Steps = npt.NDArray[np.int64]  # (n_queries,)
 
 
 class LatencyQuery(SpikingQuery):
@@ -40,20 +38,17 @@ class LatencyQuery(SpikingQuery):
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
         """Return the state of every place's output neuron where the query ends."""
-        blocks = np.split(spikes, range(_BLOCK, len(spikes), _BLOCK))
-        return np.concatenate([[*self.run(block, self._patience)][-1][1] for block in blocks])
+        return [*self.run(spikes, self._patience)][-1][1]
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the feature spikes that came before the end, as amplitudes, and the output neurons at the end."""
         *_, (steps, scores) = self.run(spikes, self._patience)
         levels = self._levels(spikes)
-        came = levels > (self._steps - steps)[:, None]
-        return levels * came * np.float32(self._clip / self._steps), scores
+        return levels * np.float32(self._clip / self._steps) * (levels > (self._steps - steps)[:, None]), scores
 
     def run(self, spikes: npt.NDArray[np.float32], patience: int) -> Iterator[tuple[Steps, Scores]]:
         """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
-        levels = self._levels(spikes)
-        features = levels.reshape(len(spikes), len(self._weights), -1)
+        features = self._levels(spikes).reshape(len(spikes), len(self._weights), -1)
         net, scores = np.zeros((2, len(spikes), len(self._full)), np.float32)
         steps, leader, led = np.zeros((3, len(spikes)), np.int64)
         going = np.ones(len(spikes), bool)
@@ -80,12 +75,10 @@ class LatencyQuery(SpikingQuery):
 @compiled
 def _arrive(weights, levels, level, amplitude, going, net):  # type: ignore[no-untyped-def]
     """Add the spikes of one step, those of `levels` (n_queries, n_features), to the net input (n_queries, n_places)."""
-    for query in range(len(net)):
-        if going[query]:
-            for feature in range(len(weights)):
-                if levels[query, feature] == level:
-                    for place in range(len(weights[feature])):
-                        net[query, place] += amplitude * weights[feature, place]
+    for query in np.flatnonzero(going):
+        for feature in np.flatnonzero(levels[query] == level):
+            for place in range(len(net[query])):
+                net[query, place] += amplitude * weights[feature, place]
 
 
 @dataclass
@@ -106,8 +99,8 @@ class VPRTempoLatencies(VPRTempo, StepwiseMethod):
     def chosen_rules(self) -> Rules:
         """Return the rules; raises BadInput where spikes have no times."""
         rules = super().chosen_rules()
-        if not 2 <= self.steps <= 1000 or (self.patience or 1) < 1:
-            raise BadInput(f"method.steps={self.steps}, method.patience={self.patience}: give 2 to 1000, 1 or more")
+        if not 4 <= self.steps <= 1000 or (self.patience or 1) < 1:
+            raise BadInput(f"method.steps={self.steps}, method.patience={self.patience}: give 4 to 1000, 1 or more")
         if rules.query_rule == "linear" or rules.calibrated_scores:
             raise BadInput("spike times need method.query_rule=spiking and method.calibrated_scores=false: set them")
         return rules
@@ -127,9 +120,9 @@ class VPRTempoLatencies(VPRTempo, StepwiseMethod):
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[TimedSpikes]:
         """Return the spikes of each layer until the query ends; the outputs spike in a cycle after the features'."""
-        clip, found = self.chosen_rules().clip, []
+        found, clip = [], self.chosen_rules().clip
         for cycle, (layer, most) in enumerate(zip(super().spikes(codes), (1, clip, clip), strict=True), 1):
-            levels = np.rint(layer.values * (self.steps / most)).astype(np.int64)
+            levels = np.rint(layer.values * (self.steps / most)).astype(int)
             times = np.where(levels > 0, cycle * self.steps + 1 - levels, 0)
-            found.append(TimedSpikes(layer.name, layer.values, "amplitude", times=times))
+            found.append(TimedSpikes(layer.name, layer.values, layer.kind, times=times))
         return found

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
@@ -16,17 +15,14 @@ from vprbench.api.method import LayerSpikes, Method
 
 @dataclass(frozen=True)
 class TimedSpikes(LayerSpikes):
-    """Spikes of neurons that spike once for a query, with the time step of each, 0 for a silent neuron."""
+    """Spikes of neurons that spike at most once; `times` (n_queries, n_neurons) in steps from 1, 0 for a silent one."""
 
-    times: npt.NDArray[np.int64] = field(kw_only=True)  # (n_queries, n_neurons)
+    times: npt.NDArray[Any] = field(kw_only=True)
 
 
 class StepwiseMethod(Method):
-    """A method that can be asked what it would answer at each time step."""
+    """A method that can tell what it would answer at each time step."""
 
     @abstractmethod
-    def answers(self, codes: npt.NDArray[Any]) -> Iterator[tuple[str, npt.NDArray[np.int64], Scores]]:
-        """Yield answers, at each step and by rules that stop early: name, steps taken (n_queries,) and scores.
-
-        A name is the same for all blocks of queries. Raises NotFittedError before `fit`.
-        """
+    def answers(self, codes: npt.NDArray[Any]) -> Iterator[tuple[str, npt.NDArray[Any], Scores]]:
+        """Yield answers, "step N" for each step N and others that stop early: name, steps (n_queries,) and scores."""

@@ -50,7 +50,7 @@ def _recall(readout: Mapping[str, Any], order: npt.NDArray[np.int64]) -> dict[st
         "recall_at_1": float(hits.mean()),
         "recall_at_1_low": interval.low,
         "recall_at_1_high": interval.high,
-        **{name: readout[name] for name in ("steps",) if name in readout},
+        **({"steps": float(np.mean(readout["steps"]))} if "steps" in readout else {}),
     }
 
 

@@ -123,7 +123,7 @@ class _Readout(_Part):
     name: str
     neurons: _Count
     hits: Annotated[list[_Share], Field(min_length=1)]
-    steps: _Amount | None = None
+    steps: list[_Count] | None = None
 
 
 class _Frames(_Part):

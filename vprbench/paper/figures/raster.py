@@ -22,7 +22,7 @@ def in_time(series: Sequence[Series]) -> list[Series]:
 
 @styled
 def raster(series: Sequence[Series]) -> Drawn:
-    """Draw when the neurons of each layer spike for one query, of the first row that holds spike times."""
+    """Draw when the neurons of each layer spike for one query of the first run that holds spike times."""
     for row in in_time(series):
         layers = (row.runs[0].spikes or {})["layers"]
         figure, axes = new(DOUBLE_MM, _PANEL_MM * len(layers), len(layers))
@@ -32,32 +32,27 @@ def raster(series: Sequence[Series]) -> Drawn:
             panel.set(title=f"{layer['name']}: {len(neurons):,} of {layer['neurons']:,} neurons spike", ylabel="Neuron")
             panel.set(xlim=(0, 1 + max(max(each["times"]) for each in layers)), ylim=(-1, layer["neurons"]))
         axes[-1].set_xlabel("Time step since the query was shown")
-        return Drawn(figure, caption("raster", [row], name=row.name))
+        return Drawn(figure, caption("raster", [row]))
     raise BadInput("no stored run holds spike times: run a method that has them, such as method=vprtempo_latencies")
 
 
 @styled
 def recall_at_step(series: Sequence[Series]) -> Drawn:
-    """Draw recall at 1 of answers at each time step, and of queries that stop early against the steps of the mean one.
-
-    Points are means over the seeds. Raises BadInput if no run was read step by step.
-    """
-    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
-    styles = looks([row.name for row in series])
+    """Draw recall at 1 of answers at each time step, and of queries that stop early at the steps of the mean query."""
     rows = [row for row in in_time(series) if all(run.readouts for run in row.runs)]
-    for row in rows:
-        read = [each for run in row.runs for each in run.readouts or () if "steps" in each]
-        names = list(dict.fromkeys(each["name"] for each in read))
-        means = [
-            np.mean([(each["steps"], 100 * np.mean(each["hits"])) for each in read if each["name"] == name], axis=0)
-            for name in names
-        ]
-        look, fixed = styles[row.name], [name.startswith("step ") for name in names]
-        x, y = np.transpose(means)
-        axes.plot(x[fixed], y[fixed], color=look.colour, linestyle=look.dash, label=row.name)
-        axes.plot(x[~np.array(fixed)], y[~np.array(fixed)], color=look.colour, linestyle="", marker=look.marker)
     if not rows:
         raise BadInput("no stored run was asked step by step: run method=vprtempo_latencies with readouts=true")
+    figure, (axes,) = new(SINGLE_MM, _HEIGHT_MM)
+    styles = looks([row.name for row in series])
+    for row in rows:
+        found: dict[str, list[tuple[float, float]]] = {}
+        for each in (readout for run in row.runs for readout in run.readouts or () if "steps" in readout):
+            found.setdefault(each["name"], []).append((np.mean(each["steps"]), 100 * np.mean(each["hits"])))
+        look, (fixed, early) = styles[row.name], ([], [])
+        for name, points in found.items():
+            (fixed if name.startswith("step ") else early).append(np.mean(points, axis=0))
+        axes.plot(*np.transpose(fixed), color=look.colour, linestyle=look.dash, label=row.name)
+        axes.plot(*np.transpose(early), color=look.colour, linestyle="", marker=look.marker)
     axes.set(xlabel="Time steps since the query was shown", ylabel="Recall at 1 (%)", ylim=(0, 102))
     axes.grid(True)
     legend_above(figure, axes.get_legend_handles_labels()[0])
