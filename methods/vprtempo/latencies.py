@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import BadInput, Scores, StepwiseMethod, TimedSpikes
+from vprbench.api import BadInput, LayerSpikes, Scores
 
-from .compiled import compiled
 from .method import VPRTempo
 from .network import Network
-from .query import Amplitudes, SpikingQuery
+from .query import Amplitudes, SpikingQuery, _add_active
 from .rules import Rules
-
-Steps = npt.NDArray[np.int64]  # (n_queries,)
 
 
 class LatencyQuery(SpikingQuery):
@@ -32,7 +30,7 @@ class LatencyQuery(SpikingQuery):
     def __init__(self, network: Network, rules: Rules, steps: int, patience: int | None) -> None:
         """Lay out the weights; a query ends when one place has led for `patience` steps, or with the cycle."""
         super().__init__(network, rules)
-        self._steps, self._patience, self._clip = steps, patience or steps, rules.clip
+        self._steps, self._patience, self._clip = steps, patience or steps, np.float32(rules.clip)
         self._weights = [weights.cpu().numpy() for weights in network.outputs]
         self._full = torch.cat(network.output_thresholds).cpu().numpy()
 
@@ -42,21 +40,23 @@ class LatencyQuery(SpikingQuery):
 
     def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
         """Return the feature spikes that came before the end, as amplitudes, and the output neurons at the end."""
-        *_, (steps, scores) = self.run(spikes, self._patience)
+        steps, scores = [*self.run(spikes, self._patience)][-1]
         levels = self._levels(spikes)
-        return levels * np.float32(self._clip / self._steps) * (levels > (self._steps - steps)[:, None]), scores
+        return levels * (self._clip / self._steps) * (levels > (self._steps - steps)[:, None]), scores
 
-    def run(self, spikes: npt.NDArray[np.float32], patience: int) -> Iterator[tuple[Steps, Scores]]:
+    def run(self, spikes: npt.NDArray[np.float32], patience: int) -> Iterator[tuple[npt.NDArray[np.int64], Scores]]:
         """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
         features = self._levels(spikes).reshape(len(spikes), len(self._weights), -1)
-        net, scores = np.zeros((2, len(spikes), len(self._full)), np.float32)
-        steps, leader, led = np.zeros((3, len(spikes)), np.int64)
+        added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
+        net, (steps, leader, led) = scores.copy(), np.zeros((3, len(spikes)), np.int64)
         going = np.ones(len(spikes), bool)
         for step in range(1, self._steps + 1):
             level = self._steps + 1 - step
-            for module, weights in enumerate(self._weights):
-                own = net[:, self._ends[module] : self._ends[module + 1]]
-                _arrive(weights, features[:, module], level, np.float32(self._clip * level / self._steps), going, own)
+            came = (features == level) * (self._clip * level / self._steps)
+            for query, module in product(np.flatnonzero(going), range(len(self._weights))):
+                own = slice(*self._ends[module : module + 2])
+                _add_active(self._weights[module], came[query, module], added[own])
+                net[query, own] += added[own]
             above = net[going] - self._full * np.float32(step / self._steps)
             scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
             yield steps, scores
@@ -66,23 +66,14 @@ class LatencyQuery(SpikingQuery):
             if not going.any():
                 return
 
-    def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
         shown = torch.tensor(np.rint(spikes * np.float32(self._steps)) / np.float32(self._steps), device=self._device)
-        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip)).astype(np.uint16)
-
-
-@compiled
-def _arrive(weights, levels, level, amplitude, going, net):  # type: ignore[no-untyped-def]
-    """Add the spikes of one step, those of `levels` (n_queries, n_features), to the net input (n_queries, n_places)."""
-    for query in np.flatnonzero(going):
-        for feature in np.flatnonzero(levels[query] == level):
-            for place in range(len(net[query])):
-                net[query, place] += amplitude * weights[feature, place]
+        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip))
 
 
 @dataclass
-class VPRTempoLatencies(VPRTempo, StepwiseMethod):
+class VPRTempoLatencies(VPRTempo):
     """VPRTempo asked by spike times: input and features spike in a cycle of `steps` time steps each; trained as ever.
 
     `patience` ends a query once one place has led for so many steps; None waits for the end of the features' cycle.
@@ -109,20 +100,20 @@ class VPRTempoLatencies(VPRTempo, StepwiseMethod):
     def _spiking_query(self) -> Any:  # type: ignore[override]  # it depends on arguments
         return partial(LatencyQuery, steps=self.steps, patience=self.patience)
 
-    def answers(self, codes: npt.NDArray[np.float32]) -> Iterator[tuple[str, Steps, Scores]]:
+    def answers(self, codes: npt.NDArray[np.float32]) -> Iterator[tuple[str, npt.NDArray[np.int64], Scores]]:
         """Yield the answers after each step of the features' cycle, and with a patience of 2, 4, 8 ... steps."""
         query = cast(LatencyQuery, self._trained())
         for steps, scores in query.run(codes, self.steps):
             yield f"step {self.steps + steps[0]}", self.steps + steps, scores
         for patience in (2**power for power in range(1, self.steps.bit_length() - 1)):
-            *_, (steps, scores) = query.run(codes, patience)
+            steps, scores = [*query.run(codes, patience)][-1]
             yield f"led for {patience} steps", self.steps + steps, scores
 
-    def spikes(self, codes: npt.NDArray[np.float32]) -> list[TimedSpikes]:
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
         """Return the spikes of each layer until the query ends; the outputs spike in a cycle after the features'."""
-        found, clip = [], self.chosen_rules().clip
-        for cycle, (layer, most) in enumerate(zip(super().spikes(codes), (1, clip, clip), strict=True), 1):
-            levels = np.rint(layer.values * (self.steps / most)).astype(int)
-            times = np.where(levels > 0, cycle * self.steps + 1 - levels, 0)
-            found.append(TimedSpikes(layer.name, layer.values, layer.kind, times=times))
+        found, clip = super().spikes(codes), self.chosen_rules().clip
+        for cycle, most in enumerate((1, clip, clip)):
+            levels = np.rint(found[cycle].values * (self.steps / most)).astype(int)
+            times = np.where(levels > 0, (cycle + 1) * self.steps + 1 - levels, 0)
+            found[cycle] = replace(found[cycle], times=times)
         return found

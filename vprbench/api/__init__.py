@@ -47,7 +47,6 @@ if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `
     from vprbench.api.resize import Interpolation as Interpolation, Resize as Resize
     from vprbench.api.search import Audit as Audit, Search as Search
     from vprbench.api.search_indexes import faiss_module as faiss_module
-    from vprbench.api.stepwise import StepwiseMethod as StepwiseMethod, TimedSpikes as TimedSpikes
     from vprbench.api.weight_files import (
         read_tensor as read_tensor,
         read_weights as read_weights,

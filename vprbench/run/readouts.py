@@ -14,7 +14,6 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.search import Search
-from vprbench.api.stepwise import StepwiseMethod
 from vprbench.metrics.accuracy import hits_at
 from vprbench.metrics.ranking import outcome
 from vprbench.run.answers import block_size
@@ -29,8 +28,8 @@ def read(method: Method, dataset: Dataset) -> tuple[list[dict[str, Any]] | None,
     """Return what the cosines of a fitted method's codes and layers find, as plain values, and what went wrong.
 
     A place is worth its most similar reference, as in a search by descriptors. Of each readout: its `name`, its
-    `neurons`, and for each query the chance `hits` that the best place is right; of the answers of a stepwise method
-    the `steps` too. Empty for a method without layers.
+    `neurons`, and for each query the chance `hits` that the best place is right; of answers in time the `steps`
+    too. Empty for a method without layers.
     """
     if type(method).layers is Method.layers:
         return [], ()
@@ -51,8 +50,7 @@ def _hits(method: Method, dataset: Dataset) -> list[dict[str, Any]]:
     for block in _values(method, dataset.queries.unnamed(), size):
         right = dataset.positives[done : done + len(block[_CODES])]
         by_cosine = ((name, None, maps[name].scores(_unit(values))) for name, values in block.items())
-        in_time = method.answers(block[_CODES]) if isinstance(method, StepwiseMethod) else ()
-        for name, steps, scores in chain(by_cosine, in_time):
+        for name, steps, scores in chain(by_cosine, method.answers(block[_CODES])):
             neurons = maps[name].references.shape[1] if name in maps else scores.shape[1]
             readout = found.setdefault(name, {"name": name, "neurons": neurons, "hits": []})
             readout["hits"] += hits_at(outcome(scores, right), 1).tolist()

@@ -9,7 +9,6 @@ import numpy as np
 
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes, Method, held_together
-from vprbench.api.stepwise import TimedSpikes
 from vprbench.errors import BadInput
 from vprbench.run.answers import block_size
 from vprbench.run.note import Note
@@ -61,7 +60,7 @@ def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
         "spikes_per_query": per_query.sum(1, dtype=np.float64).tolist(),
         "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
         "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
-        **({"times": layer.times[len(values) // 2].tolist()} if isinstance(layer, TimedSpikes) else {}),
+        **({"times": layer.times[len(values) // 2].tolist()} if layer.times is not None else {}),
     }
 
 

@@ -177,9 +177,9 @@ def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
         yield f"rate-{name}", partial(tradeoff.against_rate, timed)
         yield f"memory-{name}", partial(tradeoff.against_memory, timed)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
-        if raster.in_time(shown):
-            yield f"raster-{name}", partial(raster.raster, shown)
-            yield f"steps-{name}", partial(raster.recall_at_step, shown)
+        if in_time := raster.in_time(shown):
+            yield f"raster-{name}", partial(raster.raster, in_time)
+            yield f"steps-{name}", partial(raster.recall_at_step, in_time)
     for column in found.chosen.columns:
         groups_of = [group for group in found.groups if group.asked is column and group.runs]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]
