@@ -31,7 +31,7 @@ class LatencyQuery(SpikingQuery):
         """Lay out the weights; a query ends when one place has led for `patience` steps, or with the cycle."""
         super().__init__(network, rules)
         self._steps, self._patience, self._clip = steps, patience or steps, np.float32(rules.clip)
-        self._weights = [weights.cpu().numpy() for weights in network.outputs]
+        self._by_feature = [weights.cpu().numpy() for weights in network.outputs]
         self._full = torch.cat(network.output_thresholds).cpu().numpy()
 
     def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
@@ -46,16 +46,16 @@ class LatencyQuery(SpikingQuery):
 
     def run(self, spikes: npt.NDArray[np.float32], patience: int) -> Iterator[tuple[npt.NDArray[np.int64], Scores]]:
         """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
-        features = self._levels(spikes).reshape(len(spikes), len(self._weights), -1)
+        features = self._levels(spikes).reshape(len(spikes), len(self._by_feature), -1)
         added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
         net, (steps, leader, led) = scores.copy(), np.zeros((3, len(spikes)), np.int64)
         going = np.ones(len(spikes), bool)
         for step in range(1, self._steps + 1):
             level = self._steps + 1 - step
             came = (features == level) * (self._clip * level / self._steps)
-            for query, module in product(np.flatnonzero(going), range(len(self._weights))):
+            for query, module in product(np.flatnonzero(going), range(len(self._by_feature))):
                 own = slice(*self._ends[module : module + 2])
-                _add_active(self._weights[module], came[query, module], added[own])
+                _add_active(self._by_feature[module], came[query, module], added[own])
                 net[query, own] += added[own]
             above = net[going] - self._full * np.float32(step / self._steps)
             scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
