@@ -83,7 +83,7 @@ class VPRTempoLatencies(VPRTempo):
     patience: int | None = None
 
     @property
-    def query_arguments(self) -> frozenset[str]:  # type: ignore[override]  # it depends on another argument
+    def query_arguments(self) -> frozenset[str]:
         """The arguments that may differ in a stored network."""
         return super().query_arguments | {"steps", "patience"}
 

@@ -96,7 +96,7 @@ def fitted(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
 
 def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
     tempo, timed, codes = fitted(steps=64)
-    assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() > 0.9
+    assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
     for given in ({"steps": 3}, {"patience": 0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
         with pytest.raises(BadInput):
             VPRTempoLatencies(**{**SMALL, **given}).restore(tempo.state())
