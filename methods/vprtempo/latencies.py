@@ -16,7 +16,7 @@ from vprbench.api import BadInput, LayerSpikes, Scores
 
 from .method import VPRTempo
 from .network import Network
-from .query import Amplitudes, SpikingQuery, _add_active
+from .query import Amplitudes, SpikingQuery, add_active
 from .rules import Rules
 
 
@@ -55,7 +55,7 @@ class LatencyQuery(SpikingQuery):
             came = (features == level) * (self._clip * level / self._steps)
             for query, module in product(np.flatnonzero(going), range(len(self._by_feature))):
                 own = slice(*self._ends[module : module + 2])
-                _add_active(self._by_feature[module], came[query, module], added[own])
+                add_active(self._by_feature[module], came[query, module], added[own])
                 net[query, own] += added[own]
             above = net[going] - self._full * np.float32(step / self._steps)
             scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
