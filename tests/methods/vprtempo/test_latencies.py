@@ -50,7 +50,7 @@ def simulated(asked: Network, pixels: Floats, steps: int) -> Floats:
 @SIZES
 def test_each_step_is_that_of_a_simulation_of_single_neurons(sizes: list[int]) -> None:
     asked, spikes = network(sizes), shown(6)
-    found = np.array([scores.copy() for _, scores in LatencyQuery(asked, PAPER, 8, None).run(spikes, 99)])
+    found = np.array([scores.copy() for _, scores in LatencyQuery(asked, PAPER, 8, None).run(spikes, 1.0)])
     expected = np.stack([simulated(asked, pixels.astype(np.float64), 8) for pixels in spikes], axis=1)
     assert found == pytest.approx(expected, abs=1e-5)
 
@@ -63,24 +63,24 @@ def test_with_many_steps_the_answer_is_that_of_amplitudes() -> None:
     assert np.abs(LatencyQuery(asked, PAPER, 4, None).scores(spikes) - exact).max() > 0.05
 
 
-# Two pixels that features repeat; the first leads to place 0, the second, more strongly, to place 1.
-RIVALS = one_layer(np.array([[0.5, 0.0], [0.0, 0.9]]))
+# Features repeat two pixels; the first leads to places 0 and 2, the second to place 1.
+RIVALS = one_layer(np.array([[0.5, 0.0, 0.4], [0.0, 0.9, 0.0]]))
 PIXELS = np.array([[0.9, 0.5], [0.5, 0.9], [0.0, 0.0]], np.float32)  # the last query spikes nowhere
 
 
 @pytest.mark.parametrize(
-    ("patience", "ends", "answers", "features"),
+    ("lead", "ends", "answers", "features"),
     [
         (None, [10, 10, 10], [1, 1], [[0.9, 0.54], [0.54, 0.9], [0, 0]]),
-        (2, [2, 2, 10], [0, 1], [[0.9, 0], [0, 0.9], [0, 0]]),  # the weaker feature spikes in step 5
-        (5, [9, 5, 10], [1, 1], [[0.9, 0.54], [0.54, 0.9], [0, 0]]),  # it takes the lead for the first query
+        (0.1, [1, 1, 10], [0, 1], [[0.9, 0], [0, 0.9], [0, 0]]),  # 0.45 and 0.36; 0.81 alone
+        (0.3, [10, 1, 10], [1, 1], [[0.9, 0.54], [0, 0.9], [0, 0]]),  # the weaker spikes in step 5: 0.486 and 0.45
     ],
 )
-def test_a_query_ends_once_a_place_has_led_for_so_many_steps(
-    patience: int | None, ends: list[int], answers: list[int], features: Any
+def test_a_query_ends_once_a_place_is_ahead_by_a_share(
+    lead: float | None, ends: list[int], answers: list[int], features: Any
 ) -> None:
-    query = LatencyQuery(RIVALS, PAPER, 10, patience)
-    *_, (steps, _) = query.run(PIXELS, patience or 99)
+    query = LatencyQuery(RIVALS, PAPER, 10, lead)
+    *_, (steps, _) = query.run(PIXELS, lead or 1.0)
     assert steps.tolist() == ends
     assert query.scores(PIXELS)[:2].argmax(1).tolist() == answers
     assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
@@ -97,7 +97,7 @@ def fitted(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
 def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
     tempo, timed, codes = fitted(steps=64)
     assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
-    for given in ({"steps": 3}, {"patience": 0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
+    for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
         with pytest.raises(BadInput):
             VPRTempoLatencies(**{**SMALL, **given}).restore(tempo.state())
 
@@ -123,10 +123,11 @@ def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(
     assert main([*asked, "output=json"]) == 0
     read = {each["name"]: each for each in json.loads(capsys.readouterr().out)["readouts"]}
     named = [f"step {step}" for step in range(9, 17)]
-    assert list(read) == ["codes", "feature", *named, "led for 2 steps", "led for 4 steps", "answer"]
+    leads = [f"lead of {percent}%" for percent in (10, 20, 30, 40, 50, 60)]
+    assert list(read) == ["codes", "feature", *named, *leads, "answer"]
     assert [read[name]["steps"] for name in named] == list(range(9, 17))
     assert read["step 16"]["recall_at_1"] == read["answer"]["recall_at_1"]
-    assert 10 <= read["led for 2 steps"]["steps"] <= read["led for 4 steps"]["steps"] <= 16
+    assert 9 <= read[leads[0]]["steps"] < read[leads[-1]]["steps"] <= 16
     assert main(asked) == 0
     assert "step 16" in capsys.readouterr().out
     (run,) = Store(tmp_path / "results").runs()
@@ -136,7 +137,7 @@ def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(
     line, stops = axes.lines
     assert np.asarray(line.get_xdata()).tolist() == list(range(9, 17))
     assert np.asarray(line.get_ydata()) == pytest.approx([100 * read[name]["recall_at_1"] for name in named])
-    assert len(np.asarray(stops.get_xdata())) == 2
+    assert len(np.asarray(stops.get_xdata())) == 6
     dots = [panel.collections[0].get_offsets() for panel in raster(rows).figure.axes]
     cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
     assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]

@@ -49,7 +49,7 @@ def recall_at_step(rows: Sequence[Series]) -> Drawn:
         early = [point for answer, point in points.items() if not answer.startswith("step ")]
         axes.plot(*np.reshape(fixed, (-1, 2)).T, color=look.colour, linestyle=look.dash, label=name)
         axes.plot(*np.reshape(early, (-1, 2)).T, color=look.colour, linestyle="", marker=look.marker)
-    if not any(len(line.get_xdata()) for line in axes.lines):
+    if not any("steps" in each for row in rows for run in row.runs for each in run.readouts or ()):
         raise BadInput("no stored run was asked step by step: run it with readouts=true")
     axes.set(xlabel="Time steps since the query was shown", ylabel="Recall at 1 (%)", ylim=(0, 102))
     axes.grid(True)
