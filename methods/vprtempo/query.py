@@ -120,7 +120,7 @@ class SpikingQuery:
         n_features = len(spikes) // len(self._columns)
         for module, columns in enumerate(self._columns):
             active = spikes[module * n_features : (module + 1) * n_features]
-            _add_active(columns, active, above[self._ends[module] : self._ends[module + 1]])
+            add_active(columns, active, above[self._ends[module] : self._ends[module + 1]])
         above -= self._thresholds
         return torch.from_numpy(above)[None]
 
@@ -239,7 +239,7 @@ def _feature_spikes(weights, bias, x, clip, spikes):  # type: ignore[no-untyped-
 
 
 @compiled
-def _add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
+def add_active(weights, spikes, net):  # type: ignore[no-untyped-def]
     """Write the net input of output neurons (n_places,), `weights` (n_features, n_places), reading active rows only."""
     net[:] = 0
     active = np.flatnonzero(spikes)
@@ -267,7 +267,7 @@ def _compile() -> None:
     weights, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     _feature_spikes(weights, row, row, np.float32(1), row.copy())
     _sparse_feature_spikes(row, np.zeros(1, np.int32), np.zeros(2, np.int64), row, row, np.float32(1), row.copy())
-    _add_active(weights, row, row.copy())
+    add_active(weights, row, row.copy())
 
 
 _compile()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, final
@@ -25,12 +25,13 @@ class LayerSpikes:
     """What the neurons of one layer did for some queries.
 
     `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
-    spike if `kind` is "amplitude".
+    spike if `kind` is "amplitude". `times`, of the same shape, are the time steps of single spikes, from 1; 0: silent.
     """
 
     name: str  # input, feature, output, ...
     values: npt.NDArray[Any]
     kind: Literal["count", "amplitude"] = "count"
+    times: npt.NDArray[Any] | None = None
 
 
 class Method(ABC):
@@ -138,6 +139,13 @@ class Method(ABC):
         Readouts compare them by their cosines. Raises NotFittedError before `fit`.
         """
         return {}
+
+    def answers(self, codes: npt.NDArray[Any]) -> Iterable[tuple[str, npt.NDArray[Any], Scores]]:
+        """Return what would be answered at each time step N, "step N", and by rules that stop early; most have none.
+
+        Of each: its name, the steps it takes (n_queries,) and its scores. Raises NotFittedError before `fit`.
+        """
+        return ()
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Raise TypeError for a subclass that replaces `query`, which is encode and match."""

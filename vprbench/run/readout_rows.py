@@ -34,7 +34,8 @@ def readout_text(run: Run) -> str:
     """Return the readouts of a run as a small table, or a line that says why there is none."""
     found = readout_numbers(run)
     if found:
-        return table_text(("readout", "neurons", "R@1 % [95 %]"), [_row(readout) for readout in found])
+        columns = ("readout", "neurons", "R@1 % [95 %]", *["time steps"] * any("steps" in each for each in found))
+        return table_text(columns, [_row(readout)[: len(columns)] for readout in found])
     missing = f"{run.method} learns no layer that it shows" if run.readouts == [] else "see the notes"
     return told(f"readouts: none, {missing}")
 
@@ -49,10 +50,13 @@ def _recall(readout: Mapping[str, Any], order: npt.NDArray[np.int64]) -> dict[st
         "recall_at_1": float(hits.mean()),
         "recall_at_1_low": interval.low,
         "recall_at_1_high": interval.high,
+        **({"steps": float(np.mean(readout["steps"]))} if "steps" in readout else {}),
     }
 
 
 def _row(readout: Mapping[str, Any]) -> list[str]:
     name, first = readout["name"], METRICS["recall_at_1"].text(readout["recall_at_1"])
     ends = f"[{100 * readout['recall_at_1_low']:.1f}, {100 * readout['recall_at_1_high']:.1f}]"
-    return [name if name == _ANSWER else f"{name}, cosine", f"{readout['neurons']:,}", f"{first} {ends}"]
+    steps = f"{readout['steps']:.4g}" if "steps" in readout else ""
+    said = name if name == _ANSWER or steps else f"{name}, cosine"
+    return [said, f"{readout['neurons']:,}", f"{first} {ends}", steps]

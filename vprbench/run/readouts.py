@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.api.search import Search
 from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.ranking import Outcome, concatenate, outcome
+from vprbench.metrics.ranking import outcome
 from vprbench.run.answers import block_size
 from vprbench.run.note import Note
 
@@ -27,7 +28,8 @@ def read(method: Method, dataset: Dataset) -> tuple[list[dict[str, Any]] | None,
     """Return what the cosines of a fitted method's codes and layers find, as plain values, and what went wrong.
 
     A place is worth its most similar reference, as in a search by descriptors. Of each readout: its `name`, its
-    `neurons`, and for each query the chance `hits` that the best place is right. Empty for a method without layers.
+    `neurons`, and for each query the chance `hits` that the best place is right; of answers in time the `steps`
+    too. Empty for a method without layers.
     """
     if type(method).layers is Method.layers:
         return [], ()
@@ -40,32 +42,30 @@ def read(method: Method, dataset: Dataset) -> tuple[list[dict[str, Any]] | None,
 
 def _hits(method: Method, dataset: Dataset) -> list[dict[str, Any]]:
     size = block_size(method, dataset.n_places)
-    parts = [*_vectors(method, dataset.references.unnamed(), size)]
-    maps = {name: Search(np.concatenate([part[name] for part in parts]), dataset.places) for name in parts[0]}
+    parts = [*_values(method, dataset.references.unnamed(), size)]
+    maps = {name: Search(np.concatenate([_unit(part[name]) for part in parts]), dataset.places) for name in parts[0]}
     del parts
-    outcomes: dict[str, list[Outcome]] = {name: [] for name in maps}
+    found: dict[str, dict[str, Any]] = {}
     done = 0
-    for block in _vectors(method, dataset.queries.unnamed(), size):
-        for name, vectors in block.items():
-            right = dataset.positives[done : done + len(vectors)]
-            outcomes[name].append(outcome(maps[name].scores(vectors), right))
-        done += len(vectors)
-    return [
-        {
-            "name": name,
-            "neurons": maps[name].references.shape[1],
-            "hits": hits_at(concatenate(found), 1).tolist(),
-        }
-        for name, found in outcomes.items()
-    ]
+    for block in _values(method, dataset.queries.unnamed(), size):
+        right = dataset.positives[done : done + len(block[_CODES])]
+        by_cosine = ((name, None, maps[name].scores(_unit(values))) for name, values in block.items())
+        for name, steps, scores in chain(by_cosine, method.answers(block[_CODES])):
+            neurons = maps[name].references.shape[1] if name in maps else scores.shape[1]
+            readout = found.setdefault(name, {"name": name, "neurons": neurons, "hits": []})
+            readout["hits"] += hits_at(outcome(scores, right), 1).tolist()
+            if steps is not None:
+                readout.setdefault("steps", []).extend(steps.tolist())
+        done += len(right)
+    return [*found.values()]
 
 
-def _vectors(method: Method, images: Images, size: int) -> Iterator[dict[str, Vectors]]:
+def _values(method: Method, images: Images, size: int) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """Yield the codes and layers of consecutive images."""
     done = 0
     for block in images.blocks(size):
         codes = np.asarray(method.encode(block))
-        yield {name: _unit(values) for name, values in {_CODES: codes, **method.layers(codes)}.items()}
+        yield {_CODES: codes, **method.layers(codes)}
         done += len(block)
         progress.report("reading layers", done / len(images))
 

@@ -111,6 +111,7 @@ class _Layer(_Part):
     spikes_per_query: Annotated[list[_Amount], Field(min_length=1)]
     active_share: _Share
     amplitude_mean: _Number | None
+    times: list[_Count] | None = None
 
 
 class _Spikes(_Part):
@@ -122,6 +123,7 @@ class _Readout(_Part):
     name: str
     neurons: _Count
     hits: Annotated[list[_Share], Field(min_length=1)]
+    steps: list[_Count] | None = None
 
 
 class _Frames(_Part):

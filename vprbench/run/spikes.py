@@ -35,8 +35,9 @@ def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
     """Return the statistics of layers over their queries, as plain values; None without a layer.
 
     Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and
-    `amplitude_mean`, of all spikes, None if only their number is known or there is none. Raises BadInput for
-    layers of different queries and for values that are not finite or below 0.
+    `amplitude_mean`, of all spikes, None if only their number is known or there is none; of timed spikes the `times`
+    of all neurons for the query in the middle. Raises BadInput for layers of different queries and for values that are
+    not finite or below 0.
     """
     if not layers:
         return None
@@ -59,6 +60,7 @@ def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
         "spikes_per_query": per_query.sum(1, dtype=np.float64).tolist(),
         "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
         "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
+        **({"times": layer.times[len(values) // 2].tolist()} if layer.times is not None else {}),
     }
 
 

@@ -305,7 +305,7 @@ def test_without_onednn_a_query_gives_the_same(rules: Rules, ask: Ask, monkeypat
 @pytest.mark.parametrize(
     ("name", "kind", "kernels"),
     [
-        ("query", "SpikingQuery", ("_feature_spikes", "_add_active")),
+        ("query", "SpikingQuery", ("_feature_spikes", "add_active")),
         ("quantised", "Int8SpikingQuery", ("_multiply", "_write_levels")),
     ],
 )

@@ -153,7 +153,7 @@ def _growing(found: Material) -> list[Row]:
 
 def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
     """Yield the figures that each dataset has: Figure 3, and those beyond the paper."""
-    from vprbench.paper.figures import accuracy, growth, metrics, pictures, sequences, spikes, tradeoff
+    from vprbench.paper.figures import accuracy, growth, metrics, pictures, raster, sequences, spikes, tradeoff
 
     for group in found.groups:
         shown = accuracy_series(group, found.chosen.rows)
@@ -179,6 +179,9 @@ def _of_columns(found: Material) -> Iterator[tuple[str, Draw]]:
         if any(run.stream for one in shown for run in one.runs):
             yield f"growing-map-{name}", partial(growth.growing_map, shown)
         yield f"spikes-{name}", partial(spikes.spike_statistics, shown)
+        if in_time := raster.in_time(shown):
+            yield f"raster-{name}", partial(raster.raster, in_time)
+            yield f"steps-{name}", partial(raster.recall_at_step, in_time)
     for column in found.chosen.columns:
         groups_of = [group for group in found.groups if group.asked is column and group.runs]
         lengths = [accuracy_series(g, found.chosen.rows) for g in groups_of if "sequence" in g.runs[0].protocol]

@@ -1,0 +1,118 @@
+"""VPRTempo in time: an amplitude is how early in a cycle a neuron spikes, and a query may stop early."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from vprbench.api import BadInput, LayerSpikes, Scores
+
+from .method import VPRTempo
+from .network import Network
+from .query import Amplitudes, SpikingQuery, add_active
+from .rules import Rules
+
+
+class LatencyQuery(SpikingQuery):
+    """The paper's query, each layer in a cycle of `steps` time steps: spikes of larger amplitude come earlier.
+
+    A spike adds its synapse's weight times the amplitude that its step stands for. The thresholds of output neurons
+    grow evenly to their full value at the end of the features' cycle.
+    """
+
+    def __init__(self, network: Network, rules: Rules, steps: int, lead: float | None) -> None:
+        """Lay out the weights; a query ends when the best place is ahead by a share `lead` of its state, or last."""
+        super().__init__(network, rules)
+        self._steps, self._lead, self._clip = steps, lead or 1.0, np.float32(rules.clip)
+        self._by_feature = [weights.cpu().numpy() for weights in network.outputs]
+        self._full = torch.cat(network.output_thresholds).cpu().numpy()
+
+    def scores(self, spikes: npt.NDArray[np.float32]) -> Scores:
+        """Return the state of every place's output neuron where the query ends."""
+        return [*self.run(spikes, self._lead)][-1][1]
+
+    def layers(self, spikes: npt.NDArray[np.float32]) -> tuple[Amplitudes, Amplitudes]:
+        """Return the feature spikes that came before the end, as amplitudes, and the output neurons at the end."""
+        steps, scores = [*self.run(spikes, self._lead)][-1]
+        levels = self._levels(spikes)
+        return levels * (self._clip / self._steps) * (levels > (self._steps - steps)[:, None]), scores
+
+    def run(self, spikes: npt.NDArray[np.float32], lead: float) -> Iterator[tuple[npt.NDArray[np.int64], Scores]]:
+        """Yield after each step of the features' cycle where each query stands, and its scores; ended ones stay."""
+        features = self._levels(spikes).reshape(len(spikes), len(self._by_feature), -1)
+        added, scores = np.empty(len(self._full), np.float32), np.zeros((len(spikes), len(self._full)), np.float32)
+        net, steps, going = scores.copy(), np.zeros(len(spikes), np.int64), np.ones(len(spikes), bool)
+        for step in range(1, self._steps + 1):
+            level = self._steps + 1 - step
+            came = (features == level) * (self._clip * level / self._steps)
+            for query, module in product(np.flatnonzero(going), range(len(self._by_feature))):
+                own = slice(*self._ends[module : module + 2])
+                add_active(self._by_feature[module], came[query, module], added[own])
+                net[query, own] += added[own]
+            above = net[going] - self._full * np.float32(step / self._steps)
+            scores[going], steps[going] = self._fired(torch.from_numpy(above)).numpy(), step
+            yield steps, scores
+            second, first = np.partition(np.pad(scores, ((0, 0), (1, 0))), -2, axis=1)[:, -2:].T
+            going &= first - second <= lead * first
+            if not going.any():
+                return
+
+    def _levels(self, spikes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return how many steps before the end of their cycle the features spike, (n_queries, n_neurons); 0: never."""
+        shown = torch.tensor(np.rint(spikes * np.float32(self._steps)) / np.float32(self._steps), device=self._device)
+        return np.rint(self._features(shown).cpu().numpy() * (self._steps / self._clip))
+
+
+@dataclass
+class VPRTempoLatencies(VPRTempo):
+    """VPRTempo asked by spike times: input and features spike in a cycle of `steps` time steps each; trained as ever.
+
+    `lead` ends a query once its best place is ahead of the next one by such a share of its state; None waits for the
+    end of the features' cycle.
+    """
+
+    steps: int = 16
+    lead: float | None = None
+
+    @property
+    def query_arguments(self) -> frozenset[str]:
+        """The arguments that may differ in a stored network."""
+        return super().query_arguments | {"steps", "lead"}
+
+    def chosen_rules(self) -> Rules:
+        """Return the rules; raises BadInput where spikes have no times."""
+        rules = super().chosen_rules()
+        if not 4 <= self.steps <= 1000 or not (self.lead is None or 0 < self.lead < 1):
+            raise BadInput(f"method.steps={self.steps}, method.lead={self.lead}: give 4 to 1000, and between 0 and 1")
+        if rules.query_rule == "linear" or rules.calibrated_scores:
+            raise BadInput("spike times need method.query_rule=spiking and method.calibrated_scores=false: set them")
+        return rules
+
+    @property  # type: ignore[override]  # it depends on arguments
+    def _spiking_query(self) -> Any:
+        return partial(LatencyQuery, steps=self.steps, lead=self.lead)
+
+    def answers(self, codes: npt.NDArray[np.float32]) -> Iterator[tuple[str, npt.NDArray[np.int64], Scores]]:
+        """Yield the answers after each step of the features' cycle, and of queries that end by leads of 10 to 60 %."""
+        query = cast(LatencyQuery, self._trained())
+        for steps, scores in query.run(codes, 1.0):
+            yield f"step {self.steps + steps[0]}", self.steps + steps, scores
+        for lead in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6):
+            steps, scores = [*query.run(codes, lead)][-1]
+            yield f"lead of {lead:.0%}", self.steps + steps, scores
+
+    def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
+        """Return the spikes of each layer until the query ends; the outputs spike in a cycle after the features'."""
+        found, clip = super().spikes(codes), self.chosen_rules().clip
+        for cycle, most in enumerate((1, clip, clip)):
+            levels = np.rint(found[cycle].values * (self.steps / most)).astype(int)
+            times = np.where(levels > 0, (cycle + 1) * self.steps + 1 - levels, 0)
+            found[cycle] = replace(found[cycle], times=times)
+        return found

@@ -1,0 +1,145 @@
+"""VPRTempo in time: its steps against a simulation of single neurons, where queries end, and what a run keeps."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from little import a_run as little_run
+from small_plan import RUN
+from tempo_networks import SIZES, Floats, Spikes, double, network, one_layer, shown
+
+from vprbench.api.images import Images
+from vprbench.cli import main
+from vprbench.errors import BadInput
+from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
+from vprbench.methods.vprtempo.method import VPRTempo
+from vprbench.methods.vprtempo.network import Network
+from vprbench.methods.vprtempo.query import SpikingQuery
+from vprbench.methods.vprtempo.rules import PAPER
+from vprbench.paper.figures.raster import in_time, raster, recall_at_step
+from vprbench.paper.selection import Series
+from vprbench.plugins.rules import Journey
+from vprbench.run.store import Store
+
+SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
+
+
+def simulated(asked: Network, pixels: Floats, steps: int) -> Floats:
+    """Return the outputs after each step of the features' cycle, (steps, n_places), neuron by neuron."""
+    clip, outputs = 0.9, []
+    for module, weights in enumerate(asked.outputs):
+        net = double(asked.constant[module]) - double(asked.feature_thresholds[module])
+        for step in range(1, steps + 1):  # the inputs' cycle
+            for pixel in np.flatnonzero(np.round((1 - pixels) * steps) + 1 == step):
+                net = net + double(asked.features[module])[:, pixel] * (steps + 1 - step) / steps
+        when = np.round((1 - np.clip(net, 0, clip) / clip) * steps) + 1
+        potential, states = np.zeros(weights.shape[1]), []
+        for step in range(1, steps + 1):  # the features' cycle
+            for feature in np.flatnonzero(when == step):
+                potential = potential + double(weights)[feature] * clip * (steps + 1 - step) / steps
+            states.append(np.clip(potential - double(asked.output_thresholds[module]) * step / steps, 0, clip))
+        outputs.append(states)
+    return np.concatenate(outputs, axis=1)
+
+
+@SIZES
+def test_each_step_is_that_of_a_simulation_of_single_neurons(sizes: list[int]) -> None:
+    asked, spikes = network(sizes), shown(6)
+    found = np.array([scores.copy() for _, scores in LatencyQuery(asked, PAPER, 8, None).run(spikes, 1.0)])
+    expected = np.stack([simulated(asked, pixels.astype(np.float64), 8) for pixels in spikes], axis=1)
+    assert found == pytest.approx(expected, abs=1e-5)
+
+
+def test_with_many_steps_the_answer_is_that_of_amplitudes() -> None:
+    asked, spikes = network([5, 3]), shown(6)
+    exact = SpikingQuery(asked, PAPER).scores(spikes)
+    assert exact.max() > 0.5
+    assert LatencyQuery(asked, PAPER, 1000, None).scores(spikes) == pytest.approx(exact, abs=0.01)
+    assert np.abs(LatencyQuery(asked, PAPER, 4, None).scores(spikes) - exact).max() > 0.05
+
+
+# Features repeat two pixels; the first leads to places 0 and 2, the second to place 1.
+RIVALS = one_layer(np.array([[0.5, 0.0, 0.4], [0.0, 0.9, 0.0]]))
+PIXELS = np.array([[0.9, 0.5], [0.5, 0.9], [0.0, 0.0]], np.float32)  # the last query spikes nowhere
+
+
+@pytest.mark.parametrize(
+    ("lead", "ends", "answers", "features"),
+    [
+        (None, [10, 10, 10], [1, 1], [[0.9, 0.54], [0.54, 0.9], [0, 0]]),
+        (0.1, [1, 1, 10], [0, 1], [[0.9, 0], [0, 0.9], [0, 0]]),  # 0.45 and 0.36; 0.81 alone
+        (0.3, [10, 1, 10], [1, 1], [[0.9, 0.54], [0, 0.9], [0, 0]]),  # the weaker spikes in step 5: 0.486 and 0.45
+    ],
+)
+def test_a_query_ends_once_a_place_is_ahead_by_a_share(
+    lead: float | None, ends: list[int], answers: list[int], features: Any
+) -> None:
+    query = LatencyQuery(RIVALS, PAPER, 10, lead)
+    *_, (steps, _) = query.run(PIXELS, lead or 1.0)
+    assert steps.tolist() == ends
+    assert query.scores(PIXELS)[:2].argmax(1).tolist() == answers
+    assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
+
+
+def fitted(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
+    """Return VPRTempo, the same network in time, and the codes of queries."""
+    world = Journey.draw(0)
+    tempo = VPRTempo(**SMALL).fit(Images.from_arrays(world.references), world.places)
+    timed = VPRTempoLatencies(**SMALL, **arguments).restore(tempo.state())
+    return tempo, timed, tempo.encode(Images.from_arrays(world.queries))
+
+
+def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
+    tempo, timed, codes = fitted(steps=64)
+    assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
+    for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
+        with pytest.raises(BadInput):
+            VPRTempoLatencies(**{**SMALL, **given}).restore(tempo.state())
+
+
+def test_a_larger_amplitude_spikes_earlier_in_the_cycle_of_its_layer() -> None:
+    _, timed, codes = fitted(steps=10)
+    for cycle, (layer, most) in enumerate(zip(timed.spikes(codes), (1, 0.9, 0.9), strict=True)):
+        assert layer.times is not None
+        spiked = layer.times > 0
+        # A spike stands for its amplitude to within half a step of ten.
+        meant = most * (1 - (layer.times - 10 * cycle - 1) / 10)
+        assert spiked.any()
+        assert np.abs(meant - layer.values)[spiked].max() <= most / 20 + 1e-6
+        assert layer.values[~spiked].max(initial=0) <= most / 20 + 1e-6
+
+
+def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
+    asked = ["method=vprtempo_latencies", *options, "readouts=true"]
+    assert main([*asked, "output=json"]) == 0
+    read = {each["name"]: each for each in json.loads(capsys.readouterr().out)["readouts"]}
+    named = [f"step {step}" for step in range(9, 17)]
+    leads = [f"lead of {percent}%" for percent in (10, 20, 30, 40, 50, 60)]
+    assert list(read) == ["codes", "feature", *named, *leads, "answer"]
+    assert [read[name]["steps"] for name in named] == list(range(9, 17))
+    assert read["step 16"]["recall_at_1"] == read["answer"]["recall_at_1"]
+    assert 9 <= read[leads[0]]["steps"] < read[leads[-1]]["steps"] <= 16
+    assert main(asked) == 0
+    assert "step 16" in capsys.readouterr().out
+    (run,) = Store(tmp_path / "results").runs()
+    rows = in_time([Series("in time", True, (run,)), Series("without", True, (little_run(),))])
+    assert [row.name for row in rows] == ["in time"]
+    (axes,) = recall_at_step(rows).figure.axes
+    line, stops = axes.lines
+    assert np.asarray(line.get_xdata()).tolist() == list(range(9, 17))
+    assert np.asarray(line.get_ydata()) == pytest.approx([100 * read[name]["recall_at_1"] for name in named])
+    assert len(np.asarray(stops.get_xdata())) == 6
+    dots = [panel.collections[0].get_offsets() for panel in raster(rows).figure.axes]
+    cycles = [np.ceil(np.asarray(each)[:, 0] / 8) for each in dots]
+    assert [set(cycle.tolist()) for cycle in cycles] == [{1}, {2}, {3}]
+    with pytest.raises(BadInput):
+        recall_at_step([Series("unread", True, (replace(run, readouts=None),))])
