@@ -22,6 +22,7 @@ from vprbench.api import (
     Scores,
     best_image_of_place,
     compiled,
+    takes,
 )
 
 from .parts.pixels import Preprocessing, pixels
@@ -65,11 +66,16 @@ class SAD(Method):
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
         if self._references is None:
             raise NotFittedError("SAD has no map yet: call fit(references, places) first")
+        takes(single=3.0 * len(codes) * np.prod(self._references.shape), kind="int8")  # subtract, drop the sign, add
         if isinstance(self._references, np.ndarray):
             return best_image_of_place(_similarity(codes, self._references), self._places)
         # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
         total = torch.cdist(self._to_device(codes), self._references, p=1)
         return best_image_of_place((total / -codes.shape[1]).cpu().numpy(), self._places)
+
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the references."""
+        return None if self._references is None else self._references.nbytes
 
     def _to_device(self, levels: Levels) -> torch.Tensor:
         return torch.from_numpy(levels).to(self.device, torch.float32)

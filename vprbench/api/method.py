@@ -25,12 +25,14 @@ class LayerSpikes:
     """What the neurons of one layer did for some queries.
 
     `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
-    spike if `kind` is "amplitude".
+    spike if `kind` is "amplitude". `fan_out` (n_neurons,) counts the synapses that exist from each neuron to the next
+    layer; None: it leads nowhere.
     """
 
     name: str  # input, feature, output, ...
     values: npt.NDArray[Any]
     kind: Literal["count", "amplitude"] = "count"
+    fan_out: npt.NDArray[Any] | None = None
 
 
 class Method(ABC):
@@ -125,6 +127,10 @@ class Method(ABC):
         Readouts compare them by their cosines. Raises NotFittedError before `fit`.
         """
         return {}
+
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the map that answers need; None: those of `state`, or of the index that is searched."""
+        return None
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Raise TypeError for a subclass that replaces `query`, which is encode and match."""

@@ -14,6 +14,7 @@ from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.corruptions import make_missing, under
 from vprbench.compare.quantities import quantities
 from vprbench.compare.request import Asked
+from vprbench.metrics.registry import spelt_out
 from vprbench.paper.figures.make import draw_all, write_figures
 from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wanted
 from vprbench.paper.page.make import write_page
@@ -81,7 +82,7 @@ def chosen_of(found: Checked, asked: Asked) -> Chosen:
         tuple(cell.row for cell in found.cells),
         (found.column,),
         tuple(request.devices),
-        metrics=tuple(request.metrics),
+        metrics=tuple(spelt_out(request.metrics)),
         results=request.results,
         stores=tuple(request.stores),
         stored=request.stored,

@@ -1,11 +1,11 @@
-"""Every accuracy by its name: an entry of `METRICS` is known to runs, tables, figures and pages."""
+"""Every accuracy and cost by its name: an entry of `METRICS` is known to runs, tables, figures and pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,10 @@ class StoredAnswers(Protocol):
     def top_scores(self) -> npt.NDArray[np.float32]:
         """Their scores, (n_queries, depth); -inf: no candidate."""
 
+    @property
+    def energy(self) -> Mapping[str, Any] | None:
+        """What a query and a place cost; None: nobody asked."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -84,7 +88,11 @@ class Metric:
 
     def text(self, value: float | None) -> str:
         """Return a value for people, without its unit."""
-        return "-" if value is None else f"{self.shown(value):.{self.digits}f}"
+        return "-" if value is None else self.told(self.shown(value))
+
+    def told(self, shown: float) -> str:
+        """Return a value that `shown` gave, rounded."""
+        return f"{shown:.{self.digits}f}"
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,38 @@ class PairMetric(Metric):
         np.put_along_axis(scores, answers.top_places.astype(np.int64), answers.top_scores, axis=1)
         curve = pr_curve_multi(scores, answers.positives)
         return None if curve is None else average_precision(curve)
+
+
+@dataclass(frozen=True)
+class Cost(Metric):
+    """What a query or a place costs, of a run made with energy=true."""
+
+    percent: bool = False
+    higher_is_better: bool = False
+    scale: float = 1.0  # from the stored value to what people read
+    in_unit: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Return the unit."""
+        return self.in_unit
+
+    def of(self, answers: StoredAnswers) -> float | None:
+        """Return the value of a run, unscaled; None if it is not known."""
+        value = None if answers.energy is None else answers.energy["values"].get(self.name)
+        return None if value is None else float(value)
+
+    def shown(self, value: float) -> float:
+        """Return a value in the unit that people read."""
+        return value * self.scale
+
+    def told(self, shown: float) -> str:
+        """Return a value that `shown` gave, with three digits or all before the point."""
+        return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"
+
+
+def _cost(name: str, words: str, in_unit: str, scale: float, meaning: str) -> Cost:
+    return Cost(name, words, lambda outcome: None, meaning, scale=scale, in_unit=in_unit)
 
 
 def _recall(outcome: Outcome, n: int) -> float | None:
@@ -136,5 +176,22 @@ _ALL = (
     ),
 )
 
+_COSTS = (
+    _cost("synops_ac", "ACs", "k", 1e-3, "accumulates a query: binary spikes x existing synapses"),
+    _cost("synops_mac", "MACs", "k", 1e-3, "multiply-accumulates a query: graded spikes x existing synapses"),
+    _cost("operations", "Ops", "M", 1e-6, "arithmetic operations a query, encode and match, a multiply-add being two"),
+    _cost("joules_estimated", "Estimate", "µJ", 1e6, "an estimate of joules a query by a 45 nm table, without memory"),
+    _cost("joules_measured", "Measured", "mJ", 1e3, "joules a query by counters, without those of the idle machine"),
+    _cost("map_bytes", "Map", "B/place", 1.0, "bytes of the map that answers need, a place"),
+)
+
+#: Names that stand for several.
+GROUPS: Mapping[str, tuple[str, ...]] = {"energy": tuple(cost.name for cost in _COSTS)}
+
 #: By name, in the order of a list for people.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+METRICS: dict[str, Metric] = {metric.name: metric for metric in (*_ALL, *_COSTS)}
+
+
+def spelt_out(names: Iterable[str]) -> list[str]:
+    """Return names of metrics, those of groups in their places; what is unknown stays."""
+    return [one for name in names for one in GROUPS.get(name, (name,))]

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from vprbench.cluster.crew import Crew
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
+from vprbench.metrics.registry import GROUPS, spelt_out
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
@@ -129,7 +130,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
         tuple(map(resolved, columns.values())),
         tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
         asked.full,
-        tuple(asked.metrics),
+        tuple(spelt_out(asked.metrics)),
         asked.results,
         tuple(asked.stores),
         asked.stored,
@@ -152,6 +153,7 @@ def made(
     chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose, crew: Crew | None = None
 ) -> list[Ending]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
+    options = [*options, *["energy=true"] * bool({*chosen.metrics} & {*GROUPS["energy"]})]
     return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew)
 
 

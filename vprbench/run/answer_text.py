@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vprbench.run import readout_rows, rows
+from vprbench.run import energy, readout_rows, rows
 from vprbench.run.record import Run
 from vprbench.run.sequences import views
 from vprbench.run.settings import Settings
@@ -26,6 +26,7 @@ def answer_text(run: Run, folder: Path | None, from_store: bool, settings: Setti
                 "data": dict(run.data),
                 **rows.numbers(run, settings.metrics),
                 "readouts": readout_rows.readout_numbers(run),
+                **({"energy": run.energy} if settings.energy else {}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -50,6 +51,8 @@ def answer_text(run: Run, folder: Path | None, from_store: bool, settings: Setti
     tables = [table_text([*table[0]], [[*row.values()] for row in table], settings.wide, rows.LEAST)]
     if settings.readouts:
         tables.append(readout_rows.readout_text(run))
+    if settings.energy:
+        tables.append(energy.text(run))
     return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
 
 

@@ -21,7 +21,7 @@ from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import overheard, progress_shown
-from vprbench.run import machine, runner, thumbnails
+from vprbench.run import energy, machine, runner, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.claims import Claim, Claims, Held, HeldElsewhereError, wait
 from vprbench.run.corrupted_frames import corrupted
@@ -136,6 +136,8 @@ def _found_or_made(
         known = found is not None and (refused or (found.tuned_on == tuned_on and _gaps(found) == _gaps(dataset)))
         if run.readouts is None and stored is not None:
             run = replace(run, readouts=stored.readouts)
+        if run.energy is None and stored is not None:
+            run = replace(run, energy=stored.energy)
         try:
             if not known:
                 store.save(run)
@@ -201,6 +203,8 @@ def _run(
         insist_on_writing(place)
     with progress_shown(title), overheard(claim.tell), chdir("."):
         run = runner.run(request, key, keep)
+        if settings.energy:
+            run = replace(run, energy=energy.costs(request, run))
     insist()
     return run
 
@@ -282,6 +286,9 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
         return None
     if settings.readouts and run.readouts is None:
         logging.info("%s is stored without its readouts: running again for readouts=true", run.method)
+        return None
+    if settings.energy and run.energy is None:
+        logging.info("%s is stored without its costs: running again for energy=true", run.method)
         return None
     if settings.scores and run.scores is None:
         logging.info("%s on %s is stored without its scores: running again for scores=true", run.method, run.dataset)

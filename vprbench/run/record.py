@@ -75,6 +75,7 @@ class Run:
     query_breaks: npt.NDArray[np.int64] | None = None  # Dataset's
     place_breaks: npt.NDArray[np.int64] | None = None
     readouts: Sequence[Mapping[str, Any]] | None = None  # name, neurons, hits of each query; None: not asked for
+    energy: Mapping[str, Any] | None = None  # values, how each was found, meters; None: not asked for
     view: View | None = None  # None: the run as it is stored
 
     @property
@@ -165,7 +166,7 @@ def _summary(content: bytes) -> dict[str, Any]:
     if summary.pop("content_key") != content_key(summary):
         raise DamagedRunError(f"{SUMMARY} is not what was written")
     check_summary(summary)
-    return {"readouts": None, **summary}  # runs of earlier versions have no word of them
+    return {"readouts": None, "energy": None, **summary}  # runs of earlier versions have no word of them
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]

@@ -124,6 +124,11 @@ class _Readout(_Part):
     hits: Annotated[list[_Share], Field(min_length=1)]
 
 
+class _Energy(_Part):
+    values: dict[str, _Amount | None]
+    how: dict[str, str]
+
+
 class _Frames(_Part):
     names_sha256: str
     content_sha256: str | None
@@ -186,6 +191,7 @@ class _Summary(_Part):
     method_seconds: _Number
     spikes: _Spikes | None
     readouts: list[_Readout] | None = None
+    energy: _Energy | None = None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
     tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
     timing: _Timing | None

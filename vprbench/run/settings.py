@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.metrics.registry import METRICS
+from vprbench.metrics.registry import GROUPS, METRICS, spelt_out
 from vprbench.plugins import registry
 from vprbench.run.corruption import corruption
 from vprbench.run.sequences import views
@@ -41,6 +41,7 @@ class Settings:
     save: str | None = None  # file for the trained network
     load: str | None = None  # file of a trained network; nothing is trained then
     readouts: bool = False  # what the codes and the layers of a learnt method find on their own
+    energy: bool = False  # what a query costs in operations and joules, and a place in bytes
     timing: Protocol = field(default_factory=Protocol)
 
 
@@ -61,6 +62,8 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     timing = _checked_timing(config["timing"])
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
+    plain["metrics"] = spelt_out(plain["metrics"])
+    plain["energy"] |= bool({*plain["metrics"]} & {*GROUPS["energy"]})
     settings = Settings(**plain, timing=timing)
     insist_on_metrics(settings.metrics)
     views(settings.sequence, settings.filter)
@@ -85,9 +88,9 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
 
 def insist_on_metrics(names: Iterable[str]) -> None:
     """Raise BadInput for the first name that is no metric."""
-    for name in names:
+    for name in spelt_out(names):
         if name not in METRICS:
-            raise BadInput(f"metrics={name} is unknown: {registry.near(name, METRICS)}")
+            raise BadInput(f"metrics={name} is unknown: {registry.near(name, [*METRICS, *GROUPS])}")
 
 
 def n_threads(settings: Settings) -> int:
