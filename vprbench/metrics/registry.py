@@ -62,10 +62,13 @@ class Metric:
     digits: int = 1  # behind the point
     percent: bool = True  # how people read it; JSON and the CSV of runs hold 0 to 1
     higher_is_better: bool = True
+    cost: tuple[str, float] | None = None  # of no accuracy: the unit that people read, and the stored value of one
 
     @property
     def unit(self) -> str:
         """Return the sign of the unit, empty if there is none."""
+        if self.cost is not None:
+            return self.cost[0]
         return "%" if self.percent else ""
 
     @property
@@ -79,11 +82,15 @@ class Metric:
         return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
 
     def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run, 0 to 1; None if it is undefined."""
+        """Return the value of a run, of an accuracy 0 to 1; None if it is undefined."""
+        if self.cost is not None:
+            return None if answers.energy is None else answers.energy["values"].get(self.name)
         return self.function(answers.outcome)
 
     def shown(self, value: float) -> float:
         """Return a value in the unit that people read."""
+        if self.cost is not None:
+            return value / self.cost[1]
         return 100 * value if self.percent else value
 
     def text(self, value: float | None) -> str:
@@ -91,7 +98,9 @@ class Metric:
         return "-" if value is None else self.told(self.shown(value))
 
     def told(self, shown: float) -> str:
-        """Return a value that `shown` gave, rounded."""
+        """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
+        if self.cost is not None:
+            return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"
         return f"{shown:.{self.digits}f}"
 
 
@@ -110,38 +119,6 @@ class PairMetric(Metric):
         return None if curve is None else average_precision(curve)
 
 
-@dataclass(frozen=True)
-class Cost(Metric):
-    """What a query or a place costs, of a run made with energy=true."""
-
-    percent: bool = False
-    higher_is_better: bool = False
-    scale: float = 1.0  # from the stored value to what people read
-    in_unit: str = ""
-
-    @property
-    def unit(self) -> str:
-        """Return the unit."""
-        return self.in_unit
-
-    def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run, unscaled; None if it is not known."""
-        value = None if answers.energy is None else answers.energy["values"].get(self.name)
-        return None if value is None else float(value)
-
-    def shown(self, value: float) -> float:
-        """Return a value in the unit that people read."""
-        return value * self.scale
-
-    def told(self, shown: float) -> str:
-        """Return a value that `shown` gave, with three digits or all before the point."""
-        return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"
-
-
-def _cost(name: str, words: str, in_unit: str, scale: float, meaning: str) -> Cost:
-    return Cost(name, words, lambda outcome: None, meaning, scale=scale, in_unit=in_unit)
-
-
 def _recall(outcome: Outcome, n: int) -> float | None:
     recall = recall_at(outcome, n)
     return None if recall is None else recall.expected
@@ -154,6 +131,10 @@ def _area(outcome: Outcome, area: Callable[..., float]) -> float | None:
 
 def _area_metric(name: str, words: str, function: Callable[[Outcome], float | None], meaning: str) -> Metric:
     return Metric(name, words, function, meaning, 3, percent=False)
+
+
+def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
+    return Metric(name, words, lambda outcome: None, meaning, higher_is_better=False, cost=(unit, one))
 
 
 _BEST = "the share of queries with a right place among the best"
@@ -175,13 +156,12 @@ _ALL = (
         percent=False,
     ),
 )
-
 _COSTS = (
-    _cost("synops_ac", "ACs", "k", 1e-3, "accumulates a query: binary spikes x existing synapses"),
-    _cost("synops_mac", "MACs", "k", 1e-3, "multiply-accumulates a query: graded spikes x existing synapses"),
-    _cost("operations", "Ops", "M", 1e-6, "arithmetic operations a query, encode and match, a multiply-add being two"),
-    _cost("joules_estimated", "Estimate", "µJ", 1e6, "an estimate of joules a query by a 45 nm table, without memory"),
-    _cost("joules_measured", "Measured", "mJ", 1e3, "joules a query by counters, without those of the idle machine"),
+    _cost("synops_ac", "ACs", "k", 1e3, "accumulates a query, spikes that are all alike x existing synapses"),
+    _cost("synops_mac", "MACs", "k", 1e3, "multiply-accumulates a query, spikes with amplitudes x existing synapses"),
+    _cost("operations", "Ops", "M", 1e6, "operations a query, encode and match, a multiply-add being two"),
+    _cost("joules_estimated", "Estimate", "µJ", 1e-6, "an estimate of joules a query by a 45 nm table, without memory"),
+    _cost("joules_measured", "Measured", "mJ", 1e-3, "joules a query by a counter, less those of the idle machine"),
     _cost("map_bytes", "Map", "B/place", 1.0, "bytes of the map that answers need, a place"),
 )
 

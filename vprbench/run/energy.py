@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,65 +22,56 @@ from vprbench.run.stopwatch import synchroniser
 from vprbench.terminal.console import table_text
 
 _QUERIES = 4  # over which arithmetic is averaged, at most
-_UNKNOWN = "no formula is told, and PyTorch multiplies nothing"
 
-Found = dict[str, tuple[float | None, str]]  # by name a value, None: not known, and how it was found or why not
+Cost = tuple[float | None, str]  # the value, None: not known, and how it was found or why not
 
 
 def costs(request: Request, run: Run) -> dict[str, Any]:
     """Return what a run keeps of costs: `values` by name, None where one is not known, and `how` it was found or why.
 
-    The estimate prices encode and match; in the place of match the synaptic operations of a network that spikes.
+    The estimate prices encode and match, in the place of match the synaptic operations of a network that spikes.
     """
     queries = request.dataset.queries.unnamed()
-    chosen = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
-    found = _synops(run)
+    some = queries[np.linspace(0, len(queries) - 1, min(_QUERIES, len(queries))).astype(np.int64)].in_memory()
+    singles = [some[n : n + 1] for n in range(len(some))]
+    synops = synaptic_operations(run.spikes)
+    how = "no layer that spikes" if synops is None else "spikes x existing synapses"
+    found: dict[str, Cost] = {"synops_ac": (synops and synops[0], how), "synops_mac": (synops and synops[1], how)}
     try:
-        found |= _operations(request.method, chosen, synaptic_operations(run.spikes))
+        found |= _operations(request.method, singles, synops)
     except Exception as error:  # a plug-in may fail in any way, and its answers and times still stand
         why = " ".join(f"not counted ({type(error).__name__}: {error})".split())
         found |= dict.fromkeys(("operations", "joules_estimated"), (None, why))
-    found["map_bytes"] = _map_bytes(request.method, run)
-    told = _measured(request, chosen)
-    found["joules_measured"] = told[:2]
-    values, how = ({name: each[part] for name, each in found.items()} for part in (0, 1))
-    return {"values": values, "how": how, "meter": told[2]}
+    found |= {"joules_measured": _measured(request, singles), "map_bytes": _map_bytes(request.method, run)}
+    return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
 def text(run: Run) -> str:
     """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
     found = run.energy or {"values": {}, "how": {}}
-    rows = [
-        [METRICS[name].head, "n/a" if value is None else METRICS[name].text(value), found["how"][name]]
-        for name, value in found["values"].items()
-    ]
-    return table_text(("cost", "a query", "how"), rows)
+    shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
+    return table_text(("cost", "", "how"), [[METRICS[name].head, shown[name], found["how"][name]] for name in shown])
 
 
-def _synops(run: Run) -> Found:
-    found = synaptic_operations(run.spikes)
-    names = ("synops_ac", "synops_mac")
-    if found is None:
-        return dict.fromkeys(names, (None, "no layer that spikes"))
-    return {name: (each, "spikes x existing synapses") for name, each in zip(names, found, strict=True)}
-
-
-def _operations(method: Method, queries: Images, synops: tuple[float, float] | None) -> Found:
-    """Return the operations of encode and match, and the joules that they would take; the queries are asked for it."""
+def _operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
+    """Return the operations of a query and the joules that they would take; the queries are asked for it."""
     encodes, matches = list[Arithmetic](), list[Arithmetic]()
-    for n in range(len(queries)):
-        codes, one = _counted(lambda n=n: method.encode(queries[n : n + 1]))
-        encodes += one
-        matches += _counted(lambda codes=codes: method.match(codes))[1]
-    encode, match = (sum(each.operations for each in step) / len(queries) for step in (encodes, matches))
-    steps = f"encode {encode:,.0f}, match {match:,.0f}; {'+'.join(sorted({each.kind for each in encodes + matches}))}"
-    lacking = [f"{name}: {_UNKNOWN}" for name, step in (("encode", encode), ("match", match)) if not step]
-    total = (None, "; ".join(lacking)) if lacking else (encode + match, f"{steps}, formulas or PyTorch's count")
-    if synops is not None and matches:
-        matches = [Arithmetic(synops[1] * len(queries), synops[0] * len(queries), matches[0].kind)]
-    estimate = estimated_joules(encodes + matches) / len(queries)
-    how = f"an estimate: 45 nm table, encode and {'match' if synops is None else 'synaptic operations'}, no memory"
-    return {"operations": total, "joules_estimated": (None, total[1]) if lacking else (estimate, how)}
+    for single in singles:
+        codes, told = _counted(partial(method.encode, single))
+        encodes += told
+        matches += _counted(partial(method.match, codes))[1]
+    each = [sum(one.operations for one in told) / len(singles) for told in (encodes, matches)]
+    if not all(each):
+        why = f"of {'match' if each[0] else 'encode'} no formula is told, and PyTorch multiplies nothing"
+        return dict.fromkeys(("operations", "joules_estimated"), (None, why))
+    kinds = "+".join(sorted({one.kind for one in encodes + matches}))
+    how = f"encode {each[0]:,.0f}, match {each[1]:,.0f} ({kinds}), by formulas or PyTorch's count"
+    priced = "an estimate by 45 nm, without memory: encode and match"
+    if synops is not None:
+        priced = priced.replace("match", "synaptic operations")
+        matches = [Arithmetic(synops[1] * len(singles), synops[0] * len(singles), matches[0].kind)]
+    joules_a_query = estimated_joules(encodes + matches) / len(singles)
+    return {"operations": (sum(each), how), "joules_estimated": (joules_a_query, priced)}
 
 
 def _counted(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
@@ -93,27 +84,32 @@ def _counted(work: Callable[[], Any]) -> tuple[Any, Sequence[Arithmetic]]:
     return result, told if sum(each.operations for each in told) >= by_torch.operations else [by_torch]
 
 
-def _map_bytes(method: Method, run: Run) -> tuple[float | None, str]:
+def _map_bytes(method: Method, run: Run) -> Cost:
     if (stated := method.map_bytes()) is not None:
         return stated / run.outcome.n_places, "references or weights, a place"
     if run.search is not None:
         return run.search["bytes_per_place"], f"index {run.search['index']}, a place"
     try:
-        return sum(
-            array.nbytes for array in method.state().values()
-        ) / run.outcome.n_places, "what save= keeps, a place"
+        arrays = method.state().values()
     except BadInput:
         return None, "the method does not tell what its map holds"
+    return sum(array.nbytes for array in arrays) / run.outcome.n_places, "the arrays that save= keeps, a place"
 
 
-def _measured(request: Request, queries: Images) -> tuple[float | None, str, dict[str, Any] | None]:
-    device = request.config["device"]
+def _measured(request: Request, singles: Sequence[Images]) -> Cost:
+    turns, finished = itertools.cycle(singles), synchroniser(request.config["device"])
+
+    def ask() -> None:
+        request.method.query(next(turns))
+        finished()
+
     try:
-        meter = joules.meter(device)
+        source, read = joules.counter(request.config["device"])
     except joules.UnreadableError as error:
-        return None, str(error), None
-    singles = itertools.cycle([queries[n : n + 1] for n in range(len(queries))])
+        return None, str(error)
     with slot.alone():
-        told = joules.measured(meter, lambda: request.method.query(next(singles)), synchroniser(device))
-    how = f"{meter.source}, {told.watts:.1f} W less {told.idle_watts:.1f} W of the idle machine"
-    return (told.joules if told.joules > 0 else None), how, asdict(told)
+        told = joules.measured(read, ask)
+    how = "{watts:.1f} W less {idle_watts:.1f} W of the idle machine, {queries} queries in {seconds:.1f} s".format(
+        **told
+    )
+    return (told["joules"] if told["joules"] > 0 else None), f"{source}: {how}"
