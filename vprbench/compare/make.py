@@ -14,7 +14,6 @@ from vprbench.compare.checks import Cell, Checked, checked
 from vprbench.compare.corruptions import make_missing, under
 from vprbench.compare.quantities import quantities
 from vprbench.compare.request import Asked
-from vprbench.metrics.registry import spelt_out
 from vprbench.paper.figures.make import draw_all, write_figures
 from vprbench.paper.gather import Chosen, Material, assembled, made, stored, wanted
 from vprbench.paper.page.make import write_page
@@ -82,7 +81,7 @@ def chosen_of(found: Checked, asked: Asked) -> Chosen:
         tuple(cell.row for cell in found.cells),
         (found.column,),
         tuple(request.devices),
-        metrics=tuple(spelt_out(request.metrics)),
+        metrics=tuple(request.metrics),
         results=request.results,
         stores=tuple(request.stores),
         stored=request.stored,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import mean, median
 from typing import Literal
 
-from vprbench.metrics.registry import METRICS, spelt_out
+from vprbench.metrics.registry import METRICS
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import DEVICES, Device
 from vprbench.paper.table.best import Contestant
@@ -61,7 +61,7 @@ class Memory(Quantity):
 def quantities(metrics: Sequence[str], devices: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the columns of a comparison on some devices, with more `metrics` by their names."""
     kinds: list[Device] = [kind for kind in DEVICES if any(device.startswith(kind) for device in devices)]
-    names = [name for name in dict.fromkeys((*_METRICS, *spelt_out(metrics))) if name != RECALL.name]
+    names = [name for name in dict.fromkeys((*_METRICS, *metrics)) if name != RECALL.name]
     of_metrics = [OfMetric(name, METRICS[name].words, METRICS[name].unit, metric=METRICS[name]) for name in names]
     words = {"cpu": "fit CPU", "cuda": "fit GPU"} if len(kinds) > 1 else dict.fromkeys(kinds, "fit")
     fits = [Fit(f"train_{'cpu' if kind == 'cpu' else 'gpu'}", words[kind], "s", kind) for kind in kinds]

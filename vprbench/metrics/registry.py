@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -170,8 +170,3 @@ GROUPS: Mapping[str, tuple[str, ...]] = {"energy": tuple(cost.name for cost in _
 
 #: By name, in the order of a list for people.
 METRICS: dict[str, Metric] = {metric.name: metric for metric in (*_ALL, *_COSTS)}
-
-
-def spelt_out(names: Iterable[str]) -> list[str]:
-    """Return names of metrics, those of groups in their places; what is unknown stays."""
-    return [one for name in names for one in GROUPS.get(name, (name,))]

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from vprbench.cluster.crew import Crew
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
-from vprbench.metrics.registry import GROUPS, spelt_out
+from vprbench.metrics.registry import GROUPS
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
@@ -65,7 +65,7 @@ class TableRequest(ClusterOptions):
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        insist_on_metrics(self.metrics)
+        object.__setattr__(self, "metrics", insist_on_metrics(self.metrics))
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
@@ -130,7 +130,7 @@ def choose(asked: TableRequest, compose: Compose) -> Chosen:
         tuple(map(resolved, columns.values())),
         tuple(asked.devices or (["cpu"] if asked.stored else _devices())),
         asked.full,
-        tuple(spelt_out(asked.metrics)),
+        tuple(asked.metrics),
         asked.results,
         tuple(asked.stores),
         asked.stored,

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 from vprbench.metrics.accuracy import hits_at, recall_at
 from vprbench.metrics.intervals import WiderInterval
-from vprbench.metrics.registry import METRICS, Metric, spelt_out
+from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import DEVICES, Device
 from vprbench.paper.table.best import (
@@ -267,7 +267,7 @@ QUANTITIES: tuple[Quantity, ...] = (RECALL, TRAINING[0], RATES[0], TRAINING[1], 
 def quantities(metrics: Sequence[str], devices: Collection[Device] = DEVICES) -> tuple[Quantity, ...]:
     """Return the columns of a table: those of the paper, times on these devices, and `metrics` by their names."""
     shown = (one for one in QUANTITIES if one.device is None or one.device in devices)
-    more = (METRICS[name] for name in dict.fromkeys(spelt_out(metrics)) if name != RECALL.name)
+    more = (METRICS[name] for name in dict.fromkeys(metrics) if name != RECALL.name)
     return (*shown, *(OfMetric(one.name, one.words, one.unit, metric=one) for one in more))
 
 
