@@ -16,7 +16,7 @@ from little import Lookup, journey
 from little_runs import asked_for, run_of
 from little_vprsnn import fitted as fitted_vprsnn
 from little_vprsnn import references
-from small_plan import RUN
+from small_plan import RUN, install
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -176,7 +176,7 @@ def test_a_method_that_fails_when_it_is_counted_keeps_its_run() -> None:
 def test_costs_are_asked_for_stored_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    install(monkeypatch, tmp_path)
     monkeypatch.setattr(joules, "POWERCAP", tmp_path / "none")
     assert main([*ONE, "output=json"]) == 0
     assert "energy" not in json.loads(capfd.readouterr().out)
@@ -188,6 +188,8 @@ def test_costs_are_asked_for_stored_and_shown(
     assert said["operations"] == said["energy"]["values"]["operations"] > 3 * 40 * 28 * 28
     assert main([*ONE, "energy=true"]) == 0
     assert "n/a" in capfd.readouterr().out
-    assert main(["compare", "methods=sad", "metrics=[energy]", *ONE[1:]]) == 0
-    (line,) = csv.DictReader(next(Path("results").glob("*-runs.csv")).read_text().splitlines())
+    assert main(["table", "rows=[SAD]", "columns=[route]", "metrics=[energy]", *RUN]) == 0
+    (line,) = csv.DictReader(Path("results/table-runs.csv").read_text().splitlines())
     assert float(line["joules_estimated"]) == said["joules_estimated"]
+    cells = csv.DictReader(Path("results/table.csv").read_text().splitlines())
+    assert {cell["quantity"]: cell["unit"] for cell in cells}["joules_estimated"] == "µJ"

@@ -69,4 +69,4 @@ def test_a_gpu_without_its_driver_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(joules.ctypes, "CDLL", missing)
     with pytest.raises(joules.UnreadableError, match="NVML"):
-        joules.nvml("0")
+        joules.nvml("cuda")

@@ -97,14 +97,15 @@ def _map_bytes(method: Method, run: Run) -> Cost:
 
 
 def _measured(request: Request, singles: Sequence[Images]) -> Cost:
-    turns, finished = itertools.cycle(singles), synchroniser(request.config["device"])
+    device = request.config["device"]
+    turns, finished = itertools.cycle(singles), synchroniser(device)
 
     def ask() -> None:
         request.method.query(next(turns))
         finished()
 
     try:
-        source, read = joules.counter(request.config["device"])
+        source, read = joules.nvml(device) if device.startswith("cuda") else joules.rapl(joules.POWERCAP)
     except joules.UnreadableError as error:
         return None, str(error)
     with slot.alone():

@@ -18,22 +18,10 @@ class UnreadableError(Exception):
     """No counter of energy can be read; the message says why."""
 
 
-def counter(device: str) -> tuple[str, Joules]:
-    """Return the counter of a device with its name: of a GPU's own joules, else of processor and memory.
-
-    It counts whatever runs there. Raises UnreadableError.
-    """
-    if not device.startswith("cuda"):
-        return rapl(POWERCAP)
-    import torch
-
-    return nvml(str(torch.cuda.get_device_properties(device).uuid))
-
-
 def rapl(root: Path) -> tuple[str, Joules]:
     """Return the sum of the counters of Linux's powercap, right if asked before one wraps around a second time.
 
-    Raises UnreadableError where there is none, or where they may not be read.
+    They count whatever runs there. Raises UnreadableError where there is none, or where they may not be read.
     """
     try:  # domains that do not lie within one another
         names = {zone: (zone / "name").read_text().strip() for zone in sorted(root.glob("*-rapl*:*"))}
@@ -56,8 +44,10 @@ def rapl(root: Path) -> tuple[str, Joules]:
     return f"RAPL {', '.join(names[zone] for zone in zones)}", joules
 
 
-def nvml(uuid: str) -> tuple[str, Joules]:
+def nvml(device: str) -> tuple[str, Joules]:
     """Return the energy counter of an NVIDIA GPU (Volta and later); raises UnreadableError where it has none."""
+    import torch
+
     gpu, millijoules = ctypes.c_void_p(), ctypes.c_ulonglong()
 
     def call(name: str, *arguments: object) -> None:
@@ -71,6 +61,7 @@ def nvml(uuid: str) -> tuple[str, Joules]:
     try:
         library = ctypes.CDLL("libnvidia-ml.so.1")
         call("Init_v2")
+        uuid = torch.cuda.get_device_properties(device).uuid  # numbers of devices may differ from the driver's
         call("DeviceGetHandleByUUID", f"GPU-{uuid}".encode(), ctypes.byref(gpu))
         joules()
     except (OSError, AttributeError) as error:
