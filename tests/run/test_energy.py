@@ -189,7 +189,7 @@ def test_costs_are_asked_for_stored_and_shown(
     assert main([*ONE, "energy=true"]) == 0
     assert "n/a" in capfd.readouterr().out
     assert main(["table", "rows=[SAD]", "columns=[route]", "metrics=[energy]", *RUN]) == 0
-    (line,) = csv.DictReader(Path("results/table-runs.csv").read_text().splitlines())
+    (line,) = csv.DictReader(Path("results/route-runs.csv").read_text().splitlines())
     assert float(line["joules_estimated"]) == said["joules_estimated"]
-    cells = csv.DictReader(Path("results/table.csv").read_text().splitlines())
+    cells = csv.DictReader(Path("results/route.csv").read_text().splitlines())
     assert {cell["quantity"]: cell["unit"] for cell in cells}["joules_estimated"] == "µJ"
