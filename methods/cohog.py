@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place
+from vprbench.api import BadInput, Image, Images, Method, NotFittedError, Places, Scores, best_image_of_place, takes
 
 from .parts.best_cosine import TILE, Regions, Tiles, from_tiles, in_tiles, mean_best_cosine, mean_best_cosine_in_tiles
 from .parts.stored import State, insist_on_map
@@ -156,6 +156,7 @@ def gradient_histograms(grey: Grey, cell: int, bins: int, sobel: int) -> npt.NDA
     b begins at b * 360 / bins degrees; angles run from right (0) to down (90). Height and width are multiples of
     `cell`; beyond the border the image is mirrored without its last pixel.
     """
+    takes(2 * sobel**2 * grey.size, 15 * grey.size, "float64")
     peak = max(int(grey.max()), 1)
     # Whole numbers leave no rounding in the gradient: normalised, it would turn flat regions into unit vectors.
     root = np.rint(np.sqrt(np.arange(256) / peak) * _GRADIENT_UNITS)[grey]
@@ -192,6 +193,7 @@ def local_entropy(levels: Grey, radius: int) -> npt.NDArray[np.float64]:
     padded = np.pad(levels.astype(np.int64), radius, constant_values=outside)
     offsets = np.arange(-radius, radius + 1)
     down, across = np.nonzero(offsets[:, None] ** 2 + offsets[None, :] ** 2 <= radius**2)
+    takes(single=levels.size * (len(down) + 256), kind="int64")
     weight = np.arange(len(down) + 1, dtype=np.float64)
     weight[2:] *= np.log2(weight[2:])
     weight[:2] = 0

@@ -17,6 +17,7 @@ from vprbench.api import (
     Places,
     Scores,
     best_image_of_place,
+    takes,
 )
 
 from .parts.pixels import Preprocessing, pixels
@@ -74,6 +75,7 @@ class PCA(Method):
     def match(self, codes: npt.NDArray[np.uint8]) -> Scores:
         """Project the pixels and return their cosines with the best reference image of each place."""
         known = self._fitted()
+        takes(len(codes) * (known.projection.size + known.references.size))
         similarity = _project(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant
+from vprbench.api import BadInput, DescriptorMethod, Images, PatchNormalisation, Variant, takes
 
 from .parts.pixels import MEAN_LEVEL
 from .parts.vectors import unit
@@ -40,6 +40,7 @@ class RandomProjection(DescriptorMethod):
             raise BadInput(f"method.components={self.components}: give at least 1")
         levels = PatchNormalisation(self.preprocessing, self.height, self.width, self.patch)(images)
         contrasts = levels.astype(np.float32) - MEAN_LEVEL
+        takes(levels.size * self.components)
         return unit(contrasts @ _directions(self.directions, levels.shape[1], self.components, self.seed))
 
 

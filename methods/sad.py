@@ -24,6 +24,7 @@ from vprbench.api import (
     best_image_of_place,
     compiled,
     insist_on_new_places,
+    takes,
 )
 
 from .parts.pixels import Preprocessing, pixels
@@ -78,6 +79,8 @@ class SAD(Method):
     def match(self, codes: Levels) -> Scores:
         """Return (n_queries, n_places) in grey levels, -255 to 0."""
         known = self._fitted()
+        shape = known.rows.shape if isinstance(known, Growing) else known.shape
+        takes(single=3.0 * len(codes) * np.prod(shape), kind="int8")  # subtract, drop the sign, add
         if isinstance(known, Growing):
             return best_image_of_place(_similarity(codes, known.rows), self._places.rows)
         # Sums of up to 65,793 whole levels are exact in float32, so neither batch nor order can change them.
@@ -88,6 +91,11 @@ class SAD(Method):
         if self._references is None:
             raise NotFittedError("SAD has no map yet: call fit(references, places) first")
         return self._references
+
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the references."""
+        known = self._references
+        return None if known is None else (known.rows if isinstance(known, Growing) else known).nbytes
 
     def _to_device(self, levels: Levels) -> torch.Tensor:
         return torch.from_numpy(levels).to(self.device, torch.float32)

@@ -14,7 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from vprbench.api import compiled
+from vprbench.api import compiled, takes
 
 Regions = npt.NDArray[np.float32]  # (n_regions, d)
 Tiles = npt.NDArray[np.float32]  # (n_references, n_tiles, d, TILE): regions of a reference side by side
@@ -42,6 +42,7 @@ def mean_best_cosine(query: torch.Tensor, references: torch.Tensor) -> torch.Ten
 
 def mean_best_cosine_in_tiles(query: Regions, references: Tiles) -> npt.NDArray[np.float32]:
     """Return what `mean_best_cosine` does, (n_references,), in threads that keep the products in registers."""
+    takes(float(len(query)) * references.size)
     rows = np.zeros((-(-len(query) // _ROWS) * _ROWS, query.shape[1]), np.float32)  # those of padding add 0
     rows[: len(query)] = query
     references = np.ascontiguousarray(references)

@@ -168,10 +168,14 @@ class VPRSNN(Arguments, Method):
         """
         self._insist_on_a_network()
         answer, trains = ask(self._ready[0], codes, Stage()), self._ready[0].model.query_spikes(codes)
+        excitatory, inhibitory = (counts.reshape(len(codes), -1) for counts in answer)
+        members, others = len(self._ready), self._ready[0].model.n_excitatory - 1
+        modules = [module.weights for member in self._ready for module in member.synapses]
+        inputs = np.sum([np.count_nonzero(weights, axis=(0, 2)) for weights in modules], axis=0)
         return [
-            LayerSpikes("input", np.array([np.diff(train.first) for train in trains])),
-            LayerSpikes("excitatory", answer.excitatory.reshape(len(codes), -1)),
-            LayerSpikes("inhibitory", answer.inhibitory.reshape(len(codes), -1)),
+            LayerSpikes("input", np.array([np.diff(train.first) for train in trains]), fan_out=inputs),
+            LayerSpikes("excitatory", excitatory, fan_out=np.full(excitatory.shape[1], members)),
+            LayerSpikes("inhibitory", inhibitory, fan_out=np.full(excitatory.shape[1], members * others)),
         ]
 
     def layers(self, codes: Levels) -> dict[str, npt.NDArray[np.int32]]:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api import takes
+
 from . import batched
 from .arrays import Scratch, State
 from .module import show
@@ -32,6 +34,10 @@ def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
     """
     model = ready.model
     trains, carried = model.query_spikes(levels), model.carried_potentials
+    # Each neuron takes three multiply-adds and six other operations a step, each arrival of a spike an addition.
+    steps = len(trains) * (model.physics.shown + carried * model.physics.rest)
+    neurons, arrivals = ready.labels.size, sum(len(train.step) for train in trains)
+    takes(3 * steps * neurons, (6 * steps + arrivals) * neurons, kind="float64")
     if (device := model.torch_device) is not None:
         return Answers(*batched.ask(ready, trains, device, stage.report))
     shape = (len(trains), len(ready.synapses), model.n_excitatory)

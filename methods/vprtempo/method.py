@@ -33,7 +33,7 @@ from .arguments import Arguments
 from .circuit import check_circuit, circuit_of
 from .layer import Layer, draw_layer, feature_rates
 from .network import Network, last_features, members_from_state, members_state
-from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers
+from .query import LinearQuery, Query, SpikingQuery, asking, calibrated, feature_layers, linear_layer
 from .rules import Rules
 from .training import (
     Schedule,
@@ -222,7 +222,20 @@ class VPRTempo(Arguments, Method, HasCircuit):
         if self.chosen_rules().query_rule == "spiking":
             query = self._spiking_query(self._networks()[0], self.chosen_rules())
             layers["feature"], layers["output"] = query.layers(codes)
-        return [LayerSpikes(name, amplitudes, "amplitude") for name, amplitudes in layers.items()]
+        leads = [*self._fan_outs(), None]
+        return [LayerSpikes(name, layers[name], "amplitude", lead) for name, lead in zip(layers, leads, strict=False)]
+
+    def _fan_outs(self) -> list[npt.NDArray[Any]]:
+        """Return the synapses that exist from each input and, of a spiking query, from each feature neuron.
+
+        A linear query has one layer; each of several networks is asked, with as many spikes as the first.
+        """
+        members = self._networks()
+        if self.chosen_rules().query_rule == "linear":
+            return [torch.count_nonzero(linear_layer(members)[0], dim=0).cpu().numpy()]
+        inputs = torch.stack([torch.count_nonzero(member.features, dim=(0, 1)) for member in members]).sum(0)
+        outputs = torch.cat([torch.count_nonzero(weights, dim=1) for weights in members[0].outputs])
+        return [inputs.cpu().numpy(), len(members) * outputs.cpu().numpy()]
 
     def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[np.float32]]:
         """Return the feature neurons of all networks: their spikes, or the sums of a linear query."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from vprbench.api import Scores
+from vprbench.api import Scores, takes
 
 from .compiled import compiled
 from .network import Network
@@ -38,6 +38,7 @@ class _Layer:
 
     def __call__(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return (n_queries, n_out) of the input's levels (n_queries, n_in)."""
+        takes(len(levels) * self._steps.size, kind="int8")
         if len(levels) < _MANY or self._steps.shape[1] < _FEWEST_INPUTS or not _sums_are_exact():
             sums = np.empty((len(levels), len(self._bias)), np.int32)
             _multiply(self._steps, levels, sums)

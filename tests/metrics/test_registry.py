@@ -41,7 +41,7 @@ def lost() -> Iterator[Metric]:
 
 def test_each_metric_of_four_queries_is_the_one_worked_by_hand() -> None:
     # right, right, wrong, wrong in falling order of confidence, the right places of the last two 3rd and 8th
-    found = {name: METRICS[name].of(a_run()) for name in METRICS if name != "ap_c"}
+    found = {name: METRICS[name].of(a_run()) for name, each in METRICS.items() if each.cost is None and name != "ap_c"}
     assert found == pytest.approx(
         {
             **{"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1, "recall_at_25": 1},

@@ -15,6 +15,7 @@ from vprbench.text import near
 if TYPE_CHECKING:  # the one list of names: type checkers read it, and so does `_homes`
     from vprbench import progress as progress
     from vprbench.api import checkpoints as checkpoints
+    from vprbench.api.arithmetic import takes as takes
     from vprbench.api.arrays import (
         Descriptors as Descriptors,
         Image as Image,

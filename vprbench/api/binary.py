@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 import numpy.typing as npt
 
+from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import best_image_of_place, encoded_blocks
 from vprbench.api.method import Method
@@ -55,6 +56,7 @@ class BinaryMap:
             raise ValueError(
                 f"codes of {codes.dtype} {codes.shape} came; this map compares uint64 (n_queries, {self._n_words})"
             )
+        takes(single=3 * len(codes) * self._n_references * self._n_words, kind="int64")  # differ, count, add
         return best_image_of_place(similarity(codes, self._blocks)[:, : self._n_references], self._places)
 
 

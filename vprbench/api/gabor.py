@@ -15,6 +15,7 @@ import torch
 from torch.nn import functional
 
 from vprbench.api import gabor_compiled
+from vprbench.api.arithmetic import takes
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine, PatchNormalisation
 from vprbench.api.threads import in_shares
@@ -107,6 +108,8 @@ class GaborBank:
         """Return the strongest responses, -0.5 to 0.5, neither normalised nor cut off at thresholds."""
         levels = self._normalisation()(images)
         maps = np.empty((len(images), self.rows * self.columns, N_FILTERS), np.float32)
+        filtered = len(images) * (self.height - SIZE + 1) * (self.width - SIZE + 1) * N_FILTERS
+        takes(SIZE**2 * filtered + maps.size, filtered + 4 * maps.size)  # the largest of four; energies, divisions
         respond = self._filter if self.engine == "fused" else self._filter_readably
         self._by(lambda own: respond(levels[own], maps[own]), len(images))
         return maps

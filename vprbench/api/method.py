@@ -25,12 +25,14 @@ class LayerSpikes:
     """What the neurons of one layer did for some queries.
 
     `values` (n_queries, n_neurons), 0 or more, 0 for a silent neuron: how often it spiked, or the amplitude of its one
-    spike if `kind` is "amplitude". `times`, of the same shape, are the time steps of single spikes, from 1; 0: silent.
+    spike if `kind` is "amplitude". `fan_out` (n_neurons,) counts the synapses that exist from each neuron to the next
+    layer; None: it leads nowhere. `times`, shaped as values, are the steps of single spikes, from 1; 0: silent.
     """
 
     name: str  # input, feature, output, ...
     values: npt.NDArray[Any]
     kind: Literal["count", "amplitude"] = "count"
+    fan_out: npt.NDArray[Any] | None = None
     times: npt.NDArray[Any] | None = None
 
 
@@ -146,6 +148,10 @@ class Method(ABC):
         Of each: its name, the steps it takes (n_queries,) and its scores. Raises NotFittedError before `fit`.
         """
         return ()
+
+    def map_bytes(self) -> int | None:
+        """Return the bytes of the map that answers need; None: those of `state`, or of the index that is searched."""
+        return None
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Raise TypeError for a subclass that replaces `query`, which is encode and match."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 
 from vprbench.api import oriented_compiled
+from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.api.preprocess import Engine
@@ -82,6 +83,10 @@ class OrientedEdges:
 
     def _write(self, images: Sequence[Image], codes: npt.NDArray[np.float32]) -> None:
         cells = codes.reshape(-1, self.rows, self.columns, self.orientations)
+        small, n_cells = len(images) * self.height * self.width, len(images) * self.rows * self.columns
+        # Grey and means of the frame; differences, length, angle and votes of a small pixel; energies and divisions.
+        takes(4 * sum(image.size // 3 for image in images) + 6 * small + codes.size, 10 * small + 3 * codes.size)
+        takes(single=n_cells * (self.block**2 + 2))
         for image, code in zip(images, cells, strict=True):
             if self.engine == "readable":
                 code[:] = self.of_grey(self.shrink(image))

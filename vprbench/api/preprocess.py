@@ -15,6 +15,7 @@ import torch
 from torch.nn import functional
 
 from vprbench.api import preprocess_compiled
+from vprbench.api.arithmetic import takes
 from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
@@ -55,7 +56,9 @@ class PatchNormalisation:
 
     def __call__(self, images: Images) -> npt.NDArray[np.uint8]:
         """Return (n_images, height * width)."""
-        levels = np.empty((len(images), self.height * self.width), np.uint8)
+        levels, window = np.empty((len(images), self.height * self.width), np.uint8), self.patch**2
+        # A pixel blends four, each made grey, gamma-corrected and clipped; then comes its window's mean and deviation.
+        takes(levels.size * (4 * 3 + 4 + window), levels.size * (4 * 3 + 2 * window + 7))
         self._fill(images, levels)
         return levels
 

@@ -38,7 +38,7 @@ class Request(ClusterOptions):
         if not self.methods:
             raise BadInput("methods= is empty: name what is compared, as in methods=sad,hog")
         corruptions(self.corruptions)
-        TableRequest(
+        table = TableRequest(
             seeds=self.seeds,
             metrics=self.metrics,
             devices=self.devices,
@@ -47,6 +47,7 @@ class Request(ClusterOptions):
             sequence=self.sequence,
             filter=self.filter,
         )  # which checks the same options
+        object.__setattr__(self, "metrics", table.metrics)
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,7 @@ def compare(
     and checked before the first runs; one whose weights are not there is left out, with a warning. Raises what `run`
     raises, and BadInput, a line for each thing that is wrong.
     """
-    insist_on_metrics(metrics)
+    metrics = insist_on_metrics(metrics)
     asked = views(sequence)
     numbers = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     unusable = not numbers or min(numbers) < 0 or len({*numbers}) < len(numbers)

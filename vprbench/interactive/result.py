@@ -47,7 +47,7 @@ class Result:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """Every accuracy by its name, 0 to 1; NaN where it is undefined."""
+        """Every accuracy by its name, 0 to 1, and every cost; NaN where it is undefined or was not asked for."""
         found = {name: metric.of(self.run) for name, metric in METRICS.items()}
         return {name: NAN if value is None else value for name, value in found.items()}
 

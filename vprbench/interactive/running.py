@@ -35,6 +35,7 @@ class Options(TypedDict, total=False):
     cache: bool  # keep descriptors of networks, and take those of an earlier run
     depth: int  # best places kept for each query, 100
     scores: bool  # keep all scores, however many; those of small runs are kept anyway
+    energy: bool  # count what a query and a place cost
     corruption: str | None  # of the query frames, as in "shift-1"; None: they are clean
     save: str | Path | None  # file for the trained network
     load: str | Path | None  # file of a trained network: nothing is trained then

@@ -1,11 +1,11 @@
-"""Every accuracy by its name: an entry of `METRICS` is known to runs, tables, figures and pages."""
+"""Every accuracy and cost by its name: an entry of `METRICS` is known to runs, tables, figures and pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,10 @@ class StoredAnswers(Protocol):
     def top_scores(self) -> npt.NDArray[np.float32]:
         """Their scores, (n_queries, depth); -inf: no candidate."""
 
+    @property
+    def energy(self) -> Mapping[str, Any] | None:
+        """What a query and a place cost; None: nobody asked."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -58,10 +62,13 @@ class Metric:
     digits: int = 1  # behind the point
     percent: bool = True  # how people read it; JSON and the CSV of runs hold 0 to 1
     higher_is_better: bool = True
+    cost: tuple[str, float] | None = None  # of no accuracy: the unit that people read, and the stored value of one
 
     @property
     def unit(self) -> str:
         """Return the sign of the unit, empty if there is none."""
+        if self.cost is not None:
+            return self.cost[0]
         return "%" if self.percent else ""
 
     @property
@@ -75,16 +82,26 @@ class Metric:
         return f"{self.words}: {self.meaning}; {'higher' if self.higher_is_better else 'lower'} is better."
 
     def of(self, answers: StoredAnswers) -> float | None:
-        """Return the value of a run, 0 to 1; None if it is undefined."""
+        """Return the value of a run, of an accuracy 0 to 1; None if it is undefined."""
+        if self.cost is not None:
+            return None if answers.energy is None else answers.energy["values"].get(self.name)
         return self.function(answers.outcome)
 
     def shown(self, value: float) -> float:
         """Return a value in the unit that people read."""
+        if self.cost is not None:
+            return value / self.cost[1]
         return 100 * value if self.percent else value
 
     def text(self, value: float | None) -> str:
         """Return a value for people, without its unit."""
-        return "-" if value is None else f"{self.shown(value):.{self.digits}f}"
+        return "-" if value is None else self.told(self.shown(value))
+
+    def told(self, shown: float) -> str:
+        """Return a value that `shown` gave, rounded: of a cost to three digits, or to all before the point."""
+        if self.cost is not None:
+            return f"{shown:,.0f}" if abs(shown) >= 100 else f"{shown:.3g}"
+        return f"{shown:.{self.digits}f}"
 
 
 @dataclass(frozen=True)
@@ -116,6 +133,10 @@ def _area_metric(name: str, words: str, function: Callable[[Outcome], float | No
     return Metric(name, words, function, meaning, 3, percent=False)
 
 
+def _cost(name: str, words: str, unit: str, one: float, meaning: str) -> Metric:
+    return Metric(name, words, lambda outcome: None, meaning, higher_is_better=False, cost=(unit, one))
+
+
 _BEST = "the share of queries with a right place among the best"
 _ALL = (
     *(Metric(f"recall_at_{n}", f"R@{n}", partial(_recall, n=n), f"{_BEST} {n}") for n in RECALLS),
@@ -135,6 +156,17 @@ _ALL = (
         percent=False,
     ),
 )
+_COSTS = (
+    _cost("synops_ac", "ACs", "k", 1e3, "accumulates a query, spikes that are all alike x existing synapses"),
+    _cost("synops_mac", "MACs", "k", 1e3, "multiply-accumulates a query, spikes with amplitudes x existing synapses"),
+    _cost("operations", "Ops", "M", 1e6, "operations a query, encode and match, a multiply-add being two"),
+    _cost("joules_estimated", "Estimate", "µJ", 1e-6, "an estimate of joules a query by a 45 nm table, without memory"),
+    _cost("joules_measured", "Measured", "mJ", 1e-3, "joules a query by a counter, less those of the idle machine"),
+    _cost("map_bytes", "Map", "B/place", 1.0, "bytes of the map that answers need, a place"),
+)
+
+#: Names that stand for several.
+GROUPS: Mapping[str, tuple[str, ...]] = {"energy": tuple(cost.name for cost in _COSTS)}
 
 #: By name, in the order of a list for people.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+METRICS: dict[str, Metric] = {metric.name: metric for metric in (*_ALL, *_COSTS)}

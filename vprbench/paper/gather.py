@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from vprbench.cluster.crew import Crew
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
+from vprbench.metrics.registry import GROUPS
 from vprbench.paper.left_out import why_left_out
 from vprbench.paper.missing_runs import MissingRun, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
@@ -64,7 +65,7 @@ class TableRequest(ClusterOptions):
             raise BadInput(f"seeds={self.seeds}: give at least 1")
         if self.name is not None and re.fullmatch(r"\w[\w.-]*", self.name) is None:
             raise BadInput(f"name={self.name}: give letters, digits, '.', '_' and '-', for it names files")
-        insist_on_metrics(self.metrics)
+        object.__setattr__(self, "metrics", insist_on_metrics(self.metrics))
         for device in self.devices or ():
             if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
                 raise BadInput(f"devices={device} is unknown: give cpu, cuda or cuda:1")
@@ -152,6 +153,7 @@ def made(
     chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose, crew: Crew | None = None
 ) -> list[Ending]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
+    options = [*options, *["energy=true"] * bool({*chosen.metrics} & {*GROUPS["energy"]})]
     return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew)
 
 

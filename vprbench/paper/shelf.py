@@ -85,6 +85,7 @@ class Shelf:
         found = [run for run in alike if run.dataset == dataset.name and run.key in keys and run.tuned_on == tuned_on]
         found = [run for run in found if not run.timed_by.shortfalls(settings.timing)]
         found = [run for run in found if run.scores is not None or not settings.scores]
+        found = [run for run in found if run.energy is not None or not settings.energy]
         found = [
             run for run in found if run.query_breaks is not None or dataset.query_breaks is None
         ]  # it is told these

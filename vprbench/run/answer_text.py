@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vprbench.run import readout_rows, rows, stream
+from vprbench.run import energy, readout_rows, rows, stream
 from vprbench.run.record import Run
 from vprbench.run.sequences import views
 from vprbench.run.settings import Settings
@@ -27,6 +27,7 @@ def answer_text(run: Run, folder: Path | None, from_store: bool, settings: Setti
                 **rows.numbers(run, settings.metrics),
                 "readouts": readout_rows.readout_numbers(run),
                 **({"stream": stream.stream_numbers(run)} if settings.stream else {}),
+                **({"energy": run.energy} if settings.energy else {}),
                 "network": run.network,
                 "tuned_on": run.tuned_on or None,
                 "notes": [note._asdict() for note in all_notes(run)],
@@ -53,6 +54,8 @@ def answer_text(run: Run, folder: Path | None, from_store: bool, settings: Setti
         tables.append(readout_rows.readout_text(run))
     if settings.stream:
         tables.append(stream.stream_text(run))
+    if settings.energy:
+        tables.append(energy.text(run))
     return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
 
 

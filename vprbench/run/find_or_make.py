@@ -21,7 +21,7 @@ from vprbench.metrics.accuracy import recall_at
 from vprbench.metrics.registry import METRICS
 from vprbench.plugins import networks, registry
 from vprbench.progress import overheard, progress_shown
-from vprbench.run import machine, runner, stream, thumbnails
+from vprbench.run import energy, machine, runner, stream, thumbnails
 from vprbench.run.adaptation import adaptation
 from vprbench.run.claims import Claim, Claims, Held, HeldElsewhereError, wait
 from vprbench.run.corrupted_frames import corrupted
@@ -138,6 +138,8 @@ def _found_or_made(
             run = replace(run, readouts=stored.readouts)
         if run.stream is None and stored is not None:
             run = replace(run, stream=stored.stream)
+        if run.energy is None and stored is not None:
+            run = replace(run, energy=stored.energy)
         try:
             if not known:
                 store.save(run)
@@ -204,6 +206,8 @@ def _run(
     with progress_shown(title), overheard(claim.tell), chdir("."):
         run = runner.run(request, key, keep)
         run = replace(run, stream=stream.grown(request)) if request.stream else run
+        if settings.energy:
+            run = replace(run, energy=energy.costs(request, run))
     insist()
     return run
 
@@ -289,6 +293,9 @@ def _usable(run: Run | None, settings: Settings, request: Request) -> Run | None
         return None
     if request.stream and request.stream != (run.stream or [{"places": 0}])[0]["places"]:
         logging.info("%s is stored without this growing map: running again for stream=%s", run.method, settings.stream)
+        return None
+    if settings.energy and run.energy is None:
+        logging.info("%s is stored without its costs: running again for energy=true", run.method)
         return None
     if settings.scores and run.scores is None:
         logging.info("%s on %s is stored without its scores: running again for scores=true", run.method, run.dataset)

@@ -76,6 +76,7 @@ class Run:
     place_breaks: npt.NDArray[np.int64] | None = None
     readouts: Sequence[Mapping[str, Any]] | None = None  # name, neurons, hits of each query; None: not asked for
     stream: Sequence[Mapping[str, Any]] | None = None  # places, hits, seconds of each stop of a growing map
+    energy: Mapping[str, Any] | None = None  # values, how each was found, meters; None: not asked for
     view: View | None = None  # None: the run as it is stored
 
     @property
@@ -166,7 +167,7 @@ def _summary(content: bytes) -> dict[str, Any]:
     if summary.pop("content_key") != content_key(summary):
         raise DamagedRunError(f"{SUMMARY} is not what was written")
     check_summary(summary)
-    return {"readouts": None, "stream": None, **summary}  # runs of earlier versions have no word of them
+    return {"readouts": None, "stream": None, "energy": None, **summary}  # unknown to earlier versions
 
 
 _OUTCOME = [field.name for field in fields(Outcome) if field.name != "n_places"]

@@ -126,6 +126,11 @@ class _Readout(_Part):
     steps: list[_Count] | None = None
 
 
+class _Energy(_Part):
+    values: dict[str, _Amount | None]
+    how: dict[str, str]
+
+
 class _Frames(_Part):
     names_sha256: str
     content_sha256: str | None
@@ -189,6 +194,7 @@ class _Summary(_Part):
     spikes: _Spikes | None
     readouts: list[_Readout] | None = None
     stream: list[dict[Literal["places", "hits", "seconds"], _Places | list[_Seconds]]] | None = None
+    energy: _Energy | None = None
     data: _Frames | Annotated[dict[str, Any], Field(max_length=0)]
     tuned_on: _Tuned | Annotated[dict[str, Any], Field(max_length=0)]
     timing: _Timing | None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
 from vprbench.errors import BadInput
-from vprbench.metrics.registry import METRICS
+from vprbench.metrics.registry import GROUPS, METRICS
 from vprbench.plugins import registry
 from vprbench.run.corruption import corruption
 from vprbench.run.sequences import views
@@ -42,6 +42,7 @@ class Settings:
     load: str | None = None  # file of a trained network; nothing is trained then
     stream: bool | int = False  # grow the map place by place, and ask at each so many places; true: ten times
     readouts: bool = False  # what the codes and the layers of a learnt method find on their own
+    energy: bool = False  # what a query costs in operations and joules, and a place in bytes
     timing: Protocol = field(default_factory=Protocol)
 
 
@@ -62,8 +63,9 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     timing = _checked_timing(config["timing"])
     hints = get_type_hints(Settings)
     plain = {name: registry.checked(name, config[name], hints[name]) for name in hints if name != "timing"}
+    plain["metrics"] = insist_on_metrics(plain["metrics"])
+    plain["energy"] |= bool({*plain["metrics"]} & {*GROUPS["energy"]})
     settings = Settings(**plain, timing=timing)
-    insist_on_metrics(settings.metrics)
     views(settings.sequence, settings.filter)
     if settings.corruption is not None:
         corruption(settings.corruption)
@@ -84,11 +86,13 @@ def checked_settings(config: Mapping[str, Any]) -> Settings:
     return settings
 
 
-def insist_on_metrics(names: Iterable[str]) -> None:
-    """Raise BadInput for the first name that is no metric."""
-    for name in names:
+def insist_on_metrics(names: Iterable[str]) -> list[str]:
+    """Return names of metrics, those of a group in its place; raises BadInput for the first that is neither."""
+    spelt_out = [one for name in names for one in GROUPS.get(name, (name,))]
+    for name in spelt_out:
         if name not in METRICS:
-            raise BadInput(f"metrics={name} is unknown: {registry.near(name, METRICS)}")
+            raise BadInput(f"metrics={name} is unknown: {registry.near(name, [*METRICS, *GROUPS])}")
+    return spelt_out
 
 
 def n_threads(settings: Settings) -> int:

@@ -36,8 +36,9 @@ def summary(layers: Sequence[LayerSpikes]) -> dict[str, Any] | None:
 
     Of each layer: `spikes_per_query`, the `active_share` of neurons that spiked for at least one query, and
     `amplitude_mean`, of all spikes, None if only their number is known or there is none; of timed spikes the `times`
-    of all neurons for the query in the middle. Raises BadInput for layers of different queries and for values that are
-    not finite or below 0.
+    of all neurons for the query in the middle; where it leads on, the mean `synops` of a query, "AC" or "MAC" as
+    NeuroBench tells them apart: an amplitude is multiplied. Raises BadInput for layers of different queries and for
+    values that are not finite or below 0.
     """
     if not layers:
         return None
@@ -54,6 +55,9 @@ def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
         raise BadInput(f"the spikes of layer {layer.name} are not all finite and 0 or more")
     spiked = values > 0
     per_query = spiked if layer.kind == "amplitude" else values
+    leads = layer.fan_out is not None
+    synops = float((per_query @ np.asarray(layer.fan_out, np.float64)).mean()) if leads else 0.0
+    operation = "MAC" if layer.kind == "amplitude" else "AC"
     return {
         "name": layer.name,
         "neurons": values.shape[1],
@@ -61,6 +65,7 @@ def _of_layer(layer: LayerSpikes) -> dict[str, Any]:
         "active_share": float(spiked.any(0).mean()) if values.size else 0.0,
         "amplitude_mean": float(values[spiked].mean(dtype=np.float64)) if _has_amplitudes(layer) else None,
         **({"times": layer.times[len(values) // 2].tolist()} if layer.times is not None else {}),
+        **({"synops": synops, "operation": operation} if leads else {}),
     }
 
 

@@ -176,7 +176,7 @@ class OfMetric(Recall):
 
     def text(self, value: float) -> str:
         """Return a number with the digits of the metric."""
-        return f"{value:.{self.metric.digits}f}"
+        return self.metric.told(value)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,44 @@
+"""How much arithmetic a query takes: what computes tells it by a formula, and whoever wants to know adds it up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Literal, NamedTuple
+
+Kind = Literal["float64", "float32", "int64", "int32", "int8"]
+
+
+class Arithmetic(NamedTuple):
+    """Multiply-adds, which are two operations each, and single operations: additions, comparisons, divisions, roots."""
+
+    multiply_adds: float = 0.0
+    single: float = 0.0
+    kind: Kind = "float32"  # of the numbers
+
+    @property
+    def operations(self) -> float:
+        """The operations of both kinds."""
+        return 2 * self.multiply_adds + self.single
+
+
+_told: ContextVar[list[Arithmetic] | None] = ContextVar("arithmetic", default=None)
+
+
+def takes(multiply_adds: float = 0.0, single: float = 0.0, kind: Kind = "float32") -> None:
+    """Tell what the work of this call takes, work that PyTorch does included; costs nothing if nobody listens."""
+    told = _told.get()
+    if told is not None:
+        told.append(Arithmetic(multiply_adds, single, kind))
+
+
+@contextmanager
+def tallied() -> Iterator[list[Arithmetic]]:
+    """Yield a list of what is told inside the block, by this thread."""
+    told = list[Arithmetic]()
+    token = _told.set(told)
+    try:
+        yield told
+    finally:
+        _told.reset(token)
