@@ -142,10 +142,12 @@ def test_a_failure_of_one_seed_does_not_stop_the_next_and_is_stored_unless_the_p
 ) -> None:
     diverged, killed = Ending(1, False, "it diverged", recorded=True), Ending(1, False, "was ended by signal 9")
     with_children(monkeypatch, diverged, killed, Ending(0))
-    endings = missing_runs.fill([a_wish(seed=seed) for seed in range(3)], [], store, compose)
+    endings = missing_runs.fill([a_wish(seed=seed) for seed in range(3)], OPTIONS[-1:], store, compose)
     assert [(ending.code, ending.recorded) for ending in endings] == [(1, True), (1, True), (0, False)]
     (failure,) = store.failures()
     assert (failure.error, failure.missing, failure.config["seed"]) == ("was ended by signal 9", False, 1)
+    assert main([*a_wish(seed=1).options(), OPTIONS[-1], "timing=none", f"results={store.root}"]) == 0
+    assert not [*store.failures()]  # the run takes its place
 
 
 def test_a_method_that_knows_no_device_does_not_run_on_a_gpu(monkeypatch: pytest.MonkeyPatch, store: Store) -> None:

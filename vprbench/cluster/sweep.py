@@ -6,9 +6,8 @@ import logging
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from pathlib import Path
 
-from vprbench.cluster.crew import crew
+from vprbench.cluster.crew import crew, results_of
 from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
@@ -59,16 +58,15 @@ def swept(runs: Sequence[Sequence[str]], options: ClusterOptions) -> int:
             if live is not None:
                 live.step(number, bool(ending.code))
             if ending.code == 1 and not ending.recorded:
-                _store(runs[number], ending)
+                record(lost(runs[number], ending), results_of(runs[number]))
     return max(codes, default=0)
 
 
-def _store(options: Sequence[str], ending: Ending) -> None:
-    """Store the failure of a run whose process could not: it was lost with its worker."""
+def lost(options: Sequence[str], ending: Ending) -> Failure:
+    """Return the failure of a run whose process could not store it, under the key that the run itself has."""
     config = composed(options)
     name = next((option.partition("=")[2] for option in options if option.startswith("method=")), "sad")
     asked = {each: config[each] for each in RECORDED} | {"overrides": list(map(registry.as_asked, options))}
     asked["method"] = registry.declared(name, asked["method"])[0]
     dataset = str(asked["dataset"].get("name", "dataset"))
-    failure = Failure(name, dataset, asked, ending.error, machine.capture("cpu", 1), ending.missing)
-    record(failure, Path(config["results"]).expanduser())
+    return Failure(name, dataset, asked, ending.error, machine.capture("cpu", 1), ending.missing)

@@ -14,6 +14,7 @@ from typing import Any
 
 from vprbench.api.weights import Weights, find_weights
 from vprbench.cluster.crew import Cell, Crew
+from vprbench.cluster.sweep import lost
 from vprbench.errors import NotThere
 from vprbench.metrics.accuracy import recall_at
 from vprbench.paper.plan import Row
@@ -176,7 +177,9 @@ class _Filling:
         """Take how a process ended; a failure that it has not stored is stored."""
         run, found = self._wanted[number], None
         if ending.code and not ending.recorded:
-            ending = _stored(run, ending.error, ending.missing, self._store, ending.code)
+            options = [*run.options(), *self._options]
+            failure = lost(options, ending) if ending.code == 1 else run.failed(ending.error, ending.missing)
+            ending = _stored(failure, self._store, ending.code)
         if self._shown is not None and ending.key:
             found = self._store.find(str(run.dataset["name"]), run.row.method, ending.key)
         self._end(number, ending, found)
@@ -194,11 +197,11 @@ class _Filling:
         """Return how a run ends that no process can make; None if one has to tell."""
         known = registry.entries("method")
         if run.row.method not in known:
-            return _stored(run, f"there is no method {run.row.method} here yet", True, self._store)
+            return _stored(run.failed(f"there is no method {run.row.method} here yet", missing=True), self._store)
         if run.device != "cpu" and "device" not in known[run.row.method].options:
             return Ending(0)
         if known[run.row.method].needs_weights and (lacking := self._weights.lacking(run)):
-            return _stored(run, lacking, True, self._store)
+            return _stored(run.failed(lacking, missing=True), self._store)
         return None
 
     def _say(self, number: int, where: str = "") -> None:
@@ -275,10 +278,10 @@ def _column(run: MissingRun) -> str:
     return run.title if run.device == "cpu" else f"{run.title}, {run.device}"
 
 
-def _stored(run: MissingRun, error: str, missing: bool, store: Store, code: int = 2) -> Ending:
+def _stored(failure: Failure, store: Store, code: int = 2) -> Ending:
     store.prepare()
-    store.save_failure(run.failed(error, missing))
-    return Ending(code, missing, error, recorded=True)
+    store.save_failure(failure)
+    return Ending(code, failure.missing, failure.error, recorded=True)
 
 
 def results_folder(results: str) -> Path:
