@@ -49,8 +49,8 @@ def _events(t: Any, x: Any, y: Any, p: Any) -> Events:
         t = t // 1000
     elif t.dtype.kind == "f" and first < _FROM_MICROS:
         t = np.round(t * 1e6)
-    columns = (np.ascontiguousarray(column, np.uint16) for column in (x, y))
-    return Events(np.ascontiguousarray(t, np.int64), *columns, p > 0)
+    column, row = np.ascontiguousarray(x, np.uint16), np.ascontiguousarray(y, np.uint16)
+    return Events(np.ascontiguousarray(t, np.int64), column, row, p > 0)
 
 
 def _named(names: Iterable[str]) -> dict[str, str]:
@@ -143,7 +143,7 @@ def _decode(words, state, t, x, y, p):  # type: ignore[no-untyped-def]
     n = 0
     for word in words:
         kind, value = word >> 12, np.int64(word & 0xFFF)
-        pixels = 0
+        pixels = np.int64(0)
         if kind == 0:
             row = value & 0x7FF
         elif kind in (2, 3):

@@ -133,7 +133,12 @@ def hot_pixels(totals: npt.NDArray[Any], factor: float) -> npt.NDArray[np.bool_]
 
 
 def event_frames(
-    recording: Recording, what: Mapping[str, Any], hot_factor: float | None = None, **counting: int | None
+    recording: Recording,
+    what: Mapping[str, Any],
+    hot_factor: float | None = None,
+    *,
+    window_us: int | None = None,
+    per_frame: int | None = None,
 ) -> tuple[Images, Micros]:
     """Return the frames of a recording, `counted`, and the middle of each in microseconds, (n,).
 
@@ -142,13 +147,13 @@ def event_frames(
     what `counted` does, and BadInput for a recording without a whole frame.
     """
     shape = (recording.height, recording.width)
-    text = json.dumps([_FORMAT, dict(what), shape, counting], sort_keys=True)
+    text = json.dumps([_FORMAT, dict(what), shape, window_us, per_frame], sort_keys=True)
     folder = cache_folder(_FOLDER, "events") if are_kept() else Path(mkdtemp())
     path = folder / f"{hashlib.sha256(text.encode()).hexdigest()}.frames"
     row = np.dtype([("middle_us", "<i8"), ("levels", "u1", shape)])
     if not path.is_file():
         progress.report(f"events of {recording.name} are counted", 0.0)
-        _keep(path, counted(recording.events(), *shape, **counting), row)
+        _keep(path, counted(recording.events(), *shape, window_us=window_us, per_frame=per_frame), row)
     n = (path.stat().st_size - 8 * recording.height * recording.width) // row.itemsize
     if not n:
         raise BadInput(f"{recording.name} holds no whole frame: ask for a shorter window or for fewer events a frame")
@@ -164,7 +169,7 @@ def event_frames(
     if not are_kept():
         weakref.finalize(grey, shutil.rmtree, folder, ignore_errors=True)
     names = [f"{recording.name}/{i:06d}" for i in range(n)]
-    return Images(lambda i: as_rgb(grey(i)), names, stamp=lambda i: hashlib.sha256(grey(i)).digest()), middle
+    return Images(lambda i: as_rgb(grey(i)), names, stamp=lambda i: hashlib.sha256(grey(i).tobytes()).digest()), middle
 
 
 def _keep(path: Path, frames: Iterable[Counted], row: np.dtype[Any]) -> None:
