@@ -102,7 +102,7 @@ def test_another_simulator_names_the_same_places(trained: VPRTempo, simulator: s
     assert simulators.knows_the_neurons(graph, simulate)
 
 
-@pytest.mark.parametrize("wrong", [{"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}, {"steps": 32}], ids=str)
+@pytest.mark.parametrize("wrong", [{"reset": "zero"}, {"reset": "none"}, {"kept": 0.9}], ids=str)
 def test_a_wrong_neuron_is_noticed(wrong: dict[str, Any], tmp_path: Path) -> None:
     path = stored(VPRTempo(**SMALL).fit(RIDE.references, RIDE.places), tmp_path)
     import nir

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from vprbench.api.circuit import Circuit, HasCircuit
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.storage.tensors import Array, Arrays, Seal
@@ -22,7 +23,9 @@ from vprbench.storage.tensors import Array, Arrays, Seal
 SUFFIX = ".nir"
 STEPS = 64
 _OURS = "vprbench"  # the group of what we alone read
-_CANDIDATES = 16  # inputs, the one of which is kept that tells most about the reset
+EXAMPLES = 200  # references that the neurons are scaled by
+_ROOM, _FINEST = np.float32(1.5), np.float32(8)  # above the largest activation; of scales
+_CANDIDATES = 32  # inputs, the one of which is kept that tells most about the reset
 _ROUNDING = 1e-4  # of the largest answer
 
 
@@ -37,15 +40,18 @@ def insist(path: Path, method: Method | None = None) -> None:
     method.check_circuit()
 
 
-def write(path: Path, method: Method, text: str, state: Arrays, seal: Seal) -> None:
-    """Write the network of a method as a graph, and beside it what `read` returns; raises OSError."""
+def write(path: Path, method: Method, examples: Images, text: str, state: Arrays, seal: Seal) -> None:
+    """Write the network of a method as a graph fit for inputs like the examples, and beside it what `read` returns.
+
+    Raises OSError.
+    """
     import h5py  # type: ignore[import-untyped, unused-ignore]
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     assert isinstance(method, HasCircuit)
-    circuit = method.circuit()
-    graph = _graph(circuit)
-    graph.metadata = _told(graph, circuit)
+    circuit, inputs = method.circuit(), np.asarray(method.encode(examples), np.float32)
+    graph = _graph(circuit, inputs)
+    graph.metadata = _told(graph, circuit, inputs[:_CANDIDATES])
     nir.write(path, graph)
     with h5py.File(path, "r+") as file:
         for name, array in state.items():
@@ -83,30 +89,33 @@ def _arrays(file: Any) -> dict[str, Array]:
     return found
 
 
-def _graph(circuit: Circuit) -> Any:
-    """Return the nodes of a circuit: neurons before the last layer spike, and weights after them hold their clip.
+def _graph(circuit: Circuit, inputs: Array) -> Any:
+    """Return the nodes of a circuit: neurons before the last layer spike, all at the clip.
 
-    A neuron of activation a spikes in a / clip of the steps; half a spike ahead its count is rounded, not cut off.
+    What a neuron sums is scaled so that it spikes in every step at its largest activation over the inputs (n, n_in),
+    with some room; the weights behind it take the scale back. Half a spike ahead, its count is rounded, not cut off.
     """
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     nodes: list[Any] = []
+    worth, x = np.float32(1), inputs  # of a spike
     for weights, bias in circuit.layers[:-1]:
         if circuit.clip is None:
             nodes.append(nir.Affine(weights, bias))
             continue
-        threshold = np.full_like(bias, circuit.clip)
-        ahead = np.float32(circuit.clip / (2 * STEPS))
-        nodes += [nir.Affine(weights, bias + ahead), nir.IF(np.ones_like(bias), threshold)]
+        clip = np.float32(circuit.clip)
+        x = (x @ weights.T + bias).clip(0, clip)
+        most = (_ROOM * x.max(0)).clip(clip / _FINEST, clip)
+        scale = clip / most
+        nodes.append(nir.Affine(weights * worth * scale[:, None], bias * scale + clip / np.float32(2 * STEPS)))
+        nodes.append(nir.IF(np.ones_like(bias), np.full_like(bias, clip)))
+        worth = most
     weights, bias = circuit.layers[-1]
-    nodes.append(nir.Affine(weights * np.float32(circuit.clip or 1), bias))
-    return nir.NIRGraph.from_list(*nodes)
+    return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * worth, bias))
 
 
-def _told(graph: Any, circuit: Circuit) -> dict[str, Any]:
-    """Return what a reader of a graph has to know and can test itself by."""
-    inputs = np.random.default_rng(0).uniform(size=(_CANDIDATES, circuit.layers[0][0].shape[1])).astype(np.float32)
-    inputs *= np.linspace(0, 1, _CANDIDATES + 1, dtype=np.float32)[1:, None]
+def _told(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
+    """Return what a reader of a graph has to know, and the one of the inputs (n, n_in) to test itself by."""
     steps = 1 if circuit.clip is None else STEPS
     answers, others = (_simulated(graph, inputs, steps, subtracted) for subtracted in (True, False))
     apart = np.abs(answers - others).max(1)
@@ -117,7 +126,7 @@ def _told(graph: Any, circuit: Circuit) -> dict[str, Any]:
         "output": "the mean of the steps",
         "check_input": inputs[best],
         "check_output": answers[best],
-        "check_tolerance": float(max(apart[best] / 4, _ROUNDING * np.abs(answers[best]).max())),
+        "check_tolerance": float(max(apart[best] / 16, _ROUNDING * np.abs(answers[best]).max())),
     }
     if circuit.clip is not None:
         told |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
