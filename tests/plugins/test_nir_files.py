@@ -97,7 +97,7 @@ def test_another_simulator_names_the_same_places(trained: VPRTempo, simulator: s
     graph, own = nir.read(path), trained.query(SEEN)
     answers = simulators.scores(graph, simulate, trained.encode(SEEN))
     spikes = "reset" in graph.metadata
-    # of 46 inputs one may have two best places within a spike; nir-check asks 333 real ones for 99 %
+    # of 46 inputs one may have two best places within a spike; nir-check asks 1000 for 99 %
     assert np.mean(answers.argmax(1) == own.argmax(1)) >= (0.97 if spikes else 1)
     assert np.abs(answers - own).max() <= (0.01 if spikes else 1e-4 * np.abs(own).max())
     assert simulators.knows_the_neurons(graph, simulate)
