@@ -38,8 +38,8 @@ def simulated(graph: nir.NIRGraph, inputs: np.ndarray) -> np.ndarray:
     neurons.r, neurons.limit = rest[0].r, rest[0].v_threshold
     network = brian2.Network(neurons, sums, synapses)
     outputs = np.empty((len(inputs), len(last.bias)))
-    for number, current in enumerate(currents):
-        neurons.v, neurons.current, sums.total = 0, current, 0
+    for number, shown in enumerate(currents):
+        neurons.v, neurons.current, sums.total = 0, shown, 0
         network.run(steps * brian2.second)
         outputs[number] = sums.total / steps + last.bias
     return outputs

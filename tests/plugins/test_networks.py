@@ -108,7 +108,9 @@ ORIGIN = networks.Origin("little", {}, "journey", 4, "f" * 64)
 
 def test_arrays_come_back_bit_by_bit(tmp_path: Path) -> None:
     method = Holding(arrays=ARRAYS)
-    networks.save(networks.Destination(tmp_path / "x.safetensors", False, ORIGIN), method, "", 1.0, 1.0)
+    networks.save(
+        networks.Destination(tmp_path / "x.safetensors", False, ORIGIN, WORLD.references), method, "", 1.0, 1.0
+    )
     networks.load(tmp_path / "x.safetensors", method, ORIGIN)
     for name, given in ARRAYS.items():
         back = method.arrays[name]

@@ -12,10 +12,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
 from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
 from vprbench.api.method import Method, calibration
 from vprbench.api.weight_files import is_plain, read_weights
 from vprbench.errors import BadInput
@@ -58,6 +60,7 @@ class Destination:
     path: Path
     replace: bool
     origin: Origin
+    examples: Images  # references
 
 
 def chosen_files(save: str | None, load: str | None, replace: bool) -> Files:
@@ -114,7 +117,8 @@ def prepare(files: Files, method: Method, arguments: Mapping[str, Any], dataset:
         probe.unlink()
     except OSError as error:
         raise BadInput(f"save={path} cannot be written ({error.strerror}): choose another file") from error
-    return Destination(path, files.replace, origin(method, arguments, dataset))
+    chosen = np.linspace(0, len(dataset.references) - 1, min(nir_files.EXAMPLES, len(dataset.references))).astype(int)
+    return Destination(path, files.replace, origin(method, arguments, dataset), dataset.references[chosen])
 
 
 def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_compute_seconds: float) -> None:
@@ -134,7 +138,7 @@ def save(to: Destination, method: Method, run_key: str, fit_seconds: float, fit_
     partial = unfinished(to.path.parent, f"-{to.path.name}")
     try:
         if to.path.suffix == nir_files.SUFFIX:
-            nir_files.write(partial, method, text, state, _SEAL)
+            nir_files.write(partial, method, to.examples, text, state, _SEAL)
         else:
             save_file(state, partial, _SEAL.metadata(text, state))
         with partial.open("rb+") as file:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from vprbench.api.circuit import Circuit, HasCircuit
+from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.storage.tensors import Array, Arrays, Seal
@@ -22,7 +23,7 @@ from vprbench.storage.tensors import Array, Arrays, Seal
 SUFFIX = ".nir"
 STEPS = 64
 _OURS = "vprbench"  # the group of what we alone read
-_CANDIDATES = 16  # inputs, the one of which is kept that tells most about the reset
+EXAMPLES = 32  # references, the one of which is kept that tells most about the reset
 _ROUNDING = 1e-4  # of the largest answer
 
 
@@ -37,15 +38,18 @@ def insist(path: Path, method: Method | None = None) -> None:
     method.check_circuit()
 
 
-def write(path: Path, method: Method, text: str, state: Arrays, seal: Seal) -> None:
-    """Write the network of a method as a graph, and beside it what `read` returns; raises OSError."""
+def write(path: Path, method: Method, examples: Images, text: str, state: Arrays, seal: Seal) -> None:
+    """Write the network of a method as a graph, checked by one of the examples, and beside it what `read` returns.
+
+    Raises OSError.
+    """
     import h5py  # type: ignore[import-untyped, unused-ignore]
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     assert isinstance(method, HasCircuit)
     circuit = method.circuit()
     graph = _graph(circuit)
-    graph.metadata = _told(graph, circuit)
+    graph.metadata = _told(graph, circuit, np.asarray(method.encode(examples), np.float32))
     nir.write(path, graph)
     with h5py.File(path, "r+") as file:
         for name, array in state.items():
@@ -86,27 +90,26 @@ def _arrays(file: Any) -> dict[str, Array]:
 def _graph(circuit: Circuit) -> Any:
     """Return the nodes of a circuit: neurons before the last layer spike, and weights after them hold their clip.
 
-    A neuron of activation a spikes in a / clip of the steps; half a spike ahead its count is rounded, not cut off.
+    A neuron of activation a spikes in a / clip of the steps; half a spike ahead, its count is rounded, not cut off.
     """
     import nir  # type: ignore[import-untyped, unused-ignore]
 
     nodes: list[Any] = []
+    worth = np.float32(1)  # of what a neuron passes on
     for weights, bias in circuit.layers[:-1]:
         if circuit.clip is None:
             nodes.append(nir.Affine(weights, bias))
             continue
-        threshold = np.full_like(bias, circuit.clip)
-        ahead = np.float32(circuit.clip / (2 * STEPS))
-        nodes += [nir.Affine(weights, bias + ahead), nir.IF(np.ones_like(bias), threshold)]
+        clip = np.float32(circuit.clip)
+        nodes.append(nir.Affine(weights * worth, bias + clip / np.float32(2 * STEPS)))
+        nodes.append(nir.IF(np.ones_like(bias), np.full_like(bias, clip)))
+        worth = clip
     weights, bias = circuit.layers[-1]
-    nodes.append(nir.Affine(weights * np.float32(circuit.clip or 1), bias))
-    return nir.NIRGraph.from_list(*nodes)
+    return nir.NIRGraph.from_list(*nodes, nir.Affine(weights * worth, bias))
 
 
-def _told(graph: Any, circuit: Circuit) -> dict[str, Any]:
-    """Return what a reader of a graph has to know and can test itself by."""
-    inputs = np.random.default_rng(0).uniform(size=(_CANDIDATES, circuit.layers[0][0].shape[1])).astype(np.float32)
-    inputs *= np.linspace(0, 1, _CANDIDATES + 1, dtype=np.float32)[1:, None]
+def _told(graph: Any, circuit: Circuit, inputs: Array) -> dict[str, Any]:
+    """Return what a reader of a graph has to know, and the one of the inputs (n, n_in) to test itself by."""
     steps = 1 if circuit.clip is None else STEPS
     answers, others = (_simulated(graph, inputs, steps, subtracted) for subtracted in (True, False))
     apart = np.abs(answers - others).max(1)
@@ -117,7 +120,7 @@ def _told(graph: Any, circuit: Circuit) -> dict[str, Any]:
         "output": "the mean of the steps",
         "check_input": inputs[best],
         "check_output": answers[best],
-        "check_tolerance": float(max(apart[best] / 4, _ROUNDING * np.abs(answers[best]).max())),
+        "check_tolerance": float(max(apart[best] / 64, _ROUNDING * np.abs(answers[best]).max())),
     }
     if circuit.clip is not None:
         told |= {"reset": "the threshold is subtracted", "output_min": 0.0, "output_max": circuit.clip}
