@@ -109,7 +109,7 @@ class VPRTempoLatencies(VPRTempo):
             yield f"lead of {lead:.0%}", self.steps + steps, scores
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
-        """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, the best first."""
+        """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, best first."""
         found, clip = super().spikes(codes), self.chosen_rules().clip
         best = found[-1].values.max(1, keepdims=True, initial=1e-9)
         for cycle, most in enumerate((1, clip, best)):
