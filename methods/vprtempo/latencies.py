@@ -82,7 +82,7 @@ class VPRTempoLatencies(VPRTempo):
     lead: float | None = None
 
     @property
-    def query_arguments(self) -> frozenset[str]:
+    def query_arguments(self) -> frozenset[str]:  # type: ignore[override]  # it depends on another argument
         """The arguments that may differ in a stored network."""
         return super().query_arguments | {"steps", "lead"}
 
@@ -95,7 +95,7 @@ class VPRTempoLatencies(VPRTempo):
             raise BadInput("spike times need method.query_rule=spiking and method.calibrated_scores=false: set them")
         return rules
 
-    @property  # type: ignore[override]  # it depends on arguments
+    @property
     def _spiking_query(self) -> Any:
         return partial(LatencyQuery, steps=self.steps, lead=self.lead)
 
@@ -109,9 +109,10 @@ class VPRTempoLatencies(VPRTempo):
             yield f"lead of {lead:.0%}", self.steps + steps, scores
 
     def spikes(self, codes: npt.NDArray[np.float32]) -> list[LayerSpikes]:
-        """Return the spikes of each layer until the query ends; the outputs spike in a cycle after the features'."""
+        """Return the spikes of each layer until the query ends; outputs spike in a cycle of their own, best first."""
         found, clip = super().spikes(codes), self.chosen_rules().clip
-        for cycle, most in enumerate((1, clip, clip)):
+        best = found[-1].values.max(1, keepdims=True, initial=1e-9)
+        for cycle, most in enumerate((1, clip, best)):
             levels = np.rint(found[cycle].values * (self.steps / most)).astype(int)
             times = np.where(levels > 0, (cycle + 1) * self.steps + 1 - levels, 0)
             found[cycle] = replace(found[cycle], times=times)
