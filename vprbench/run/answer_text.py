@@ -55,7 +55,7 @@ def answer_text(run: Run, folder: Path | None, from_store: bool, settings: Setti
     if settings.stream:
         tables.append(stream.stream_text(run))
     if settings.energy:
-        tables.append(energy.text(run))
+        tables.append(energy.text(run, settings.wide))
     return "\n".join([*(told(*each) for each in said), *tables, *map(told, below)])
 
 

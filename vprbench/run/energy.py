@@ -46,11 +46,12 @@ def costs(request: Request, run: Run) -> dict[str, Any]:
     return {part: {name: cost[at] for name, cost in found.items()} for at, part in enumerate(("values", "how"))}
 
 
-def text(run: Run) -> str:
+def text(run: Run, wide: bool = False) -> str:
     """Return the costs of a run as a small table, `n/a` with its reason for what is not known."""
     found = run.energy or {"values": {}, "how": {}}
     shown = {name: "n/a" if cost is None else METRICS[name].text(cost) for name, cost in found["values"].items()}
-    return table_text(("cost", "", "how"), [[METRICS[name].head, shown[name], found["how"][name]] for name in shown])
+    rows = [[METRICS[name].head, shown[name], found["how"][name]] for name in shown]
+    return table_text(("cost", "", "how"), rows, wide)
 
 
 def _operations(method: Method, singles: Sequence[Images], synops: tuple[float, float] | None) -> dict[str, Cost]:
