@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -20,21 +19,18 @@ from .vprtempo.method import VPRTempo
 Floats = npt.NDArray[np.float32]
 
 _FEATURES, _OUTPUTS = "feature_layer.w.weight", "output_layer.w.weight"  # in the published state dictionary
-_MIDDLE = 0.5 * 255  # counts
 
 
 @dataclass
 class Lens(Method):
     """Scores a place by how often its output neuron spikes while a frame is shown as random input spikes.
 
-    Every pixel of a frame (7 x 7 or 10 x 10 counts in 8 bits) spikes at each of `steps` with probability count / 255.
-    Features and outputs integrate without leak, fire at 1, as often a step as the membrane holds, and are reset by
-    subtraction, never below -1. Numbers that decide about input spikes are drawn once by `input_seed`, the same for
-    every frame. Training is that of VPRTempo's public code, one module of all places, on gamma-corrected frames.
-    Source: Hines, Milford and Fischer, "A compact neuromorphic system for ultra energy-efficient, on-device robot
-    localization" (Science Robotics 2025); github.com/AdamDHines/LENS. Two differences: here membranes start at rest
-    with each query instead of where the last one left them, and output thresholds at 0, where its code has them after
-    50 of its steps.
+    Every pixel of a frame (7 x 7 or 10 x 10 counts in 8 bits) spikes at each of `steps` with probability count / 255,
+    by numbers that `input_seed` draws, the same for every frame. Features and outputs integrate without leak, fire at
+    1, as often a step as the membrane holds, and are reset by subtraction, never below -1. Training is that of
+    VPRTempo's public code, one module of all places, on gamma-corrected frames.
+    Source: Hines, Milford and Fischer, Science Robotics 2025; github.com/AdamDHines/LENS. But here each query finds
+    membranes at rest, and output thresholds start at 0, to which they fall within 50 steps there.
     """
 
     height: int = 7  # pixels
@@ -60,15 +56,10 @@ class Lens(Method):
         """Train the feature layer, then the output layer, on images in a new random order each epoch."""
         self._weights = None
         n_pixels, n_places = self.height * self.width, int(places.max()) + 1
-        training = _Training(
-            rules="reference",
-            annealing_interval=10,
-            max_module=n_places,
-            features_per_pixel=int(n_pixels * self.features_per_pixel) / max(1, n_pixels),
-            itp_rate=2 * self.stdp_rate,
-            **{name: getattr(self, name) for name in _SHARED},
-        ).fit(references, places)
-        learnt = training.state()
+        own = {one.name: getattr(self, one.name) for one in fields(VPRTempo) if hasattr(self, one.name) and one.init}
+        own |= {"features_per_pixel": int(n_pixels * self.features_per_pixel) / max(1, n_pixels)}
+        own |= {"rules": "reference", "annealing_interval": 10, "itp_rate": 2 * self.stdp_rate, "max_module": n_places}
+        learnt = _Training(**own).fit(references, places).state()
         return self.restore({_FEATURES: learnt["features"][0], _OUTPUTS: learnt["outputs_0"]})
 
     def encode(self, images: Images) -> Floats:
@@ -81,12 +72,7 @@ class Lens(Method):
 
     def spikes(self, codes: Floats) -> list[LayerSpikes]:
         """Return how often each neuron spikes; raises NotFittedError before `fit`."""
-        names = ("input", "feature", "output")
-        return [LayerSpikes(name, counts) for name, counts in zip(names, self._fired(codes), strict=True)]
-
-    def layers(self, codes: Floats) -> dict[str, Floats]:
-        """Return the spikes of the feature neurons, (n_queries, n_features)."""
-        return {"feature": self._fired(codes)[1]}
+        return [*map(LayerSpikes, ("input", "feature", "output"), self._fired(codes))]
 
     def _fired(self, codes: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the spikes of inputs, features and outputs, each (n_queries, n_neurons)."""
@@ -95,7 +81,8 @@ class Lens(Method):
             raise BadInput(f"method.steps={self.steps}: give at least 1")
         codes = np.ascontiguousarray(codes, np.float32).reshape(-1, len(features))
         counts = tuple(np.zeros((len(codes), n), np.float32) for n in (*features.shape, outputs.shape[1]))
-        _fire(codes, _drawn(self.steps, len(features), self.input_seed), features, outputs, *counts)
+        drawn = torch.rand(self.steps, len(features), generator=torch.Generator().manual_seed(self.input_seed))
+        _fire(codes, drawn.numpy(), features, outputs, *counts)
         return counts[0], counts[1], counts[2]
 
     def _trained(self) -> tuple[Floats, Floats]:
@@ -120,8 +107,7 @@ class Lens(Method):
         if not fits or features.shape[1] != n_pixels or not all(np.isfinite(w).all() for w in (features, outputs)):
             raise BadInput(
                 f"the stored network has {_FEATURES} {features.shape} and {_OUTPUTS} {outputs.shape}; wanted finite "
-                f"(n_features, {n_pixels}) and (n_places, n_features), for method.height={self.height} x "
-                f"method.width={self.width}: give what it was trained on"
+                f"(n_features, method.height x method.width = {n_pixels}) and (n_places, n_features)"
             )
         self._weights = np.array(features.T, np.float32, order="C"), np.array(outputs.T, np.float32, order="C")
         return self
@@ -135,18 +121,8 @@ class _Training(VPRTempo):
         """Return the input spikes, (n_images, n_pixels), 0 to 1; a mean count of 1 or less stays as it is."""
         counts = pixels(images, "grey", self.height, self.width, 1).astype(np.float32)
         mean = counts.mean(1, keepdims=True)
-        gamma = np.log(_MIDDLE) / np.log(np.where(mean > 1, mean, _MIDDLE))
+        gamma = np.log(127.5) / np.log(np.where(mean > 1, mean, 127.5))
         return (counts**gamma).clip(0, 255).astype(np.float32) / np.float32(255)
-
-
-_SHARED = ("height", "width", "epochs", "stdp_rate", "threshold_max", "rate_min", "rate_max")
-_SHARED += ("p_excitatory", "p_inhibitory", "seed")
-
-
-@lru_cache(maxsize=4)
-def _drawn(steps: int, n_pixels: int, seed: int) -> Floats:
-    """Draw what a pixel's probability has to exceed to spike, (steps, n_pixels), as the public code draws it."""
-    return torch.rand(steps, n_pixels, generator=torch.Generator().manual_seed(seed)).numpy()
 
 
 _ROWS, _READ = types.float32[:, ::1], types.Array(types.float32, 2, "C", readonly=True)

@@ -78,14 +78,10 @@ def _as_lens(run: Run, asked: Sequences) -> Run:
     n_queries, n_places = len(run.outcome), run.outcome.n_places
     found, counts = sequence_scores(_scores(run), asked, np.zeros(n_queries, np.int64), np.zeros(n_places, np.int64))
     found[counts < asked.length] = -np.inf
-    around = np.arange(-_LENS_TOLERANCE, _LENS_TOLERANCE + 1)
-    right = tuple(np.unique(np.clip(places[:, None] + around, 0, n_places - 1)) for places in run.positives)
-    told = {"sequence": f"{asked.length} lens, within {_LENS_TOLERANCE} places"}
-    view = rescored(replace(run, positives=right), found, told, asked.length)
+    right = tuple(np.unique(np.clip(own[:, None] + np.arange(-3, 4), 0, n_places - 1)) for own in run.positives)
+    told = {"sequence": f"{asked.length} lens, within 3 places"}
+    view = rescored(replace(run, positives=right), found, told, window=asked.length)
     return restricted(view, np.flatnonzero(view.outcome.answerable), {})
-
-
-_LENS_TOLERANCE = 3  # places
 
 
 def filtered(run: Run, asked: Filter) -> Run:
