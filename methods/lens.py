@@ -122,7 +122,8 @@ class _Training(VPRTempo):
         counts = pixels(images, "grey", self.height, self.width, 1).astype(np.float32)
         mean = counts.mean(1, keepdims=True)
         gamma = np.log(127.5) / np.log(np.where(mean > 1, mean, 127.5))
-        return (counts**gamma).clip(0, 255).astype(np.float32) / np.float32(255)
+        inputs: Floats = (counts**gamma).clip(0, 255).astype(np.float32) / np.float32(255)
+        return inputs
 
 
 _ROWS, _READ = types.float32[:, ::1], types.Array(types.float32, 2, "C", readonly=True)
