@@ -18,6 +18,7 @@ from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
 from vprbench.progress import listening
+from vprbench.speed import events
 from vprbench.speed import files as many_files
 from vprbench.speed import frames, measure
 from vprbench.speed.frames import ReadingCell, drawn, frame_files, in_own_process, reading_cell
@@ -150,3 +151,13 @@ def test_the_second_time_hashes_are_known_and_all_is_measured(tmp_path: Path, mo
         assert len(cell.seconds) == 4
         assert min(cell.seconds.values()) > 0
         assert 0 < cell.memory_before_bytes <= cell.peak_memory_bytes
+
+
+def test_an_hour_of_events_is_counted_by_the_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VPRBENCH_EVENTS", "")  # which measuring sets
+    pytest.importorskip("h5py", reason="extra events is not installed")
+    events.write(tmp_path / "hour.h5", 100_000, seed=0)
+    cell = events.events_cell(tmp_path, 100_000)
+    assert 3598 <= cell.frames <= 3599  # the last second is not over
+    assert cell.seconds > 0
+    assert 0 < cell.memory_before_bytes <= cell.peak_memory_bytes

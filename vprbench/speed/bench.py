@@ -14,7 +14,7 @@ import psutil
 from vprbench.metrics.growth import exponent
 from vprbench.paper.plan import PAPER, PAPER_CPU, published
 from vprbench.run import machine
-from vprbench.speed import files, frames, matching, training, vprsnn
+from vprbench.speed import events, files, frames, matching, training, vprsnn
 from vprbench.speed.measure import Make, median
 from vprbench.speed.report import Planned, Report, figures, measured, publish, ratio
 from vprbench.speed.route import Route
@@ -30,6 +30,7 @@ _PLANS: tuple[Callable[[Bench], Iterator[Planned]], ...] = (
     training.fits,
     frames.reading,
     files.listing,
+    events.counting,
     frames.preprocessing,
     matching.queries,
     matching.search,

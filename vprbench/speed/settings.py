@@ -19,6 +19,7 @@ SECTIONS = (
     "fits",
     "reading",
     "files",
+    "events",
     "preprocessing",
     "queries",
     "search",
@@ -111,6 +112,7 @@ class Settings(NetworkOptions):
     reading_frames: int = option(27_592, 260)  # files that are read: all of Nordland
     reading_files: int = option(300, 5)  # different ones among them
     files: list[int] = option([10_000, 100_000], [40])  # of datasets whose names, positions and hashes are read
+    events: list[int] = option([100_000_000], [20_000])  # of an hour of a DAVIS346; 1000000000 need 13 GB of disk
     batch: int = option(128, 4)  # images preprocessed together
     sample: int = option(128, 4, least=None)  # different queries
     search_references: int = option(3300, 300)  # descriptors that are searched; for 27592, all of Nordland, 2 GB
