@@ -18,9 +18,8 @@ from vprbench.api.decoding import read_image
 from vprbench.errors import BadInput
 from vprbench.plugins.options import chosen
 from vprbench.progress import listening
-from vprbench.speed import events
+from vprbench.speed import events, frames, measure
 from vprbench.speed import files as many_files
-from vprbench.speed import frames, measure
 from vprbench.speed.frames import ReadingCell, drawn, frame_files, in_own_process, reading_cell
 from vprbench.speed.report import Failed, measured
 from vprbench.speed.settings import QUICK, Settings

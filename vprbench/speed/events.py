@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import psutil
 
 from vprbench import progress
@@ -67,7 +68,7 @@ def write(file: Path, n_events: int, seed: int) -> None:
     import h5py  # type: ignore[import-untyped, unused-ignore]
 
     drawn, n = np.random.default_rng(seed), min(_CHUNK, n_events)
-    columns = {
+    columns: dict[str, npt.NDArray[Any]] = {
         "t": np.sort(drawn.integers(_SECONDS * 1_000_000 * n // n_events, size=n)),
         "x": drawn.integers(_WIDTH, size=n, dtype=np.uint16),
         "y": drawn.integers(_HEIGHT, size=n, dtype=np.uint16),
