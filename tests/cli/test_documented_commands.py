@@ -24,6 +24,7 @@ from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.cluster import crew
 from vprbench.datasets.nordland import chosen_names
+from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.paper import gather
 from vprbench.paper.plan import Plan, read_plan
 from vprbench.plugins import registry
@@ -93,6 +94,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     positions = [f"@{585000 + 100 * number}.0@4477000.0@{number}.jpg" for number in range(PLACES)]
     for folder in ("database", "queries", "pitts30k/images/test/database", "pitts30k/images/test/queries"):
         frames(data / folder, positions)
+    for name, season in {"monday": "spring", "friday": "summer"}.items():
+        drive = EventJourney(window_ms=1000).recording(season, range(PLACES))
+        write_recording(data / f"{name}.h5", drive)
     for name in ("map", "today"):
         (data / f"{name}.csv").write_text("image,place\n" + "".join(f"friday/{n}.jpg,{n}\n" for n in range(PLACES)))
     names = frames(data / "tokyo247", [f"{number}.png" for number in range(PLACES)])

@@ -107,7 +107,7 @@ def test_places_are_recognised_by_their_events_under_another_light(journey, refe
     dataset = event_journey(places=20, journey=journey, references=[reference], query=query, first_query_place=0)
     counts = [np.array([frame.ravel() for frame in frames], float) for frames in (dataset.references, dataset.queries)]
     known, asked = (frames / np.linalg.norm(frames, axis=1, keepdims=True) for frames in counts)
-    assert ((asked @ known.T).argmax(1) == np.arange(20)).mean() > 0.5  # a guess: 0.05
+    assert ((asked @ known.T).argmax(1) == np.arange(20)).mean() > 0.3  # a guess: 0.05
 
 
 def test_another_seed_is_another_camera_on_another_journey():

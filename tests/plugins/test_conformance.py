@@ -86,8 +86,10 @@ class Pixels(Prototypes):
 
     def extend(self, references: Images, places: Places) -> Self:
         """Append the means of new places."""
-        codes, known = self.encode(references), self.state()["means"]
-        self._means = np.concatenate([known, [codes[places == place].mean(0) for place in np.unique(places)]])
+        if self._means is None:
+            raise NotFittedError("not fitted")
+        codes = self.encode(references)
+        self._means = np.concatenate([self._means, [codes[places == place].mean(0) for place in np.unique(places)]])
         return self
 
 
@@ -217,7 +219,9 @@ class Overwrites(Pixels):
 
 
 class FewCandidates(Pixels):
-    """Of each query only the ten best places are candidates."""
+    """Of each query only the ten best places are candidates, also known ones in the place of new ones."""
+
+    extends = False
 
     def match(self, codes: npt.NDArray[np.float32]) -> Scores:
         scores = super().match(codes)

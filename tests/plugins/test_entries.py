@@ -26,7 +26,7 @@ def test_a_yaml_holds_what_hydra_reads_in_it(entry: Entry) -> None:
     told, read = OmegaConf.to_container(OmegaConf.load(entry.path)), entry.values()
     assert isinstance(told, dict)
     assert {name: read[name] for name in told if name != "weights"} == {n: told[n] for n in told if n != "weights"}
-    assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn")) else ())
+    assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn", "lens")) else ())
 
 
 def test_published_networks_need_weights() -> None:

@@ -27,7 +27,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("asked", "counted"),
     [
-        (["method=thumbnail"], "15 rules: 14 kept, 1 excepted, 0 broken"),
+        (["method=thumbnail"], "16 rules: 15 kept, 1 excepted, 0 broken"),
         (["dataset=panorama"], "17 rules: 17 kept, 0 excepted, 0 broken"),
         (["dataset=panorama", "dataset.overlap=0", "dataset.places=2"], "17 rules: 17 kept, 0 excepted, 0 broken"),
     ],

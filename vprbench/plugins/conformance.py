@@ -35,7 +35,7 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none. A declared `tuned_on` is looked at too. Raises BadInput if a file is
+    stored networks to a method that keeps none. Only a method that extends is asked to. A declared `tuned_on` is looked at too. Raises BadInput if a file is
     missing that the method needs.
     """
     if config.get("tuned_on") is not None:
@@ -47,12 +47,10 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     exceptions = dict(method.conformance_exceptions)
     if not networks.keeps_a_network(method):
         exceptions.setdefault(STORED_RULE, "it keeps no network")
-    if not method.extends:
-        exceptions.setdefault(EXTENDED_RULE, "it learns its places together")
     for rule, test in RULES.items():
         if rule in exceptions:
             yield Result(rule, "excepted", exceptions.pop(rule))
-        else:
+        elif rule != EXTENDED_RULE or method.extends:
             yield _result(rule, partial(test, partial(make_method, config), config))
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
