@@ -35,8 +35,8 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
 
     What the method names in `conformance_arguments` replaces its configured arguments, but for those in `asked`.
     A rule that it names in `conformance_exceptions` is not put to it, and its reason is given; neither is the rule on
-    stored networks to a method that keeps none. Only a method that extends is asked to. A declared `tuned_on` is looked at too. Raises BadInput if a file is
-    missing that the method needs.
+    stored networks to a method that keeps none, nor that on growing maps to a method that does not extend. A declared
+    `tuned_on` is looked at too. Raises BadInput if a file is missing that the method needs.
     """
     if config.get("tuned_on") is not None:
         yield _result(TUNED_RULE, partial(_declared, config["tuned_on"]))
