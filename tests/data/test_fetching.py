@@ -77,6 +77,13 @@ def test_a_dataset_gets_to_where_runs_look_for_it(
     assert visible(tmp_path / "all" / "little") == COMPLETE
 
 
+def test_a_file_that_is_no_archive_is_kept_as_it_is(server: Server, root: Path) -> None:
+    wanted = Wanted(plain=True, into="drive", unpacked_bytes=len(NOISE))
+    part = Part(file="drive.h5", urls=(server.serve("/drive", NOISE),), unpack=wanted, holds={"drive": Held(files=1)})
+    assert get(little(parts={"drive": part}), root) == 0
+    assert (root / "drive" / "drive.h5").read_bytes() == NOISE
+
+
 class TestParts:
     @pytest.fixture
     def both(self, server: Server) -> Download:

@@ -35,12 +35,13 @@ class Wanted:
     strip: int | Literal["all"] = 0  # leading folders that are left out
     into: str = "."  # folder below the destination
     most_files: int = 200_000  # members of the archive, wanted or not
+    plain: bool = False  # the file is no archive: it is wanted itself
 
 
 def unpack(
     archive: Path, destination: Path, wanted: Wanted, approve: Callable[[Path], None] = lambda folder: None
 ) -> int:
-    """Put the wanted files of a zip, tar, tar.gz, tar.bz2 or tar.xz into a folder; returns how many files.
+    """Put the wanted files of a zip, tar, tar.gz, tar.bz2 or tar.xz, or a plain file, into a folder; returns how many.
 
     They get there when all are unpacked and `approve`, given the folder that holds them until then, has not raised.
     Hidden files are left out. Raises DamagedArchive for a file that ends early or is no archive, and BadInput for
@@ -70,7 +71,8 @@ def _fill(folder: Path, archive: Path, wanted: Wanted) -> int:
     n_files = done_bytes = 0
     stage = f"unpacking {archive.name}"
     report(stage, 0.0)
-    for n_seen, member in enumerate(members(archive), start=1):
+    plain = Member(archive.name, "file", archive.stat().st_size, lambda: archive.open("rb"))
+    for n_seen, member in enumerate([plain] if wanted.plain else members(archive), start=1):
         if n_seen > wanted.most_files:
             raise BadInput(f"{archive} holds more than {wanted.most_files} files, the most expected: {_NOTHING}")
         path = _path(archive, member, wanted)
