@@ -36,6 +36,11 @@ class CrossImageDescriptor(PublishedNetwork):
         rules = ("a batch gives what its single images give", "the order of queries does not matter")
         return {} if self.images_together == 1 else dict.fromkeys(rules, _REASON)
 
+    @property
+    def extends(self) -> bool:
+        """Whether new places are appended: not if the images of a map saw one another."""
+        return self.images_together == 1 and super().extends
+
     def notes(self) -> Sequence[str]:
         """Return that queries had the help of other queries, if they had."""
         if self.images_together == 1:
