@@ -178,7 +178,10 @@ def _print_counts(part: Part, root: Path) -> None:
 
 
 def _sizes(parts: Mapping[str, Part]) -> str:
-    return ", ".join(f"{name} ({_size(part.size_bytes or part.about_bytes)})" for name, part in parts.items())
+    known = {name: part.size_bytes or part.about_bytes for name, part in parts.items()}
+    if len(known) > 1 and not any(known.values()):
+        return f"{', '.join(known)} (sizes not stated)"
+    return ", ".join(f"{name} ({_size(n_bytes)})" for name, n_bytes in known.items())
 
 
 def _insist_on_space(missing: Mapping[str, Part], place: _Place) -> None:
