@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vprbench.api import BadInput, NotThere
-from vprbench.text import near
 
 from .event_folders import EventFolders
 from .readers.event_files import READERS, events_in
@@ -34,7 +33,7 @@ class _Published(EventFolders):
 
     def _file(self, name: str) -> Path:
         if name not in self.drives:
-            raise BadInput(f"{self.name} has no drive {name}: {near(name, self.drives)}")
+            raise BadInput(f"{self.name} has no drive {name}: there are {', '.join(self.drives)}")
         return self._found(name, *(f"*{self.drives[name][0]}*{suffix}" for suffix in READERS))
 
     def _found(self, name: str, *patterns: str) -> Path:
