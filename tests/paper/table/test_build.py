@@ -182,6 +182,14 @@ def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no
     assert ("fewer", "of 1 of 3 seeds: the others were not timed here") in reasons(one, "VPRTempo", "query_cpu")
 
 
+def test_a_cost_that_is_not_known_says_why() -> None:
+    energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
+    costs = quantities(["operations", "joules_measured"], ("cpu",))
+    made = table([run(energy=energy)], rows=[SAD], quantities=costs)
+    assert measured(made, "SAD", "operations").value == 2
+    assert [text for _, text in reasons(made, "SAD", "joules_measured")] == ["Measured n/a: no counter here"]
+
+
 def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined() -> None:
     # the right place shares the highest score with a wrong one for two of four queries
     outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)

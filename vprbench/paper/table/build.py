@@ -126,7 +126,7 @@ class _Sheet:
             return replace(empty, mark=MARKS[absence.code], notes=self._numbers([absence]))
         numbers = quantity.numbers(row, runs)
         if numbers is None:
-            return replace(empty, notes=self._numbers([quantity.undefined]))
+            return replace(empty, notes=self._numbers([quantity.undefined(runs)]))
         found = entry.found[entry.device(quantity)]
         told = [reason("seeds", row, found)] if found.missing_seeds else []
         told += [reason("fewer", len(runs), len(found.runs))] if len(runs) < len(found.runs) else []

@@ -64,7 +64,6 @@ class Quantity(ABC):
     head: str
     unit: str
     device: Device | None = None  # whose runs it shows; None: those of the device with the most seeds
-    undefined: ClassVar[Reason] = Reason("undefined", "no query has a right place")
     audited: ClassVar[bool] = False  # notes of failed audits are told here, and not elsewhere
     of_answers: ClassVar[bool] = False  # some of the queries alone have a number too
 
@@ -99,7 +98,11 @@ class Quantity(ABC):
 
     def lacking(self, runs: Sequence[Run]) -> Reason:
         """Return why runs of a row, of which there are some, say nothing of it."""
-        return self.undefined
+        return self.undefined(runs)
+
+    def undefined(self, runs: Sequence[Run]) -> Reason:
+        """Return why runs of a row give no number."""
+        return Reason("undefined", "no query has a right place")
 
     def apart(self, runs: Mapping[str, Sequence[Run]]) -> Mapping[str, Reason]:
         """Return by row what sets it apart from the others of a column."""
@@ -159,7 +162,14 @@ class OfMetric(Recall):
     """One of `METRICS`: the mean over the seeds, in no contest."""
 
     metric: Metric = METRICS["recall_at_1"]
-    undefined: ClassVar[Reason] = Reason("undefined", "undefined for the answers of this row")
+
+    def undefined(self, runs: Sequence[Run]) -> Reason:
+        """Return why a cost is not known, or that answers leave an accuracy undefined."""
+        told = (run.energy["how"].get(self.metric.name) for run in runs if run.energy is not None)
+        why = next(filter(None, told), None) if self.metric.cost is not None else None
+        if why is None:
+            return Reason("undefined", "undefined for the answers of this row")
+        return short("undefined", f"{self.metric.words} n/a: {why}")
 
     def numbers(self, row: Row, runs: Sequence[Run]) -> Numbers | None:
         """Return the metric in its unit; None if it is undefined for all runs."""
