@@ -47,7 +47,7 @@ def nmea_track(file: Path, begin_s: float | None = None) -> Track:
     except ImportError as error:
         raise BadInput(f"{file}: {error.name} is not installed: pip install vprbench[events]") from error
     fixes: list[tuple[float, float, float]] = []
-    first, day, last = -1.0, 0.0, -1.0  # seconds
+    first, day, last, dated = -1.0, 0.0, -1.0, False  # seconds; whether a date came yet
     with file.open("rb") as stored:
         for _, said in NMEAReader(stored, quitonerror=ERR_IGNORE):
             kind = getattr(said, "msgID", "")
@@ -55,7 +55,12 @@ def nmea_track(file: Path, begin_s: float | None = None) -> Track:
                 continue
             clock = (datetime.combine(datetime.min, said.time) - datetime.min).total_seconds()
             if kind == "RMC" and hasattr(said.date, "year"):
-                day = datetime(said.date.year, said.date.month, said.date.day, tzinfo=UTC).timestamp()
+                date = datetime(said.date.year, said.date.month, said.date.day, tzinfo=UTC).timestamp()
+                if not dated and first >= 0:  # GGA came before: it was of that day, or of the one before
+                    ahead = date - (day + _DAY_S if day + clock < last - _DAY_S / 2 else day)
+                    first, last, dated = first + ahead, last + ahead * (last >= 0), True
+                    fixes = [(at + ahead, lat, lon) for at, lat, lon in fixes]
+                day, dated = date, True
             elif day + clock < last - _DAY_S / 2:  # after midnight
                 day += _DAY_S
             now = day + clock

@@ -61,7 +61,7 @@ def log(begin: datetime, seconds: int, metres_a_second: float, kinds: tuple[str,
     return "".join(lines)
 
 
-@pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA")])
+@pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA"), ("GGA", "RMC")])
 def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path: Path, kinds: tuple[str, ...]) -> None:
     # The log of the camera car has a date of its own; events begin at 5 s, the logs at 3 s before midnight.
     begin = {"sunset2": 1587540271.65, "sunset1": 1587452582.35}
