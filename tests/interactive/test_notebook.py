@@ -12,7 +12,7 @@ from nbclient import NotebookClient
 NOTEBOOK = ROOT / "docs/first_steps.ipynb"
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 def test_the_first_steps_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     book = nbformat.read(NOTEBOOK, as_version=4)  # type: ignore[no-untyped-call]

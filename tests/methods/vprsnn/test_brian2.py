@@ -25,7 +25,7 @@ from vprbench.methods.vprsnn.synapses import normalise
 from vprbench.methods.vprsnn.training_sets import Lesson
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.extended,
     pytest.mark.skipif(
         importlib.util.find_spec("brian2") is None and not os.environ.get("VPRBENCH_INSIST_ON_BRIAN2"),
         reason="Brian2 is missing: pip install brian2",
