@@ -8,7 +8,7 @@ PIP = $(RUN) -m pip install --disable-pip-version-check --progress-bar off -c co
 BRIAN2 := build/brian2
 LARGE_DOWNLOADS := sed -un -e 's/^ *Downloading \(.* [0-9.]* [MG]B)\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p'
 
-.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check nir-check test test-triton chaos slot-check check docs clean
+.PHONY: help install table figures report search bench bench-descriptors bench-maps gpu-check nir-check test test-all chaos slot-check check docs clean
 
 help: ## Say what can be made.
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -49,12 +49,14 @@ gpu-check: $(READY) ## On a machine with a GPU: compare it with the CPU, time it
 nir-check: $(READY) $(BRIAN2)/.installed ## Ask networks that are stored as NIR in snnTorch and in Brian2, count equal best places: QUERIES=
 	$(RUN) tests/oracles/nir_check.py $(BRIAN2)/bin/python $(QUERIES)
 
-test: $(READY) ## Run all tests, a worker with one thread for each core (ARGS passes options).
-	OMP_NUM_THREADS=1 $(RUN) -m pytest --numprocesses auto --dist loadfile $(ARGS)
+# A worker for each core, one thread each; a worker that is done takes tests from the others.
+PYTEST = OMP_NUM_THREADS=1 $(RUN) -m pytest --numprocesses auto --dist worksteal
 
-test-triton: $(READY) ## Run the tests of the GPU training in Triton's interpreter, without a GPU; installs triton (280 MB).
-	$(RUN) -c "import triton" 2>/dev/null || $(RUN) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) triton==3.9.0
-	VPRBENCH_INSIST_ON_TRITON=1 $(RUN) -m pytest tests/methods/vprtempo/test_fused_cuda.py $(ARGS)
+test: $(READY) ## Run all tests but the extended ones; nothing beside the checkout is needed (ARGS passes options).
+	$(PYTEST) -m "not extended" $(ARGS)
+
+test-all: $(VENV)/.triton $(BRIAN2)/.installed ## Run the extended tests too: real frames, Chromium, LaTeX, Brian2, Triton, networks at full size.
+	$(PYTEST) $(ARGS)
 
 chaos: $(READY) ## Kill workers, scheduler and client of a sweep for ten minutes, and see that nothing is lost: MINUTES= SEED=
 	$(RUN) tests/chaos/chaos.py $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SEED),--seed $(SEED)) $(ARGS)
@@ -88,6 +90,11 @@ $(BRIAN2)/.installed:
 	$(PYTHON) -m venv $(BRIAN2)
 	$(BRIAN2)/bin/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) \
 		brian2==2.9.0 "numpy<2.4" nir==1.0.8 h5py==3.16.0
+	@touch $@
+
+# Triton's interpreter runs the GPU training where no GPU is; PyTorch's CUDA builds bring their own.
+$(VENV)/.triton: $(READY)
+	$(RUN) -c "import triton" 2>/dev/null || $(PIP) --quiet triton==3.9.0
 	@touch $@
 
 $(VENV)/.docs: $(READY)

@@ -137,6 +137,7 @@ class _Kept:
             content = np.stack([frames[number] for number in range(len(frames))])
             try:
                 replace_bytes(self._path(at), content.tobytes() + _check(content))
+                self._files[at] = self._mapped(at)  # who looks at them again makes none anew
             except OSError as error:
                 self._refused = True
                 logger.info("frames are not kept in %s: %s", self._folder, error.strerror or error)

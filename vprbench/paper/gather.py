@@ -16,7 +16,7 @@ from vprbench.cluster.options import ClusterOptions
 from vprbench.errors import BadInput
 from vprbench.metrics.registry import GROUPS
 from vprbench.paper.left_out import why_left_out
-from vprbench.paper.missing_runs import MissingRun, fill, results_folder
+from vprbench.paper.missing_runs import MissingRun, Watch, fill, results_folder
 from vprbench.paper.plan import Plan, PlannedColumn, Row, read_plan, with_plug_ins
 from vprbench.paper.selection import Group, ResolvedColumn, groups
 from vprbench.paper.shelf import Compose
@@ -144,17 +144,22 @@ def gather(chosen: Chosen, options: Sequence[str], compose: Compose, crew: Crew 
 
     `options` of the command line are those of all runs. Raises BadInput if there is no run at all.
     """
-    endings = made(chosen, _all(chosen), options, compose, crew)
+    endings = made(chosen, [run for runs in all_runs(chosen) for run in runs], options, compose, crew)
     runs, failures = stored(chosen)
     return material(chosen, runs, failures, tuple(endings))
 
 
 def made(
-    chosen: Chosen, runs: Sequence[MissingRun], options: Sequence[str], compose: Compose, crew: Crew | None = None
+    chosen: Chosen,
+    runs: Sequence[MissingRun],
+    options: Sequence[str],
+    compose: Compose,
+    crew: Crew | None = None,
+    watch: Watch | None = None,
 ) -> list[Ending]:
     """Make those of some runs that are not stored, none if `stored` was asked for; returns how each ended."""
     options = [*options, *["energy=true"] * bool({*chosen.metrics} & {*GROUPS["energy"]})]
-    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew)
+    return [] if chosen.stored else fill(runs, options, Store(results_folder(chosen.results)), compose, crew, watch)
 
 
 def material(
@@ -199,15 +204,18 @@ def wanted(chosen: Chosen, column: ResolvedColumn, rows: Sequence[Row]) -> Itera
             yield MissingRun(row, planned.title, planned.options, column.dataset, arguments, seed, device, of)
 
 
-def _all(chosen: Chosen) -> list[MissingRun]:
-    """Return the runs of all columns but slow rows, row by row: those that run at any size first, short ones first."""
-    found: list[MissingRun] = []
+def all_runs(chosen: Chosen) -> tuple[list[MissingRun], list[MissingRun]]:
+    """Return the runs of rows that run at any size, and those of slow rows where they are not too slow.
+
+    Both row by row, the smallest datasets first.
+    """
     columns = sorted(chosen.columns, key=lambda column: column.dataset.get("places") or 0)
-    for row in sorted(chosen.rows, key=lambda row: row.most_places is not None):
+    runs: tuple[list[MissingRun], list[MissingRun]] = [], []
+    for row in chosen.rows:
         for column in columns:
             if not chosen.slow(column, row):
-                found += wanted(chosen, column, [row])
-    return found
+                runs[row.most_places is not None].extend(wanted(chosen, column, [row]))
+    return runs
 
 
 def _with_seeds(row: Row, asked: TableRequest) -> Row:

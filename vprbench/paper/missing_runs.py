@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,22 +87,40 @@ def _flat(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def fill(
-    wanted: Sequence[MissingRun], options: Sequence[str], store: Store, compose: Compose, crew: Crew | None = None
+    wanted: Sequence[MissingRun],
+    options: Sequence[str],
+    store: Store,
+    compose: Compose,
+    crew: Crew | None = None,
+    watch: Watch | None = None,
 ) -> list[Ending]:
     """Make the runs that are not stored yet, by a crew or one after the other; returns how each ended.
 
     `options` of the command line are those of all runs. For a run that is stored no process is started, nor for one
     whose published weights cannot be had. What is missing for the first seed of a row is missing for the others, which
-    are not tried if it is known by then. A failure is stored, never raised.
+    are not tried if it is known by then. A failure is stored, never raised. `watch` is told how it goes.
     """
-    crew = crew or Crew()
+    crew, watch = crew or Crew(), watch or Watch()
     shown = _Shown(wanted) if sys.stderr.isatty() and len(wanted) > 1 else None
     filling = _Filling(wanted, options, store, compose, shown, crew.elsewhere)
+    cells = filling.cells()
+    first = list(itertools.islice(cells, 1))
+    if first:
+        watch.before_first(wanted[first[0][0]])
     heard = shown.heard if shown else None
     with shown.table if shown else nullcontext(), shown_by(shown.progress) if shown else nullcontext():
-        for number, ending in crew.endings(filling.cells(), filling.begin, heard):
+        for number, ending in crew.endings(itertools.chain(first, cells), filling.begin, heard):
             filling.end(number, ending)
+            watch.after_each()
     return [filling.endings[number] for number in range(len(wanted))]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is called while runs are made: before the first process starts, and after each that has ended."""
+
+    before_first: Callable[[MissingRun], None] = lambda _: None
+    after_each: Callable[[], None] = lambda: None
 
 
 class _Weights:
@@ -158,8 +177,6 @@ class _Filling:
                 found = self._shelf.held(run)
                 ending = Ending(0) if found else None
             if ending is None:
-                if self._shown is None and not self._elsewhere:
-                    self._say(number)
                 ending = self._unmade(run)
             if ending is None:
                 yield number, [*run.options(), *self._options, f"results={self._store.root}"]
@@ -170,8 +187,8 @@ class _Filling:
         """Tell that a process makes a run."""
         if self._shown is not None:
             self._shown.begin(number, host if self._elsewhere else "")
-        elif self._elsewhere:
-            self._say(number, f" on {host}")
+        else:
+            self._say(number, f" on {host}" * self._elsewhere)
 
     def end(self, number: int, ending: Ending) -> None:
         """Take how a process ended; a failure that it has not stored is stored."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from vprbench.cluster.crew import crew
-from vprbench.paper.gather import Material, TableRequest, choose, gather
+from vprbench.errors import BadInput
+from vprbench.paper.gather import Chosen, Material, TableRequest, all_runs, choose, made, material, stored
+from vprbench.paper.missing_runs import MissingRun, Watch
 from vprbench.paper.shelf import Compose
 from vprbench.paper.table import formats
 from vprbench.run import rows
@@ -18,16 +21,47 @@ from vprbench.terminal.console import console
 
 
 def make_table(asked: TableRequest, options: Sequence[str], compose: Compose) -> int:
-    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed."""
+    """Print the table and write it as Markdown, CSV and LaTeX; returns the exit code, 1 where a cell failed.
+
+    Where slow rows have to run, the table is printed and written without them first, and written again after each of
+    their runs.
+    """
+    chosen = choose(asked, compose)
+    quick, slow = all_runs(chosen)
     with crew(asked) as making:
-        found = gather(choose(asked, compose), options, compose, making)
-    folder = Path(asked.results).expanduser()
+        endings = made(chosen, quick, options, compose, making)
+
+        def before_slow(run: MissingRun) -> None:
+            with suppress(BadInput):  # no run is there yet
+                _show(_put_together(chosen, endings), asked)
+                print(f"{run.row.name} follows and takes longest: interrupt it, and what is done is kept", flush=True)
+
+        def after_slow() -> None:
+            with suppress(BadInput):  # no run is there yet
+                write(_put_together(chosen, endings), _folder(asked), file_name(asked))
+
+        endings += made(chosen, slow, options, compose, making, Watch(before_slow, after_slow))
+    found = _put_together(chosen, endings)
+    _show(found, asked)
+    return exit_code(found.endings)
+
+
+def _put_together(chosen: Chosen, endings: Sequence[Ending]) -> Material:
+    """Return what is stored now as the table."""
+    return material(chosen, *stored(chosen), tuple(endings))
+
+
+def _show(found: Material, asked: TableRequest) -> None:
+    """Print the table, then write its files."""
     narrow = console().is_terminal
     printed = formats.for_terminal(found.table, asked.wide) if narrow else formats.markdown(found.table)
-    print(printed, end="")  # first: it is there to be read even where nothing is written
-    written = write(found, folder, file_name(asked))
-    print(f"\nwritten to {', '.join(str(path) for path in written)}")
-    return exit_code(found.endings)
+    print(printed, end="", flush=True)  # first: it is there to be read even where nothing is written
+    written = write(found, _folder(asked), file_name(asked))
+    print(f"\nwritten to {', '.join(str(path) for path in written)}", flush=True)
+
+
+def _folder(asked: TableRequest) -> Path:
+    return Path(asked.results).expanduser()
 
 
 def write(found: Material, folder: Path, name: str) -> list[Path]:
