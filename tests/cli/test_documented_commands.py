@@ -1,4 +1,4 @@
-"""Every command that README and docs show is executed as it stands there, on a smaller journey."""
+"""Every command that README and docs show is understood, and runs in the order of its document on a smaller journey."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import os
 import re
 import shlex
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import torch
 import yaml
 from checkout import ROOT
 from mat_cells import cells
+from omegaconf import DictConfig, OmegaConf
 from PIL import Image as PillowImage
 from scipy.io import savemat
 from small_plan import RUN, Apart
@@ -23,12 +25,15 @@ from small_plan import RUN, Apart
 from vprbench import cli
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.cluster import crew
+from vprbench.compare.checks import checked
 from vprbench.datasets.nordland import chosen_names
 from vprbench.datasets.synthetic_events import EventJourney, write_recording
 from vprbench.paper import gather
 from vprbench.paper.plan import Plan, read_plan
+from vprbench.paper.shelf import Compose
 from vprbench.plugins import registry
-from vprbench.run.processes import IN_SWEEP, Ending
+from vprbench.run.processes import IN_SWEEP
+from vprbench.run.settings import checked_settings
 
 DOCUMENTS = (
     "README.md",
@@ -62,17 +67,14 @@ def shown(document: str) -> Iterator[str]:
     yield from re.findall(r"`((?:python -m )?vprbench [^`]*)`", text)
 
 
-COMMANDS = sorted(
-    {
-        " ".join(shlex.split(command, comments=True))
-        for document in DOCUMENTS
-        for command in shown(document)
-        if not re.search(
-            r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check|bench|gpu|chaos)|vprbench bench",
-            command,
-        )
-    }
-)
+def commands(document: str) -> list[str]:
+    """Return the commands of a document in its order, each once; not those that install, test or measure speed."""
+    left_out = r"[= ]NAME|COMMAND|darkness|lamps|mine|^make (test|docs|install|check|bench|gpu|chaos)|vprbench bench"
+    told = (" ".join(shlex.split(command, comments=True)) for command in shown(document))
+    return [command for command in dict.fromkeys(told) if not re.search(left_out, command)]
+
+
+COMMANDS = sorted({command for document in DOCUMENTS for command in commands(document)})
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +101,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_recording(data / f"{name}.h5", drive)
     for name in ("map", "today"):
         (data / f"{name}.csv").write_text("image,place\n" + "".join(f"friday/{n}.jpg,{n}\n" for n in range(PLACES)))
+    for drive in ("sunset1", "sunset2"):
+        frames(data / "brisbane_events_7x7" / drive, [f"images_{n:05d}.png" for n in range(PLACES)], "L", (7, 7))
+    np.savez(data / "brisbane_events_7x7" / "ground_truth.npz", positives=np.eye(PLACES, dtype=bool))
     names = frames(data / "tokyo247", [f"{number}.png" for number in range(PLACES)])
     metres = np.array([[585000.0 + 100 * n for n in range(PLACES)], [4477000.0] * PLACES])
     fields = {"whichSet": "test", "dbImageFns": cells([name.replace("png", "jpg") for name in names]), "utmDb": metres}
@@ -107,13 +112,102 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return data
 
 
-def frames(folder: Path, names: list[str]) -> list[str]:
+def frames(folder: Path, names: list[str], mode: str = "RGB", size: tuple[int, int] = (64, 32)) -> list[str]:
     """Put an image into the folder under each name; the same place looks alike in every folder."""
     folder.mkdir(parents=True)
     for number, name in enumerate(names):
         levels = np.random.default_rng(number).integers(0, 256, (8, 16, 3), dtype=np.uint8)
-        PillowImage.fromarray(levels).resize((64, 32)).save(folder / name)
+        PillowImage.fromarray(levels).resize(size).convert(mode).save(folder / name)
     return names
+
+
+def of_make(command: str) -> list[str]:
+    """Return the options with which a target of the Makefile calls the program."""
+    given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
+    asked = ["make", "-n", *command.split()[1:]]
+    told = subprocess.run(asked, cwd=ROOT, env=given, capture_output=True, text=True, check=True)
+    return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
+
+
+def options_of(command: str, data: Path) -> list[str]:
+    """Return the options that a documented command gives the program, its own frames in `data`."""
+    command = command.replace("/data/", f"{data}/")
+    options = of_make(command) if command.startswith("make") else command.removeprefix("python -m ").split()[1:]
+    return [option for option in options if not re.match(r"workers=|cluster[.=]", option)]  # one process here
+
+
+@pytest.fixture
+def clean(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of its own, in which nothing was run."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VPRBENCH_DATA", str(data))
+
+
+@pytest.fixture
+def understood(clean: None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What stands in for the work of each command checks its options; the names of those that came so far."""
+    done: list[str] = []
+
+    def instead(target: str, check: Callable[..., object]) -> None:
+        name = target.rpartition(".")[2]
+        monkeypatch.setattr(target, lambda *given, **_: int(check(*given) is None or done.append(name) is not None))
+
+    def check_run(config: DictConfig) -> object:
+        plain: Any = OmegaConf.to_container(config, resolve=True)
+        checked_settings(plain)
+        return registry.make_method(plain["method"])
+
+    def compared(asked: Any, compose: Compose) -> object:
+        return checked(asked, compose)[0]
+
+    instead("vprbench.cli._run", check_run)
+    instead("vprbench.cli.swept", lambda runs, _: runs)
+    instead("vprbench.compare.make.make_comparison", compared)
+    for name in ("table.make.make_table", "figures.make.make_figures", "page.make.make_report"):
+        instead(f"vprbench.paper.{name}", lambda asked, _, compose: gather.choose(asked, compose))
+    instead("vprbench.data.doctor.command", lambda _, build, *__: build())
+    monkeypatch.setattr("vprbench.tuning.search.search", lambda settings, *_: done.append("search"))
+    monkeypatch.setattr("vprbench.tuning.text.write", lambda *_: "")
+    return done
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_documented_command_is_understood(command: str, data: Path, understood: list[str], tmp_path: Path) -> None:
+    options = options_of(command, data)
+    store_what_others_trained(options)
+    (tmp_path / "results").mkdir()
+    if answered_at_once(options) is None:
+        foreign = "stores=[/mnt/gpu-box/results]" in options  # a folder that is not here
+        assert cli.main(with_few_frames(options)) == (2 if foreign else 0)
+        assert len(understood) == (not foreign)
+
+
+def with_few_frames(options: list[str]) -> list[str]:
+    """Return the options of a comparison or an examination for as few frames as there are."""
+    named = [option.partition("=")[2] for option in options if option.startswith("dataset=")]
+    return [*options, *SMALLER.get(named[0], ())] if options[0] in ("compare", "doctor") else options
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_a_document_says_how_to_get_the_frames_that_its_commands_need(document: str) -> None:
+    asked = {option for command in commands(document) if "dataset.root" not in command for option in command.split()}
+    needed = {option.removeprefix("dataset=") for option in asked if option.startswith("dataset=")}
+    offered = {path.stem for path in (ROOT / "conf" / "fetch").glob("*.yaml")}
+    named = set(re.findall(r"vprbench fetch (\w+)", (ROOT / document).read_text(encoding="utf-8")))
+    assert needed & offered <= named
+
+
+def answered_at_once(options: list[str]) -> int | None:
+    """Give a command that runs nothing to the command line; return None for another one."""
+    if options[0] in ("list", "status", "--cfg", "--version", "completion") or "--help" in options:
+        assert cli.main(options) == 0
+    elif options[0] == "fetch":
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("VPRBENCH_DATA", str(Path("downloads").absolute()))
+            assert cli.main(options) == (2 if len(options) > 1 else 0)  # the tests have no net
+    else:
+        return None
+    return 0
 
 
 def smaller(options: list[str]) -> list[str]:
@@ -138,101 +232,51 @@ def smaller_plan(path: Path) -> Plan:
     return replace(plan, columns=columns, growth=growth)
 
 
-class Sweep:
-    """Stands in for the processes of a sweep; remembers what each would run."""
-
-    def __init__(self) -> None:
-        self.asked: list[list[str]] = []
-
-    def __call__(self, options: list[str]) -> Ending:
-        self.asked.append(list(options))
-        return Ending(0)
-
-
-def of_make(command: str) -> list[str]:
-    """Return the options with which a target of the Makefile calls the program."""
-    given = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKEOVERRIDES", "ARGS")}
-    asked = ["make", "-n", *command.split()[1:]]
-    told = subprocess.run(asked, cwd=ROOT, env=given, capture_output=True, text=True, check=True)
-    return shlex.split(told.stdout.replace("\\\n", " ").rsplit("-m vprbench ", 1)[1].splitlines()[0])
-
-
-@pytest.fixture
-def sweep(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sweep:
-    sweep = Sweep()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VPRBENCH_DATA", str(data))
-    monkeypatch.setenv(IN_SWEEP, "1")
-    monkeypatch.setattr(
-        crew,
-        "run_apart",
-        lambda options, stdout=None, **_: (
-            sweep(options) if stdout is None else Apart()(smaller(list(options)))  # whose answers are shown, or not
-        ),
-    )
-    monkeypatch.setattr(gather, "read_plan", smaller_plan)
-    return sweep
-
-
-@pytest.mark.parametrize("command", [command for command in COMMANDS if command.startswith("make")])
-def test_a_documented_target_of_make_is_executed(command: str, data: Path, sweep: Sweep) -> None:
-    name, *options = of_make(command.replace("/data/", f"{data}/"))
-    if name == "search":
-        options += ["dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]
-    else:
-        options += ["rows=[SAD]", "seeds=1"] + ["columns=[railway]"] * (name != "table")
-    assert cli.main([name, *options]) == (2 if {"stored=true", "stores=[/mnt/gpu-box/results]"} & {*options} else 0)
-
-
-@pytest.mark.parametrize("command", [command for command in COMMANDS if not command.startswith("make")])
-def test_a_documented_command_is_executed(
-    command: str, data: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.extended
+@pytest.mark.parametrize("document", [document for document in DOCUMENTS if commands(document)])
+def test_the_commands_of_a_document_run_in_its_order_from_a_clean_folder(
+    document: str, data: Path, clean: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = command.removeprefix("python -m ").replace("/data/", f"{data}/").split()[1:]
-    options = [option for option in options if not re.match(r"workers=|cluster[.=]", option)]  # made here instead
-    if options[0] in ("list", "fetch", "--cfg", "--version", "completion") or "--help" in options:
-        nothing_is_downloaded = options[0] == "fetch" and len(options) > 1
-        monkeypatch.setenv("VPRBENCH_DATA", str(Path("downloads").absolute()))
-        assert cli.main(options) == (2 if nothing_is_downloaded else 0)
-    elif options[0] == "status":
-        Path("results").mkdir()
-        assert cli.main(options) == 0
-    elif options[0] == "table":
-        assert cli.main([*options, "rows=[SAD]", "seeds=1", "columns=[railway]"]) == 0
+    monkeypatch.setenv(IN_SWEEP, "1")
+    monkeypatch.setattr(crew, "run_apart", lambda options, **_: Apart()(smaller(list(options))))
+    monkeypatch.setattr(gather, "read_plan", smaller_plan)
+    for command in commands(document):
+        options = options_of(command, data)
+        store_what_others_trained(options)
+        if options[0] == "status":
+            Path("results").mkdir(exist_ok=True)
+        if answered_at_once(options) is None:
+            assert execute(options) is None, command
+
+
+def execute(options: list[str]) -> str | None:
+    """Run a command in a smaller size; return what is wrong with how it ends."""
+    of_table, expected = ["rows=[SAD]", "seeds=1", "columns=[railway]"], 0
+    if options[0] in ("table", "figures", "report"):
+        options = [*options, *of_table]
+        expected = 2 if "stores=[/mnt/gpu-box/results]" in options else 0
+    elif options[0] == "search":
+        options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]
     elif options[0] == "doctor":
-        chosen = options[1].removeprefix("dataset=")
-        assert cli.main([*options, *SMALLER.get(chosen, ())]) == 1  # a dozen frames, equal ones, are no journey
+        options, expected = with_few_frames(options), 1  # a dozen frames, equal ones, are no journey
     elif options[0] == "compare":
-        given = dict(option.split("=", 1) for option in options[1:])
-        assert cli.main([*options, *SMALLER.get(given["dataset"], ()), *RUN]) == 0
-    elif options[0] == "-m":
-        assert cli.main(options) == 0
-        assert sweep.asked
-        of_one_method = {
-            next(option for option in asked if option.startswith("method=")): asked for asked in sweep.asked
-        }
-        for asked in of_one_method.values():
-            run(asked)
-    else:
-        store_what_is_loaded(options)
-        run(options)
+        options = [*with_few_frames(options), *RUN]
+    elif options[0] != "-m":
+        ending = Apart()(smaller(options))
+        missing = any(option == f"method={name}" for option in options for name in NO_WEIGHTS)
+        told = (ending.code, ending.missing)
+        return None if told == ((2, True) if missing else (0, False)) else f"{told}: {ending.error}"
+    code = cli.main(options)
+    missing = {name for name in NO_WEIGHTS if any(re.search(rf"\b{name}\b", option) for option in options)}
+    return None if code == expected or (options[0] == "-m" and missing) else f"exit code {code}, not {expected}"
 
 
-def store_what_is_loaded(options: list[str]) -> None:
-    """Store the network that a command loads, as an earlier command or the authors' code would have."""
+def store_what_others_trained(options: list[str]) -> None:
+    """Store the network that a command loads in the layout of the authors' code."""
     for path in (Path(option.removeprefix("load=")) for option in options if option.startswith("load=")):
-        if path.suffix == ".safetensors":
-            run(["method=vprtempo", *(o for o in options if o.startswith("dataset")), f"save={path}"])
-        else:
+        if path.suffix == ".pth":
             sizes = {"feature": (1568, 784), "output": (PLACES, 1568)}
             layers = {f"{name}_layer.w.weight": torch.ones(size) for name, size in sizes.items()}
             torch.save(
                 {"model_0": layers | {f"{name}_layer.thr": torch.zeros(1, n) for name, (n, _) in sizes.items()}}, path
             )
-
-
-def run(options: list[str]) -> None:
-    """Execute one run; a network without its weights, and a network that nobody stored, says so."""
-    ending = Apart()(smaller(options))
-    without = any(option == f"method={name}" for option in options for name in NO_WEIGHTS)
-    assert (ending.code, ending.missing) == ((2, True) if without else (0, False)), ending.error
