@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -27,6 +28,8 @@ class HOG(DescriptorMethod):
     With the defaults a descriptor has 35,721 numbers (140 KiB). An image without any edge has the zero vector, which
     scores 0 everywhere (VPR-Bench: 0 / 0).
     """
+
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {"height": 96, "width": 96}
 
     height: int = 512  # pixels that every image is resized to
     width: int = 512

@@ -54,7 +54,7 @@ class VPRSNN(Arguments, Method):
     conformance_arguments: ClassVar[Mapping[str, Any]] = {
         "places_per_module": 5,
         "n_excitatory": 30,
-        "epochs": 4,
+        "epochs": 3,
         "time_step_ms": 0.25,
         "height": 12,
         "width": 12,

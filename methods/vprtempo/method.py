@@ -65,7 +65,10 @@ class VPRTempo(Arguments, Method, HasCircuit):
     A network whose training diverged raises TrainingDivergedError, references of which most look alike BadInput.
     """
 
-    conformance_arguments: ClassVar[Mapping[str, Any]] = {"max_module": 8, "height": 12, "width": 12}
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {
+        **{"max_module": 8, "height": 12, "width": 12},
+        **{"rows": 6, "columns": 6},  # of oriented edges
+    }
     stored_as: ClassVar[str] = "vprtempo"
     _linear_query: ClassVar[Any] = LinearQuery
     _spiking_query: ClassVar[Any] = SpikingQuery

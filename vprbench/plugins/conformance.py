@@ -10,7 +10,7 @@ from typing import Any, Literal
 from vprbench.plugins import faults, networks
 from vprbench.plugins.dataset_rules import DATASET_RULES, Made
 from vprbench.plugins.registry import arguments, entries, make_dataset, make_method, near
-from vprbench.plugins.rules import EXTENDED_RULE, RULES, STORED_RULE, RuleBrokenError, RuleExceptedError
+from vprbench.plugins.rules import EXTENDED_RULE, RULES, STORED_RULE, RuleBrokenError, RuleExceptedError, Subject
 from vprbench.plugins.tuned_places import UNKNOWN, declared_places, stretches
 
 
@@ -47,11 +47,12 @@ def check(config: Mapping[str, Any], asked: Set[str] = frozenset()) -> Iterator[
     exceptions = dict(method.conformance_exceptions)
     if not networks.keeps_a_network(method):
         exceptions.setdefault(STORED_RULE, "it keeps no network")
+    subject = Subject(partial(make_method, config), config)
     for rule, test in RULES.items():
         if rule in exceptions:
             yield Result(rule, "excepted", exceptions.pop(rule))
         elif rule != EXTENDED_RULE or method.extends:
-            yield _result(rule, partial(test, partial(make_method, config), config))
+            yield _result(rule, partial(test, subject))
     for rule in exceptions:
         yield Result(rule, "broken", "conformance_exceptions names a rule that does not exist")
 

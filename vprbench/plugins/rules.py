@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, is_dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -63,43 +64,60 @@ class Journey:
         )
 
 
-def _constructor(make: Make, config: Mapping[str, Any]) -> None:
-    method = make()
-    for name, value in config.items():
+@dataclass(frozen=True)
+class Subject:
+    """The method that is put to the rules: what makes a new one, and its arguments."""
+
+    make: Make
+    config: Mapping[str, Any]
+
+    def fitted(self, world: Journey) -> Method:
+        """Return a new method that has learnt a world."""
+        return self.make().fit(Images.from_arrays(world.references), world.places)
+
+    @cached_property
+    def asked(self) -> Method:
+        """A method that has learnt the first world, shared by the rules that only ask it."""
+        return self.fitted(Journey.draw(0))
+
+
+def _constructor(subject: Subject) -> None:
+    method = subject.make()
+    for name, value in subject.config.items():
         stored = getattr(method, name, None)
         wanted = checked(f"method.{name}", value, type(stored)) if is_dataclass(stored) else value
         if name != "_target_" and stored != wanted:
             _broken(f"argument {name}={value} is {getattr(method, name, 'not stored')} after construction")
 
 
-def _returns_itself(make: Make, _: Mapping[str, Any]) -> None:
-    method, world = make(), Journey.draw(0)
+def _returns_itself(subject: Subject) -> None:
+    method, world = subject.make(), Journey.draw(0)
     if method.fit(Images.from_arrays(world.references), world.places) is not method:
         _broken("fit returned something else")
 
 
-def _forgets(make: Make, _: Mapping[str, Any]) -> None:
+def _forgets(subject: Subject) -> None:
     first, second = Journey.draw(1), Journey.draw(2)
-    method = _fitted(make, first)
+    method = subject.fitted(first)
     method.fit(Images.from_arrays(second.references), second.places)
     _same(
         _scores(method, second),
-        _scores(_fitted(make, second), second),
+        _scores(subject.fitted(second), second),
         "after an earlier fit the scores differ",
     )
 
 
-def _needs_fit(make: Make, _: Mapping[str, Any]) -> None:
+def _needs_fit(subject: Subject) -> None:
     try:
-        _scores(make(), Journey.draw(0))
+        _scores(subject.make(), Journey.draw(0))
     except NotFittedError:
         return
     _broken("no NotFittedError was raised")
 
 
-def _inputs(make: Make, _: Mapping[str, Any]) -> None:
+def _inputs(subject: Subject) -> None:
     world, untouched = Journey.draw(0), Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.fitted(world)
     codes = method.encode(Images.from_arrays(world.queries))
     before = np.array(codes, copy=True)
     method.match(codes)
@@ -112,9 +130,9 @@ def _inputs(make: Make, _: Mapping[str, Any]) -> None:
             _broken("an image was changed")
 
 
-def _kept_apart(make: Make, _: Mapping[str, Any]) -> None:
+def _kept_apart(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.asked
     given = {"encode": method.encode(Images.from_arrays(world.queries[:3]))}
     before = {"encode": np.array(given["encode"], copy=True)}
     later = method.encode(Images.from_arrays(world.queries[3:]))
@@ -126,45 +144,45 @@ def _kept_apart(make: Make, _: Mapping[str, Any]) -> None:
             _broken(f"a later call changes what {name} returned: return an array of its own")
 
 
-def _repeatable(make: Make, _: Mapping[str, Any]) -> None:
+def _repeatable(subject: Subject) -> None:
     world = Journey.draw(0)
-    if not np.array_equal(_scores(_fitted(make, world), world), _scores(_fitted(make, world), world)):
+    if not np.array_equal(_scores(subject.asked, world), _scores(subject.fitted(world), world)):
         _broken("two fits with the same arguments give different scores")
 
 
-def _batches(make: Make, _: Mapping[str, Any]) -> None:
+def _batches(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.asked
     singles = np.concatenate([method.query(Images.from_arrays([image])) for image in world.queries])
     _same(_scores(method, world), singles, "a batch gives other scores than its images one by one")
 
 
-def _order(make: Make, _: Mapping[str, Any]) -> None:
+def _order(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.asked
     turned = method.query(Images.from_arrays(world.queries[::-1]))
     _same(_scores(method, world), turned[::-1], "the order of the queries changes the scores")
 
 
-def _shape(make: Make, _: Mapping[str, Any]) -> None:
+def _shape(subject: Subject) -> None:
     world = Journey.draw(0)
-    scores = _scores(_fitted(make, world), world)
+    scores = _scores(subject.asked, world)
     wanted = (len(world.queries), N_PLACES)
     if not isinstance(scores, np.ndarray) or scores.shape != wanted or scores.dtype != np.float32:
         _broken(f"{getattr(scores, 'shape', type(scores))} {getattr(scores, 'dtype', '')}; wanted {wanted} float32")
     _only_numbers_or_no_candidates(scores, "scores are not finite")
 
 
-def _higher_is_alike(make: Make, _: Mapping[str, Any]) -> None:
+def _higher_is_alike(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.asked
     known = method.query(Images.from_arrays(world.references[:N_PLACES]))
     right = np.count_nonzero(known.argmax(1) == np.arange(N_PLACES))
     if right <= N_PLACES // 2:
         _broken(f"only {right} of {N_PLACES} reference images score highest at their own place")
 
 
-def _names(make: Make, _: Mapping[str, Any]) -> None:
+def _names(subject: Subject) -> None:
     world = Journey.draw(0)
     scores = []
     for word in ("place", "x"):
@@ -172,47 +190,47 @@ def _names(make: Make, _: Mapping[str, Any]) -> None:
         queries = Images.from_arrays(
             world.queries, [f"{word}-{p}" for p in world.right.tolist()][:: 1 if word == "x" else -1]
         )
-        scores.append(make().fit(references, world.places).query(queries))
+        scores.append(subject.make().fit(references, world.places).query(queries))
     _same(scores[0], scores[1], "the names of the images change the scores")
 
 
-def _any_image(make: Make, _: Mapping[str, Any]) -> None:
+def _any_image(subject: Subject) -> None:
     world = Journey.draw(0)
     black = [np.zeros_like(world.references[0]), *world.references[1:]]
     larger = [np.asarray(cv2.resize(world.queries[0], (96, 80)), np.uint8), np.zeros_like(world.queries[1])]
-    scores = make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
+    scores = subject.make().fit(Images.from_arrays(black), world.places).query(Images.from_arrays(larger))
     _only_numbers_or_no_candidates(scores, "scores of a black image and one of another size are not finite")
 
 
-def _stored(make: Make, config: Mapping[str, Any]) -> None:
+def _stored(subject: Subject) -> None:
     try:
-        make().state()
+        subject.make().state()
     except NotFittedError:
         pass
     else:
         _broken("state before fit raised no NotFittedError")
     world = Journey.draw(0)
-    trained = _fitted(make, world)
+    trained = subject.fitted(world)
     answers = _scores(trained, world)
     references = Images.from_arrays(world.references)
     right = tuple(np.array([place]) for place in world.right.tolist())
     dataset = Dataset("check", references, world.places, Images.from_arrays(world.queries), right, {})
     with TemporaryDirectory() as folder:
         path = Path(folder) / "network.safetensors"
-        destination = networks.prepare(networks.Files(save=path), trained, config, dataset)
+        destination = networks.prepare(networks.Files(save=path), trained, subject.config, dataset)
         assert destination is not None
         networks.save(destination, trained, "", 0.0, 0.0)
         if not np.array_equal(_scores(trained, world), answers):
             _broken("storing a network changes its scores")
-        for restored, state in ((make(), "new"), (_fitted(make, Journey.draw(1)), "fitted elsewhere before")):
+        for restored, state in ((subject.make(), "new"), (subject.fitted(Journey.draw(1)), "fitted elsewhere before")):
             networks.load(path, restored, destination.origin)
             if not np.array_equal(_scores(restored, world), answers):
                 _broken(f"restored into a method {state} it gives other scores")
 
 
-def _spikes(make: Make, _: Mapping[str, Any]) -> None:
+def _spikes(subject: Subject) -> None:
     world = Journey.draw(0)
-    method = _fitted(make, world)
+    method = subject.fitted(world)
     answers = _scores(method, world)
     codes = method.encode(Images.from_arrays(world.queries))
     before = np.array(codes, copy=True)
@@ -234,11 +252,11 @@ def _spikes(make: Make, _: Mapping[str, Any]) -> None:
         _broken("counting spikes or reading layers changes codes or later scores")
 
 
-def _extended(make: Make, _: Mapping[str, Any]) -> None:
+def _extended(subject: Subject) -> None:
     world, first = Journey.draw(0), N_PLACES * 3 // 4
     images, new = Images.from_arrays(world.references), np.flatnonzero(world.places >= first)
     old = np.flatnonzero(world.places < first)
-    method = make().fit(images[old], world.places[old])
+    method = subject.make().fit(images[old], world.places[old])
     before = _scores(method, world)
     kept = before.copy()
     for place in range(first, N_PLACES):
@@ -255,7 +273,7 @@ def _extended(make: Make, _: Mapping[str, Any]) -> None:
 STORED_RULE = "a stored network answers as the trained one"
 EXTENDED_RULE = "places learnt after fit are scored and change no score of known ones"
 
-RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
+RULES: dict[str, Callable[[Subject], None]] = {
     "the constructor only stores its arguments": _constructor,
     "fit returns the method": _returns_itself,
     "fit forgets an earlier fit": _forgets,
@@ -273,10 +291,6 @@ RULES: dict[str, Callable[[Make, Mapping[str, Any]], None]] = {
     EXTENDED_RULE: _extended,
     "spikes are counts or amplitudes by layer and query": _spikes,
 }
-
-
-def _fitted(make: Make, world: Journey) -> Method:
-    return make().fit(Images.from_arrays(world.references), world.places)
 
 
 def _scores(method: Method, world: Journey) -> npt.NDArray[np.float32]:
