@@ -67,7 +67,7 @@ class VPRTempo(Arguments, Method, HasCircuit):
 
     conformance_arguments: ClassVar[Mapping[str, Any]] = {
         **{"max_module": 8, "height": 12, "width": 12},
-        **{"rows": 6, "columns": 6},  # of oriented edges
+        **{"rows": 4, "columns": 5},  # of oriented edges
     }
     stored_as: ClassVar[str] = "vprtempo"
     _linear_query: ClassVar[Any] = LinearQuery
