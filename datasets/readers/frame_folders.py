@@ -30,24 +30,32 @@ def root_folder(
         if _holds_data(kept):
             return kept
         default = checkout_folder() / (default_root or "")
-        if default_root is not None and default.is_dir():
+        if default_root is not None and is_readable_folder(default):
             return default
-        unfinished = " (which holds no frames yet: a download was not finished)" if kept.is_dir() else ""
+        unfinished = " (which holds no frames yet: a download was not finished)" if is_readable_folder(kept) else ""
         raise NotThere(
             f"dataset.root is not set: {name} needs the folder that holds {holding}; {layout}, "
             f"or call that folder {kept}{unfinished}"
         )
     folder = Path(root).expanduser()
-    if not folder.is_dir():
-        raise NotThere(f"dataset.root={root} is no folder: {name} needs the one that holds {holding}; {layout}")
+    if not is_readable_folder(folder):
+        raise NotThere(
+            f"dataset.root={root} is no folder that can be read: {name} needs the one that holds {holding}; {layout}"
+        )
     return folder
 
 
 def _holds_data(folder: Path) -> bool:
     """Tell whether there is more in a folder than a download that was not finished leaves."""
-    return folder.is_dir() and any(
+    return is_readable_folder(folder) and any(
         not entry.name.startswith(".") and entry.name != _ARCHIVES for entry in folder.iterdir()
     )
+
+
+def is_readable_folder(folder: Path) -> bool:
+    """Tell whether a path is a folder whose files this process may list and open; never raises."""
+    own = os.access in os.supports_effective_ids  # else the system knows the real user alone
+    return os.access(folder, os.R_OK | os.X_OK, effective_ids=own) and folder.is_dir()
 
 
 def files_in(folder: Path) -> set[str]:
@@ -63,8 +71,8 @@ def check_folders(folders: Sequence[FrameFolder], layout: str, suffix_option: st
     suffix, which the option `suffix_option` chooses.
     """
     for folder in folders:
-        if not folder.path.is_dir():
-            raise NotThere(f"{folder.path} does not exist: {layout}")
+        if not is_readable_folder(folder.path):
+            raise NotThere(f"{folder.path} does not exist or cannot be read: {layout}")
         present = files_in(folder.path)
         missing = [name for name in folder.used if name not in present]
         if missing:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checkout import ROOT
+from checkout import SHARED
 from PIL import Image as PillowImage
 
 from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 
-REAL = ROOT.parent / "shared" / "data"
+REAL = SHARED / "data"
 needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
 
 
