@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # for type checkers alone, which know that name: `import vprb
     from vprbench.interactive.result import Result as Result
     from vprbench.interactive.running import run as run
 
-__version__ = "0.6.1"
+__version__ = "0.7.0"
 
 _HOMES = {
     **dict.fromkeys(("NamedDataset", "NamedMethod", "dataset", "method"), "choices"),
