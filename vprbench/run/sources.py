@@ -114,17 +114,22 @@ def _counts(module: str, asking: str, file: Path) -> bool:
     return module in COMPUTING or module.startswith("vprbench.methods.")
 
 
-def _imported(module: str, path: Path) -> Iterator[str]:
-    """Yield the full names of all that a file imports, modules and what may be one."""
-    package = _package(module, path)
-    for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+def _imported(module: str, path: Path) -> tuple[str, ...]:
+    """Return the full names of all that a file imports, modules and what may be one."""
+    return _imported_by(path.read_text(encoding="utf-8"), _package(module, path))
+
+
+@cache
+def _imported_by(text: str, package: str) -> tuple[str, ...]:
+    found: list[str] = []
+    for node in _statements(ast.parse(text)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
             source = _source(node, package)
-            yield source
             homes = api.HOMES if source == api.__name__ else {}
-            yield from (homes.get(alias.name, f"{source}.{alias.name}") for alias in node.names)
+            found += (source, *(homes.get(alias.name, f"{source}.{alias.name}") for alias in node.names))
+    return tuple(found)
 
 
 def _package(module: str, path: Path) -> str:
