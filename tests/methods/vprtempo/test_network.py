@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,7 +19,6 @@ from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
-from vprbench.plugins import networks
 from vprbench.plugins.rules import Journey
 from vprbench.run.store import Store
 
@@ -42,10 +42,9 @@ def fitted(**arguments: Any) -> VPRTempo:
 
 
 @RULES
-@pytest.mark.parametrize("max_module", [8, 10, 20], ids=["8, 8 and 4", "10 and 10", "one module"])
-def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet, max_module: int) -> None:
-    trained = fitted(rules=rules, max_module=max_module)
-    restored = method(rules=rules, max_module=max_module).restore(trained.state())
+def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet) -> None:
+    trained = fitted(rules=rules)
+    restored = method(rules=rules).restore(trained.state())
     assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
     x = trained.encode(QUERIES)[1:2]
     assert np.array_equal(restored.match(x), trained.match(x))
@@ -56,31 +55,24 @@ def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet,
 
 def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and_float32() -> None:
     n_pixels, n_features, state = SIDE * SIDE, 2 * SIDE * SIDE, fitted().state()
-    assert {name: array.shape for name, array in state.items()} == {
-        "features": (3, n_features, n_pixels),
-        "constant": (3, n_features),
-        "feature_thresholds": (3, n_features),
-        "outputs_0": (8, n_features),
-        "outputs_1": (8, n_features),
-        "outputs_2": (4, n_features),
-        "output_thresholds_0": (8,),
-        "output_thresholds_1": (8,),
-        "output_thresholds_2": (4,),
-    }
-    for array in state.values():
-        assert array.dtype == np.float32
-        assert array.flags.c_contiguous
+    features = {"features": (3, n_features, n_pixels)}
+    per_feature = dict.fromkeys(("constant", "feature_thresholds"), (3, n_features))
+    outputs = {f"outputs_{module}": (size, n_features) for module, size in enumerate([8, 8, 4])}
+    thresholds = {f"output_thresholds_{module}": (size,) for module, size in enumerate([8, 8, 4])}
+    assert {name: array.shape for name, array in state.items()} == features | per_feature | outputs | thresholds
+    assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in state.values())
 
 
 def test_arrays_may_be_unwritable_and_later_changes_of_them_are_not_followed() -> None:
-    state = {name: array.copy() for name, array in fitted().state().items()}
+    trained = fitted()
+    state = {name: array.copy() for name, array in trained.state().items()}
     for array in state.values():
         array.flags.writeable = False
     restored = method().restore(state)
     for array in state.values():
         array.flags.writeable = True
         array[:] = 7
-    assert np.array_equal(restored.query(QUERIES), fitted().query(QUERIES))
+    assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
 
 
 def test_more_than_ten_modules_keep_their_order() -> None:
@@ -121,9 +113,12 @@ def little() -> Arrays:
     return {name: draw.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
 
 
-def refusal(state: Mapping[str, npt.NDArray[Any]], asked: VPRTempo | None = None) -> str:
+def refusal(state: Mapping[str, npt.NDArray[Any]], **arguments: Any) -> str:
     """Return the line that refuses the arrays, and see that the method, which had a network, answers nothing."""
-    asked = asked or method().restore(little())
+    asked = method().restore(little())
+    assert asked.query(QUERIES).shape == (len(WORLD.queries), 5)
+    for name, value in arguments.items():
+        setattr(asked, name, value)
     with pytest.raises(BadInput) as error:
         asked.restore(state)
     for ask in (lambda: asked.query(QUERIES), asked.state):
@@ -133,81 +128,39 @@ def refusal(state: Mapping[str, npt.NDArray[Any]], asked: VPRTempo | None = None
     return str(error.value)
 
 
-def test_the_little_network_of_these_tests_is_accepted() -> None:
-    assert method().restore(little()).query(QUERIES).shape == (len(WORLD.queries), 5)
-
-
-@pytest.mark.parametrize("name", list(little()))
-def test_a_missing_array_is_named(name: str) -> None:
-    state = little()
-    del state[name]
-    assert name in refusal(state).replace(",", " ").split()
-
-
-@pytest.mark.parametrize("name", ["means", "outputs", "outputs_2", "output_thresholds_2"])
-def test_an_array_too_many_is_named_or_the_one_that_it_lacks(name: str) -> None:
-    line = refusal({**little(), name: np.zeros((3, 4), np.float32)})
-    assert ("_2" if "_2" in name else name) in line
-
-
-def test_a_trained_method_that_could_not_be_restored_answers_nothing() -> None:
-    refusal({**little(), "constant": np.zeros((2, 5), np.float32)}, fitted())
-    refusal({})
-
-
-Spoil = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
-SPOILT: dict[str, Spoil] = {
-    "one axis more": lambda a: a[None],
-    "one axis less": lambda a: a[0],
-    "a number": lambda a: a.ravel()[0],
-    "four axes": lambda a: a.reshape(-1, 1, 1, 1),
-    "nothing": lambda a: a[:0],
-    "one column too many": lambda a: np.concatenate([a, a[..., :1]], axis=-1),
-    "not finite": lambda a: np.full_like(a, np.nan),
-    "infinite": lambda a: np.full_like(a, np.inf),
-}
+def test_an_array_that_is_missing_or_too_many_is_named() -> None:
+    for name in little():
+        line = refusal({other: array for other, array in little().items() if other != name})
+        assert name in line.replace(",", " ").split()
+    for name in ("means", "outputs", "outputs_2", "output_thresholds_2"):
+        line = refusal({**little(), name: np.zeros((3, 4), np.float32)})
+        assert ("_2" if "_2" in name else name) in line  # or the one that it lacks
 
 
 @pytest.mark.parametrize("name", little())
-@pytest.mark.parametrize("how", SPOILT)
-def test_an_array_of_another_shape_or_without_finite_values_is_refused(name: str, how: str) -> None:
-    state = little()
-    state[name] = np.asarray(SPOILT[how](state[name]))
-    line = refusal(state)
-    if how == "one column too many":
-        same = f"{name} has the shape {state[name].shape}; wanted {little()[name].shape}"
-        assert ("145 inputs" if name == "features" else same) in line
-    elif "finite" in how:
-        assert name in line
-    else:
-        assert "has the shape" in line
+def test_an_array_of_another_shape_or_without_finite_values_is_refused(name: str) -> None:
+    own = little()[name]
+    for array in (own[None], own[0], own.ravel()[0], own.reshape(-1, 1, 1, 1), own[:0]):
+        assert "has the shape" in refusal({**little(), name: np.asarray(array)})
+    for value in (np.nan, np.inf):
+        assert name in refusal({**little(), name: np.full_like(own, value)})
+    wider = np.concatenate([own, own[..., :1]], axis=-1)
+    same = f"{name} has the shape {wider.shape}; wanted {own.shape}"
+    assert ("145 inputs" if name == "features" else same) in refusal({**little(), name: wider})
+    longer = np.concatenate([own, own[:1]])
+    assert name.removeprefix("outputs") in refusal({**little(), name: longer})  # or it is held against its thresholds
 
 
-@pytest.mark.parametrize("name", ["features", "constant", "feature_thresholds", "outputs_0", "outputs_1"])
-def test_an_array_with_one_row_too_many_is_refused(name: str) -> None:
-    state = little()
-    state[name] = np.concatenate([state[name], state[name][:1]])
-    assert name.removeprefix("outputs") in refusal(state)  # an output layer is held against its thresholds
+def test_a_network_of_no_places_or_no_features_is_refused() -> None:
+    refusal({name: array[:0] if name.startswith("output") else array for name, array in little().items()})
+    refusal({name: array if "output_" in name else array[:, :0] for name, array in little().items()})
 
 
-@pytest.mark.parametrize("without", ["places", "features"])
-def test_a_network_of_nothing_is_refused(without: str) -> None:
-    state = little()
-    for name in state:
-        if without == "places" and name.startswith("output"):
-            state[name] = state[name][:0]
-        if without == "features" and not name.startswith("output_"):
-            state[name] = state[name][:, :0]
-    refusal(state)
-
-
-@pytest.mark.parametrize(("height", "width"), [(12, 11), (28, 28), (1, 143)])
 @pytest.mark.parametrize("published", [False, True])
-def test_another_number_of_pixels_is_refused_with_both(height: int, width: int, published: bool) -> None:
-    state = flat(checkpoint()) if published else little()
-    line = refusal(state, method(rules="reference", height=height, width=width))
-    assert "144 inputs" in line
-    assert f"method.height={height} x method.width={width}" in line
+def test_another_number_of_pixels_is_refused_with_both(published: bool) -> None:
+    line = refusal(flat(checkpoint()) if published else little(), height=28, width=27)
+    assert "144 inputs, not the 756" in line
+    assert "method.height=28 x method.width=27" in line
 
 
 # --- the published layout ---------------------------------------------------------------------------------------
@@ -242,15 +195,12 @@ def products(content: Mapping[str, Mapping[str, torch.Tensor]], x: npt.NDArray[n
     """Return W_o W_f x, (n_queries, n_places), places module by module."""
     scores = []
     for module in range(len(content)):
-        w_f, w_o = (
-            content[f"model_{module}"][f"{layer}_layer.w.weight"].numpy().astype(np.float64)
-            for layer in ("feature", "output")
-        )
-        scores.append(w_o @ (w_f @ x.T.astype(np.float64)))
+        w_f, w_o = (content[f"model_{module}"][f"{name}_layer.w.weight"].double() for name in ("feature", "output"))
+        scores.append((w_o @ (w_f @ torch.from_numpy(x.T).double())).numpy())
     return np.concatenate(scores).T
 
 
-@pytest.mark.parametrize("sizes", [(8, 4), (5,), (1, 1), tuple(range(1, 13))], ids=str)
+@pytest.mark.parametrize("sizes", [(8, 4), (5,), tuple(range(1, 13))], ids=str)
 def test_a_published_network_scores_as_the_product_of_its_matrices(sizes: tuple[int, ...]) -> None:
     content = checkpoint(sizes)
     restored = method(rules="reference").restore(flat(dict(reversed(content.items()))))  # in any order
@@ -269,26 +219,26 @@ def test_published_thresholds_act_where_the_query_is_spiking() -> None:
     assert restored.match(np.ones((1, SIDE * SIDE), np.float32)) == pytest.approx(0.5, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
-@pytest.mark.parametrize("module", [0, 1])
-def test_a_key_that_a_published_network_lacks_is_named(module: int, name: str) -> None:
-    state = flat(checkpoint())
-    del state[f"model_{module}.{name}"]
-    assert f"lacks model_{module}.{name}:" in refusal(state)
+def test_keys_that_a_published_network_lacks_or_should_not_have_are_named() -> None:
+    whole = flat(checkpoint())
+    for name in PUBLISHED:
+        lacking = f"model_1.{name}"
+        assert f"lacks {lacking}:" in refusal({key: array for key, array in whole.items() if key != lacking})
+    for name in ("model_1.feature_layer.exc", "optimizer", "model_x.feature_layer.thr", "model_²"):
+        assert f"has an unexpected {name}:" in refusal({**whole, name: np.zeros((1, 4), np.float32)})
+    assert "lacks model_1." in refusal({key.replace("model_1", "model_2"): array for key, array in whole.items()})
 
 
-@pytest.mark.parametrize("name", ["model_1.feature_layer.exc", "optimizer", "model_x.feature_layer.thr", "model_²"])
-def test_a_key_that_a_published_network_should_not_have_is_named(name: str) -> None:
-    assert f"has an unexpected {name}:" in refusal({**flat(checkpoint()), name: np.zeros((1, 4), np.float32)})
-
-
-def test_a_gap_in_the_numbers_of_published_modules_is_named() -> None:
-    content = checkpoint()
-    content["model_2"] = content.pop("model_1")
-    assert "lacks model_1." in refusal(flat(content))
-
-
-def test_published_modules_of_different_feature_layers_are_refused() -> None:
+def test_published_layers_that_do_not_fit_each_other_are_refused() -> None:
+    for name, shape in (
+        ("feature_layer.w.weight", (N_FEATURES,)),
+        ("feature_layer.thr", (1, N_FEATURES + 1)),
+        ("output_layer.w.weight", (4, N_FEATURES - 1)),
+        ("output_layer.w.weight", (4,)),
+        ("output_layer.thr", (1, 5)),
+    ):
+        line = refusal({**flat(checkpoint((4,))), f"model_0.{name}": np.zeros(shape, np.float32)})
+        assert str(shape[-1]) in line
     content = {**checkpoint((8,)), "model_1": checkpoint((8, 4), N_FEATURES + 1)["model_1"]}
     assert "feature layers" in refusal(flat(content))
     content = checkpoint()
@@ -296,90 +246,33 @@ def test_published_modules_of_different_feature_layers_are_refused() -> None:
     assert "feature_layer.thr" in refusal(flat(content))
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
-        ("feature_layer.w.weight", (N_FEATURES,)),
-        ("feature_layer.thr", (1, N_FEATURES + 1)),
-        ("output_layer.w.weight", (4, N_FEATURES - 1)),
-        ("output_layer.w.weight", (4,)),
-        ("output_layer.thr", (1, 5)),
-    ],
-)
-def test_published_layers_that_do_not_fit_each_other_are_refused(name: str, shape: tuple[int, ...]) -> None:
-    content = checkpoint((4,))
-    content["model_0"][name] = torch.zeros(shape)
-    assert str(shape[-1]) in refusal(flat(content))
-
-
 # --- the published file -----------------------------------------------------------------------------------------
 
 N_PLACES = 12
-ASKED = [
-    "method=vprtempo",
-    "method.rules=reference",
-    f"method.height={SIDE}",
-    f"method.width={SIDE}",
-    "method.max_module=8",
-    f"dataset.places={N_PLACES}",
-    "dataset.first_query_place=0",
-    "timing.minimum_seconds=0",
-    "timing.sample=4",
-    "timing.minimum_queries=4",
-    "timing.batch_sizes=[1,4]",
-    "threads=1",
-    "load=x.pth",
-]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def test_a_published_file_is_loaded_into_the_method(tmp_path: Path) -> None:
-    content = checkpoint()
-    torch.save(content, tmp_path / "x.pth")
-    loaded = method(rules="reference")
-    origin = networks.Origin("vprtempo", {}, "world", N_PLACES, "f" * 64)
-    (note,) = networks.load(tmp_path / "x.pth", loaded, origin)
-    assert "published network" in note
-    x = loaded.encode(QUERIES)
-    assert loaded.match(x) == pytest.approx(products(content, x), abs=2e-6)
-
-
-def test_a_run_with_a_published_file_scores_as_its_matrices(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    content = checkpoint()
-    torch.save(content, folder / "x.pth")
-    assert main([*ASKED, "output=json"]) == 0, capsys.readouterr().err
-    printed = json.loads(capsys.readouterr().out)
-    queries = synthetic(places=N_PLACES, first_query_place=0).queries
-    expected = products(content, method().encode(queries))
-    (run,) = Store(Path("results")).runs()
-    assert run.scores is not None
-    assert np.asarray(run.scores) == pytest.approx(expected, abs=2e-6)
-    best = expected.argmax(1) == np.arange(N_PLACES)
-    assert printed["recall_at_1"] == pytest.approx(np.mean(best))
-    assert "loaded" in [note["kind"] for note in printed["notes"]]
-
-
-@pytest.mark.parametrize(
-    ("content", "wanted"),
-    [
-        ({"model_0": {**checkpoint()["model_0"], "extra": torch.zeros(1)}}, "x.pth: the checkpoint has an unexpected"),
-        (checkpoint((8, 3)), "11"),
-    ],
-    ids=["an array too many", "a place too few"],
-)
-def test_a_run_with_a_published_file_that_does_not_fit_ends_in_one_line(
-    content: Any, wanted: str, folder: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_with_a_published_file_scores_as_its_matrices_or_ends_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    torch.save(content, folder / "x.pth")
-    assert main(ASKED) == 2
+    monkeypatch.chdir(tmp_path)
+    of_method = ["rules=reference", f"height={SIDE}", f"width={SIDE}", "max_module=8"]
+    of_timing = ["minimum_seconds=0", "sample=4", "minimum_queries=4", "batch_sizes=[1]"]
+    options = [*(f"method.{option}" for option in of_method), *(f"timing.{option}" for option in of_timing)]
+    options += ["method=vprtempo", f"dataset.places={N_PLACES}", "dataset.first_query_place=0", "threads=1"]
+    content = checkpoint()
+    torch.save(content, "x.pth")
+    assert main([*options, "load=x.pth", "output=json"]) == 0, capsys.readouterr().err
+    printed = json.loads(capsys.readouterr().out)
+    expected = products(content, method().encode(synthetic(places=N_PLACES, first_query_place=0).queries))
+    (run,) = Store(Path("results")).runs()
+    assert np.asarray(run.scores) == pytest.approx(expected, abs=2e-6)
+    assert printed["recall_at_1"] == pytest.approx(np.mean(expected.argmax(1) == np.arange(N_PLACES)))
+    assert "loaded" in [note["kind"] for note in printed["notes"]]
+    torch.save(checkpoint((8, 3)), "x.pth")
+    assert main([*options, "load=x.pth"]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert line.startswith("vprbench: ")
-    assert wanted in line
+    assert "11" in line
 
 
 # --- how fast the output layer learns ---------------------------------------------------------------------------
@@ -387,6 +280,7 @@ def test_a_run_with_a_published_file_that_does_not_fit_ends_in_one_line(
 FIRST_8 = np.flatnonzero(WORLD.places < 8)  # so few that an untrained output layer is not taken for a diverged one
 
 
+@cache
 def trained(**arguments: Any) -> Mapping[str, npt.NDArray[np.float32]]:
     references = Images.from_arrays([WORLD.references[i] for i in FIRST_8])
     return method(**{"max_module": 5, **arguments}).fit(references, WORLD.places[FIRST_8]).state()
@@ -414,13 +308,3 @@ def test_at_a_rate_of_0_neither_the_epochs_nor_what_is_seen_change_the_output_la
     changed = differing(trained(**still), trained(**still, epochs=7, stdp_rate=0.001, preprocessing="A"))
     assert "features" in changed
     assert not changed & {"outputs", "output_thresholds"}
-
-
-@pytest.mark.parametrize("rules", ["paper", "v1"])
-def test_at_a_rate_of_0_output_weights_keep_their_initial_norm(rules: RuleSet) -> None:
-    # Excitation and inhibition start with an L1 norm of 1 for each neuron, so that the signed weights add up to 0.
-    state = trained(rules=rules, output_stdp_rate=0.0)
-    learnt = trained(rules=rules)
-    for module in range(2):
-        assert np.abs(state[f"outputs_{module}"].sum(1, dtype=np.float64)).max() < 1e-5
-        assert np.abs(learnt[f"outputs_{module}"].sum(1, dtype=np.float64)).max() > 1e-3
