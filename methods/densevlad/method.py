@@ -62,7 +62,7 @@ class DenseVLAD(DescriptorMethod):
     seed: int = 0
     device: str = "cpu"
 
-    conformance_arguments: ClassVar[Mapping[str, Any]] = {"words": 4, "n_components": 8}
+    conformance_arguments: ClassVar[Mapping[str, Any]] = {"words": 4, "n_components": 8, "halve": True}
 
     _words: Tensor | None = field(default=None, init=False, repr=False, compare=False)  # (words, 128)
     # (words * 128, n_components); none: no whitening
