@@ -1,34 +1,22 @@
 """Ground truth in pickles: every protocol is read, and what a hostile one asks for is named and never run."""
 
-import functools
-import io
 import os
 import pickle
 import struct
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from image_folders import lists
+from image_folders import answer, lists
 
 from vprbench.datasets.readers.pickled_lists import read_lists
 from vprbench.errors import BadInput
 
-quiet = settings(derandomize=True, deadline=None, database=None, max_examples=150)
 ADVICE = "get it again"
 WANTED = [[0, [0, 1]], [1, []], [2, [1, 2, 700]]]
-
-
-def refusal(path):
-    with pytest.raises(BadInput) as error:
-        read_lists(path, ADVICE)
-    message = str(error.value)
-    assert message.startswith(str(path))
-    assert message.endswith(ADVICE)
-    assert message.isprintable()
-    return message
 
 
 @pytest.fixture
@@ -41,6 +29,14 @@ def write(tmp_path):
         return path
 
     return write
+
+
+def refusal(path):
+    message = answer(read_lists, path, ADVICE)
+    assert message.startswith(str(path))
+    assert message.endswith(ADVICE)
+    assert message.isprintable()
+    return message
 
 
 def held(kind):
@@ -64,24 +60,17 @@ KINDS = ["lists", "numpy numbers", "arrays", "rows of lists", "columns first", "
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("protocol", range(6))
-def test_a_bare_pickle_of_every_protocol_is_read(write, kind, protocol):
-    assert read_lists(write(pickle.dumps(held(kind), protocol=protocol)), ADVICE) == WANTED
-
-
-@pytest.mark.parametrize("kind", KINDS[:-1])
-@pytest.mark.parametrize("version", [(1, 0), (2, 0)])
-def test_a_file_that_numpy_wrote_is_read(tmp_path, kind, version):
-    path = tmp_path / "ground_truth_new.npy"
-    with path.open("wb") as file:
-        np.lib.format.write_array(file, held(kind), version=version, allow_pickle=True)
-    assert read_lists(path, ADVICE) == WANTED
-
-
-def test_the_older_module_names_of_numpy_are_known(write):
-    content = pickle.dumps(held("numpy numbers"), protocol=2)
-    assert b"numpy._core." in content
-    assert read_lists(write(content.replace(b"numpy._core.", b"numpy.core.")), ADVICE) == WANTED
+def test_a_bare_pickle_of_every_protocol_and_a_file_that_numpy_wrote_are_read(write, kind):
+    for protocol in range(6):
+        content = pickle.dumps(held(kind), protocol=protocol)
+        assert read_lists(write(content), ADVICE) == WANTED
+        older = content.replace(b"numpy._core.", b"numpy.core.")
+        if protocol in (1, 2):  # which state no length of these names
+            assert read_lists(write(older), ADVICE) == WANTED
+    for version in [(1, 0), (2, 0)] if kind != "a list" else []:
+        with write(b"").open("wb") as file:
+            np.lib.format.write_array(file, held(kind), version=version, allow_pickle=True)
+        assert read_lists(Path(file.name), ADVICE) == WANTED
 
 
 def test_bytes_that_python_2_wrote_as_text_are_numbers(write):
@@ -105,41 +94,19 @@ class Calls:
 
 
 @pytest.mark.parametrize("wrapped", [True, False], ids=["inside an array", "bare"])
-@pytest.mark.parametrize("protocol", [0, 2, 4])
-@pytest.mark.parametrize("kind", ["os.system", "eval", "partial", "open"])
-def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypatch, kind, protocol, wrapped):
-    monkeypatch.chdir(tmp_path)
-    code = "open('called', 'w').close()"
-    asked, call = {
-        "os.system": (f"{os.system.__module__}.system", Calls(os.system, "touch called")),
-        "eval": ("eval", Calls(eval, code)),
-        "partial": ("DICT", Calls(functools.partial(eval, code))),
-        "open": ("open", Calls(open, "called", "w")),
-    }[kind]
-    content = pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol)
-    Path("stored").write_bytes(content)
-    step = (
-        "the step DICT" if (kind, protocol) == ("partial", 0) else "the step EMPTY_DICT" if kind == "partial" else asked
-    )
-    assert f"{step}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
-    assert not Path("called").exists()
-
-
+@pytest.mark.parametrize("protocol", [0, 4])
 @pytest.mark.parametrize(
-    ("content", "asked"),
+    ("asked", "call"),
     [
-        (b"c__builtin__\ngetattr\n(cos\nsystem\nS'x'\ntR.", "__builtin__.getattr"),
-        (b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.", "numpy.ndarray.tofile"),
-        (b"c\x1b[2Jos\nsystem\n.", r"\x1b[2Jos.system"),
-        (b"ios\nsystem\n(S'true'\no.", "INST"),
-        (b"\x80\x02\x82\x01.", "EXT1"),
-        (b"Pmodule\n.", "PERSID"),
-        (b"\x80\x04\x8f.", "EMPTY_SET"),
-        (b"\x80\x02cnumpy\nndarray\n)\x81.", "NEWOBJ"),
+        (f"{os.system.__module__}.system", Calls(os.system, "touch called")),
+        ("eval", Calls(eval, "open('called', 'w').close()")),
     ],
 )
-def test_what_a_handwritten_pickle_asks_for_is_named(write, content, asked):
-    assert f"asks for {asked}" in refusal(write(content)).replace("the step ", "")
+def test_what_a_pickle_wants_to_call_is_named_and_not_called(tmp_path, monkeypatch, asked, call, protocol, wrapped):
+    monkeypatch.chdir(tmp_path)
+    Path("stored").write_bytes(pickle.dumps(lists([0], call) if wrapped else call, protocol=protocol))
+    assert f"{asked}, which no list of numbers needs; nothing was run" in refusal(Path("stored"))
+    assert not Path("called").exists()
 
 
 def stored_array(shape, code, content):
@@ -153,73 +120,64 @@ def stored_array(shape, code, content):
     return pickle.dumps([Array(None)], protocol=3)
 
 
-def plain_array():
-    """Return a .npy file of numbers."""
-    file = io.BytesIO()
-    np.save(file, np.zeros((3, 2)))
-    return file.getvalue()
-
-
-SHARED = [[*range(3000)]] * 3000  # nine million numbers in a few kilobytes
-BOMBS = {
-    "too large a file": bytes((1 << 24) + 1),
-    "an array of plain numbers": plain_array(),
-    "a place in the memo beyond the file": b"\x80\x02Nr\xff\xff\xff\x7f.",
-    "a place in the memo, as text": b"Np99999999999\n.",
-    "a frame beyond the file": b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].",
-    "bytes beyond the file": b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.",
-    "text beyond the file": b"\x80\x02X\xff\xff\xff\x7fx.",
-    "lists used again and again": pickle.dumps(SHARED),
-    "arrays used again and again": pickle.dumps([np.zeros(3000)] * 3000),
-    "an array of empty rows": stored_array((10**12, 0), "i8", b""),
-    "an array without content": stored_array((10**12,), "i8", b""),
-    "an array of objects without content": stored_array((10**12,), "O", []),
-    "an array of negative shape": stored_array((-1,), "i8", b""),
-    "an array of structures": stored_array((1,), [("a", "i8"), ("b", "O")], b"x" * 16),
-    "an array of text": stored_array((1,), "S3", b"abc"),
-    "an array whose bytes are no whole numbers": stored_array((2,), "i8", b"x" * 15),
-    "an array that is made at once": b"\x80\x02cnumpy\nndarray\n\x8a\x06\x00\x00\x00\x00\x00\x10\x85R.",
-    "a list in itself": b"]p0\ng0\na.",
-    "lists four deep": pickle.dumps([[0, [[1]]]]),
-    "a number without end": b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".",
-    "a word": pickle.dumps([[0, ["1"]]]),
-    "one number": pickle.dumps(5),
-    "nothing": b"",
-    "no pickle": b"not a pickle at all",
-    "half a pickle": pickle.dumps(WANTED, protocol=4)[:-7],
+REFUSED = {
+    "another name": (b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.", "asks for numpy.ndarray.tofile"),
+    "a name that moves the cursor": (b"c\x1b[2Jos\nsystem\n.", r"asks for \x1b[2Jos.system"),
+    "an instance": (b"ios\nsystem\n(S'true'\no.", "asks for the step INST"),
+    "an extension": (b"\x80\x02\x82\x01.", "asks for the step EXT1"),
+    "something outside": (b"Pmodule\n.", "asks for the step PERSID"),
+    "another object": (b"\x80\x02cnumpy\nndarray\n)\x81.", "asks for the step NEWOBJ"),
+    "too large a file": (bytes((1 << 24) + 1), f"has {(1 << 24) + 1} bytes"),
+    "a place in the memo beyond the file": (b"\x80\x02Nr\xff\xff\xff\x7f.", "LONG_BINPUT 2147483647, beyond"),
+    "a place in the memo, as text": (b"Np99999999999\n.", "PUT 99999999999, beyond"),
+    "a frame beyond the file": (b"\x80\x04\x95" + struct.pack("<Q", 1 << 40) + b"].", ""),
+    "bytes beyond the file": (b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b"x.", ""),
+    "lists used again and again": (pickle.dumps([[*range(2100)]] * 2100), "makes lists of more than 4194304"),
+    "arrays used again and again": (pickle.dumps([np.zeros(3000)] * 3000), "makes lists of more than 4194304"),
+    "an array of empty rows": (stored_array((10**12, 0), "i8", b""), "impossible shape"),
+    "an array without content": (stored_array((10**6,), "i8", b""), "of shape (1000000,) with other content"),
+    "an array of objects without content": (stored_array((10**6,), "O", []), "with other content"),
+    "an array of negative shape": (stored_array((-1,), "i8", b""), "impossible shape"),
+    "an array of three dimensions": (stored_array((1, 1, 1), "i8", b"x" * 8), "neither a list nor a table"),
+    "an array of text": (stored_array((1,), "S3", b"abc"), "elements of type S3"),
+    "an array whose bytes are no whole numbers": (stored_array((2,), "i8", b"x" * 15), "with other content"),
+    "an array that is made at once": (b"\x80\x02cnumpy\nndarray\n\x8a\x06\x00\x00\x00\x00\x00\x10\x85R.", ""),
+    "a list in itself": (b"]p0\ng0\na.", "holds a list where"),
+    "lists four deep": (pickle.dumps([[0, [[1]]]]), "holds a list where"),
+    "a number without end": (b"\x80\x02\x8b" + struct.pack("<I", 5000) + b"\x7f" * 5000 + b".", "no index"),
+    "a word": (pickle.dumps([[0, ["1"]]]), "holds a str"),
+    "one number": (pickle.dumps(5), "holds one number"),
+    "nothing": (b"", "cannot be read as pickled lists"),
+    "half a pickle": (pickle.dumps(WANTED, protocol=4)[:-7], "cannot be read as pickled lists"),
 }
 
 
-TOLD = {
-    "too large a file": f"has {(1 << 24) + 1} bytes",
-    "an array of plain numbers": "plain numbers",
-    "a place in the memo beyond the file": "LONG_BINPUT 2147483647, beyond",
-    "a place in the memo, as text": "PUT 99999999999, beyond",
-}
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_file_that_asks_for_more_than_numbers_would_fill_the_memory_or_is_no_list_is_refused(write, kind):
+    content, told = REFUSED[kind]
+    assert told in refusal(write(content))
 
 
-@pytest.mark.parametrize("kind", BOMBS)
-def test_a_file_that_would_fill_the_memory_or_is_no_list_is_refused(write, kind):
-    assert TOLD.get(kind, "") in refusal(write(BOMBS[kind]))
+def test_an_array_of_plain_numbers_is_no_list_of_lists(write):
+    path = write(b"")
+    np.save(path, np.zeros((3, 2)))
+    assert "plain numbers" in refusal(path)
 
 
 HONEST = [pickle.dumps(held(kind), protocol=protocol) for kind in KINDS for protocol in (0, 2, 4)]
 
 
-@quiet
+@settings(derandomize=True, deadline=None, database=None, max_examples=60)
 @given(
     st.sampled_from(HONEST),
     st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=4),
-    st.integers(0, 400),
+    st.integers(0, 20),
 )
 def test_a_damaged_pickle_is_read_as_lists_or_refused(tmp_path_factory, content, changes, cut):
     damaged = bytearray(content)
     for at, byte in changes:
         damaged[at % len(damaged)] = byte
     path = tmp_path_factory.getbasetemp() / "damaged"
-    path.write_bytes(damaged[: len(damaged) - cut] if cut < 20 else damaged)
-    try:
-        read = read_lists(path, ADVICE)
-    except BadInput:
-        return
-    assert isinstance(read, list)
+    path.write_bytes(damaged[: len(damaged) - cut])
+    with suppress(BadInput):
+        assert isinstance(read_lists(path, ADVICE), list)

@@ -1,28 +1,79 @@
-"""What is asked of traverses: how places are split, the right places of a query, and what is refused."""
+"""Whatever is asked of traverses: places are split, numbered and matched by rule, or refused by the option's name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from image_folders import answer
+from little import numbers_in, pictures
 
-from vprbench.datasets.readers.traverses import Traverses, right_places, set_aside, split
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.datasets.readers.traverses import (
+    Evaluation,
+    Split,
+    Traverses,
+    check_recorded,
+    dataset_of,
+    every,
+    right_places,
+    set_aside,
+    split,
+)
+from vprbench.errors import BadInput
+
+quickly = settings(derandomize=True, deadline=None, max_examples=60, database=None)
+anything = st.one_of(st.integers(-3, 80), st.sampled_from([-(10**30), 2**31, 2**63 - 1, 2**63, 10**30]))
+protocols: st.SearchStrategy[Evaluation] = st.sampled_from(["vprtempo", "vprsnn"])
 
 
-def right(queried, mapped, tolerance):
-    return [places.tolist() for places in right_places(np.array(queried), np.array(mapped), tolerance)]
+class Asked(NamedTuple):
+    """What fits together: every argument of a split."""
+
+    protocol: Evaluation
+    places: int
+    first_query_place: int
+    query_places: int
+    tolerance: int
+    query_stride: int
+
+    def parts(self) -> Split:
+        return split(*self)
 
 
-def test_a_tolerance_is_of_places_along_the_journey_and_right_places_are_of_the_map():
-    # Of the journey 0 to 9 the map holds 1, 2, 5, 6 and 9, which it numbers 0, 1, 2, 3 and 4.
-    assert right([1, 5, 9], [1, 2, 5, 6, 9], tolerance=1) == [[0, 1], [2, 3], [4]]
-    assert right([1, 5, 9], [1, 2, 5, 6, 9], tolerance=3) == [[0, 1], [1, 2, 3], [3, 4]]
+@st.composite
+def asked(draw: st.DrawFn) -> Asked:
+    protocol = draw(protocols)
+    places = draw(st.integers(1, 60))
+    first = draw(st.integers(0, places - 1))
+    stride = 1 if protocol == "vprsnn" else draw(st.one_of(st.integers(1, 12), st.just(10**30)))
+    queries = draw(st.integers(1, len(range(first, places, stride))))
+    tolerance = draw(st.one_of(st.integers(0, places + 2), st.sampled_from([2**63 - 1, 10**30])))
+    return Asked(protocol, places, first, queries, tolerance, stride)
 
 
-@pytest.mark.parametrize("tolerance", [2**63 - 1, 10**30])
-def test_a_tolerance_beyond_all_numbers_makes_every_place_right(tolerance):
-    assert right([0, 2], [0, 1, 2], tolerance) == [[0, 1, 2]] * 2
+@quickly
+@given(asked())
+def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_within_the_tolerance(given: Asked) -> None:
+    parts = given.parts()
+    mapped, queried, held_out = parts.mapped.tolist(), parts.queried.tolist(), parts.held_out.tolist()
+    assert all(numbers == sorted({*numbers}) for numbers in (mapped, queried, held_out))
+    assert (len(queried), len(held_out)) == (given.query_places, given.first_query_place)
+    assert sorted({*mapped, *held_out}) == [*range(given.places)]
+    assert ({*held_out} <= {*mapped}) if given.protocol == "vprtempo" else not {*held_out} & {*mapped}
+    allowed = [place for place in mapped if place not in {*held_out}]
+    assert queried == allowed[:: given.query_stride][: given.query_places]
+    found = right_places(parts.queried, parts.mapped, given.tolerance)
+    for query, right in zip(queried, found, strict=True):
+        assert right.tolist() == [i for i, place in enumerate(mapped) if abs(place - query) <= given.tolerance]
 
 
-def test_the_places_set_aside_are_the_published_draw():
+def test_the_places_set_aside_are_the_published_draw() -> None:
     # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
     assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
 
@@ -30,41 +81,115 @@ def test_the_places_set_aside_are_the_published_draw():
 @pytest.mark.parametrize(
     ("protocol", "stride", "recorded"),
     [
-        ("vprtempo", 1, {"first_query_place": 3, "reference_places": 10, "held_out_places": 3}),
         ("vprtempo", 2, {"first_query_place": 3, "reference_places": 10, "held_out_places": 3, "query_stride": 2}),
         ("vprsnn", 1, {"reference_places": 7, "held_out_places": 3}),
     ],
 )
-def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, stride, recorded):
+def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, stride, recorded) -> None:
     told = {"places": 10, "query_places": 4, "tolerance_places": 1}
     assert split(protocol, 10, 3, 4, 1, stride).record() == told | recorded
 
 
-PROTOCOLS = ("vprtempo", "vprsnn")
-OUTSIDE = [(-1, 2), (0, 0), (0, -3), (4, 3), (6, 1)]
+@quickly
+@given(protocols, anything, anything, anything, anything, anything)
+def test_a_split_of_any_numbers_is_made_or_refused_by_name(
+    protocol: Evaluation, places: int, first: int, queries: int, tolerance: int, stride: int
+) -> None:
+    fits = (
+        first >= 0
+        and queries >= 1
+        and tolerance >= 0
+        and (stride == 1 if protocol == "vprsnn" else stride >= 1)
+        and first + (queries - 1) * stride < places
+    )
+    if not fits:
+        with pytest.raises(BadInput, match=r"^dataset\.\w+=-?\d"):
+            split(protocol, places, first, queries, tolerance, stride)
+    elif places <= 80:
+        assert len(split(protocol, places, first, queries, tolerance, stride).queried) == queries
 
 
 @pytest.mark.parametrize(
     ("protocol", "asked", "told"),
     [
         ("sift", (3, 4, 0), "dataset.protocol=sift: choose vprtempo or vprsnn"),
-        *((name, (first, n, 0), f" need {first + n} places, and ") for name in PROTOCOLS for first, n in OUTSIDE),
+        *(
+            (name, (4, 3, 0), "dataset.first_query_place=4 and dataset.query_places=3")
+            for name in ("vprtempo", "vprsnn")
+        ),
+        ("vprtempo", (-1, 2, 0), " need 1 places, and there are 6"),
+        ("vprsnn", (0, 0, 0), "dataset.query_places=0"),
         ("vprtempo", (1, 3, 0, 3), " need 8 places, and there are 6"),
         ("vprtempo", (1, 3, 0, 0), "dataset.query_stride=0 with"),
         ("vprsnn", (2, 1, 0, 4), "dataset.query_stride=4 with dataset.protocol=vprsnn"),
         ("vprtempo", (1, 3, -1), "dataset.tolerance=-1"),
     ],
 )
-def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told):
-    message = answer(split, protocol, 6, *asked)
-    assert told in message
-    assert told.startswith("dataset.") or f"first_query_place={asked[0]} and dataset.query_places={asked[1]}" in message
+def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told) -> None:
+    assert told in answer(split, protocol, 6, *asked)
 
 
-def test_frames_that_are_missing_between_places_break_the_journey():
+def test_frames_that_are_missing_between_places_break_the_journey() -> None:
     numbers = [10, 20, 30, 60, 70, 110]
     assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.arange(6)).tolist() == [3, 5]
     assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.array([1, 2, 4])).tolist() == [2]
-    assert Traverses(["a"], "b", None).breaks(np.array([0, 1, 4, 5])).tolist() == [2]
-    assert Traverses(["a"], "b", None).breaks(np.array([0, 2, 4])).tolist() == []
-    assert Traverses(["a"], "b", None).breaks(np.array([7])).tolist() == []
+    for places, broken in (([0, 1, 4, 5], [2]), ([0, 2, 4], []), ([7], [])):
+        assert Traverses(["a"], "b", None).breaks(np.array(places)).tolist() == broken
+
+
+def made(given: Asked, traverses: list[int], query: int) -> Dataset:
+    """Return the dataset of pictures whose number is 1000 times their traverse's and their place's together."""
+
+    def frames(shown: Sequence[tuple[str, int]]) -> Images:
+        return pictures([1000 * int(traverse) + place for traverse, place in shown])
+
+    return dataset_of(
+        "made", given.parts(), Traverses([*map(str, traverses)], str(query), frames), {"kind": 1}, ["note"]
+    )
+
+
+@quickly
+@given(asked(), st.lists(st.integers(0, 4), min_size=1, max_size=3, unique=True), st.integers(0, 4))
+def test_images_come_traverse_by_traverse_and_every_query_has_its_own_place_right(
+    given: Asked, traverses: list[int], query: int
+) -> None:
+    dataset, parts = made(given, traverses, query), given.parts()
+    mapped = parts.mapped.tolist()
+    shown = numbers_in(dataset.references)
+    assert shown == [1000 * traverse + place for traverse in traverses for place in mapped]
+    assert dataset.places.tolist() == [*range(len(mapped))] * len(traverses)
+    assert numbers_in(dataset.queries) == [1000 * query + place for place in parts.queried.tolist()]
+    assert (dataset.name, dict(dataset.protocol), dataset.notes) == ("made", {"kind": 1}, ("note",))
+    for number, right in zip(numbers_in(dataset.queries), dataset.positives, strict=True):
+        assert number % 1000 in [mapped[place] for place in right]
+    numbers = dataset.place_numbers
+    assert (numbers is None) if given.protocol == "vprtempo" else (numbers is not None and numbers.tolist() == mapped)
+    held_out = dataset.held_out
+    if held_out is None:
+        assert given.first_query_place == 0
+        return
+    known, asked_of = numbers_in(held_out.references), numbers_in(held_out.queries)
+    assert [known[place] % 1000 for place in held_out.right] == [number % 1000 for number in asked_of]
+    assert asked_of == [1000 * query + place for place in parts.held_out.tolist()]
+    assert held_out.places.tolist() == [*range(len(asked_of))] * len(traverses)
+    assert held_out.in_map == ({*known} <= {*shown}) == (given.protocol == "vprtempo")
+
+
+@quickly
+@given(st.integers(-2, 9), st.integers(-2, 12), st.integers(0, 30))
+def test_every_so_manieth_entry_of_a_list_is_a_place_or_the_list_is_too_short(stride: int, places: int, n: int) -> None:
+    if min(stride, places) < 1 or len(range(0, n, stride)) < places:
+        with pytest.raises(BadInput, match=r"^dataset\."):
+            every(range(n), stride, places)
+    else:
+        assert every(range(n), stride, places) == [*range(0, n, stride)][:places]
+
+
+@quickly
+@given(st.lists(st.sampled_from(["dawn", "noon", "tea"]), max_size=3), st.sampled_from(["dawn", "noon", "tea"]))
+def test_traverses_are_taken_if_all_are_recorded_and_none_is_named_twice(references: list[str], query: str) -> None:
+    if references and "tea" not in [*references, query] and len({*references}) == len(references):
+        check_recorded("Town", "hour", ("dawn", "noon"), references, query)
+    else:
+        with pytest.raises(BadInput, match=r"^dataset\.(references|query)="):
+            check_recorded("Town", "hour", ("dawn", "noon"), references, query)

@@ -1,0 +1,480 @@
+"""Every dataset of files gives what was written, and refuses missing, damaged and hostile files by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from image_folders import answer, fill, lists, numbered, reds, rights, used
+from mat_cells import cells
+from scipy.io import savemat
+
+from vprbench.api.dataset import Dataset
+from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
+from vprbench.datasets.dbstruct import dbstruct
+from vprbench.datasets.folders import folders
+from vprbench.datasets.image_list import image_list
+from vprbench.datasets.utm_folders import utm_folders
+from vprbench.datasets.vpr_bench import vpr_bench
+from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
+from vprbench.errors import BadInput, NotThere
+from vprbench.storage import mat_files
+
+WRITERS: dict[str, Callable[[Path, Any], object]] = {
+    ".mat": savemat,
+    ".npy": partial(np.save, allow_pickle=True),
+    ".npz": lambda file, arrays: np.savez_compressed(file, **arrays),
+}
+
+
+def put(path: Path, content: Any) -> None:
+    """Write images into a folder, or a text or arrays into a file; None takes away what is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if content is None:
+        path.rename(path.with_name("away"))
+    elif isinstance(content, list):
+        fill(path, content)
+    elif isinstance(content, str | bytes):
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+    elif callable(content):
+        path.write_bytes(content(path.read_bytes()))
+    else:
+        WRITERS[path.suffix](path, content)
+
+
+def table(header: str, *rows: str) -> str:
+    """Return a CSV of the images 0.jpg, 1.jpg and so on."""
+    return "\n".join([f"image,{header}", *(f"{number}.jpg,{row}" for number, row in enumerate(rows))]) + "\n"
+
+
+def structure(**changes: Any) -> dict[str, Any]:
+    """Return the fields of dbStruct in the order in which Relja/netvlad writes them."""
+    return {
+        "whichSet": "test",
+        "dbImageFns": cells(["000/a.jpg", "000/b.jpg", "001/c.jpg"]),
+        "utmDb": np.array([[585000.0, 585020.0, 585100.0], [4477000.0] * 3]),
+        "qImageFns": cells(["q1.jpg", "q2.jpg"]),
+        "utmQ": np.array([[585007.0, 585060.0], [4477024.0, 4477000.0]]),  # 7-24-25 from the first; 40 m from others
+        "numImages": 3.0,
+        "numQueries": 2.0,
+        "posDistThr": 25.0,
+        **changes,
+    }
+
+
+RIGHT = np.array([[1, 0, 0], [0, 1, 1], [0, 0, 0], [1, 0, 1]], bool)  # of four queries, the third has no place
+HARD = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], bool)  # of four queries, the last has none
+SOFT = np.array([[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0]], bool)
+AT = ["@0@0@10@S@.jpg", "@20@0@10@S@.jpg", "@40@0@10@S@.jpg"]
+
+
+class Source(NamedTuple):
+    """A dataset, what lies on the disk for it, how it is called, and what it holds."""
+
+    make: Callable[..., Dataset]
+    files: dict[str, Any]
+    options: dict[str, Any]
+    rights: list[list[int]]
+    protocol: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+
+SOURCES = {
+    "index": Source(
+        folders,
+        {"a": numbered(3), "b": numbered(3), "c": numbered(3)},
+        {"references": ["a", "b"], "queries": "c", "tolerance": 1},
+        [[0, 1], [0, 1, 2], [1, 2]],
+        {
+            **{"protocol": "folders", "references": ["a", "b"], "queries": "c", "ground_truth": "index"},
+            **{"tolerance_places": 1, "unmatched": "error"},
+        },
+    ),
+    "utm": Source(
+        folders,
+        {"a": AT, "c": ["@45@0@10@S@.jpg"]},
+        {"references": ["a"], "queries": "c", "ground_truth": "utm"},
+        [[1, 2]],
+        {
+            **{"protocol": "folders", "references": ["a"], "queries": "c", "ground_truth": "utm"},
+            **{"radius_metres": 25.0, "unmatched": "error"},
+        },
+    ),
+    "matrix": Source(
+        folders,
+        {"a": numbered(2), "b": numbered(1), "c": numbered(4), "truth.npz": {"positives": RIGHT.astype(np.float32)}},
+        {"references": ["a", "b"], "queries": "c", "ground_truth": "truth.npz", "unmatched": "keep"},
+        [[0], [1, 2], [], [0, 2]],
+        {
+            **{"protocol": "folders", "references": ["a", "b"], "queries": "c", "ground_truth": "truth.npz"},
+            "unmatched": "keep",
+        },
+        ("1 of 4 queries have no right reference in truth.npz; they count as misses (dataset.unmatched=keep)",),
+    ),
+    "lens": Source(
+        brisbane_events_7x7,
+        {"sunset2": numbered(4), "sunset1": numbered(3), "ground_truth.npz": {"positives": np.eye(3, 4, dtype=bool)}},
+        {"root": "."},
+        [[0], [1], [2]],
+        {
+            **{"protocol": "lens_frames", "references": ["sunset2"], "queries": "sunset1"},
+            **{"ground_truth": "ground_truth.npz", "unmatched": "keep"},
+        },
+        ("sequences of 2",),
+    ),
+    "database": Source(
+        utm_folders,
+        {"images/test/database": AT, "images/test/queries": ["@0@5@@.jpg", "@30@0@@.jpg", "@900@0@@.jpg"]},
+        {"root": "."},
+        [[0, 1], [1, 2], []],
+        {
+            **{"protocol": "utm_folders", "split": "test", "database": "database", "queries": "queries"},
+            **{"radius_metres": 25.0, "zones": "error", "unmatched": "keep"},
+        },
+        ("1 of 3 queries have no reference within 25 m; they count as misses (dataset.unmatched=keep)",),
+    ),
+    "list": Source(
+        image_list,
+        {
+            ".": numbered(5),
+            "map0.csv": table("place", "yard", "hall", "yard", "7", "stairs"),
+            "map1.csv": "place,image\nhall,4.jpg\nattic,0.jpg\n",
+            "asked.csv": table("place", "stairs", "yard", "007"),
+        },
+        {"references": ["map0.csv", "map1.csv"], "queries": "asked.csv", "tolerance": 1},
+        [[2, 3, 4], [0, 1], [1, 2, 3]],
+        {
+            **{"protocol": "image_list", "references": ["map0.csv", "map1.csv"], "queries": "asked.csv"},
+            **{"ground_truth": "place", "tolerance_places": 1, "unmatched": "error"},
+        },
+    ),
+    "dbstruct": Source(
+        dbstruct,
+        {
+            ".": ["000/a.jpg", "000/b.jpg", "001/c.jpg"],
+            "queries_real": ["q1.jpg", "q2.jpg"],
+            "set.mat": {"dbStruct": structure()},
+        },
+        {"root": ".", "mat": "set.mat", "query_folder": "queries_real"},
+        [[0], []],
+        {
+            **{"protocol": "dbstruct", "mat": "set.mat", "database_folder": "", "query_folder": "queries_real"},
+            **{"database_suffix": None, "radius_metres": 25.0, "unmatched": "keep"},
+        },
+        ("1 of 2 queries have no reference within 25 m",),
+    ),
+    "numbers": Source(
+        vpr_bench,
+        {"query": numbered(11), "ref": numbered(11), "ground_truth_new.npy": lists(*([n] for n in range(11)))},
+        {"root": "."},
+        [[n] for n in range(11)],
+        {
+            **{
+                "protocol": "vpr_bench",
+                "references": "ref",
+                "queries": "query",
+                "ground_truth": "ground_truth_new.npy",
+            },
+            **{"out_of_range": "error", "out_of_range_queries": 0, "unmatched": "keep"},
+        },
+    ),
+    "gardens": Source(
+        gardens_point,
+        {"day_right": numbered(20), "night_right": numbered(20)},
+        {"root": ".", "images": 20},
+        [[n] for n in range(20)],
+        {
+            **{"protocol": "vpr_tutorial", "references": ["day_right"], "query": "night_right", "images": 20},
+            **{"ground_truth": "hard", "tolerance_places": 0, "unmatched": "error"},
+        },
+    ),
+    "tutorial": Source(
+        with_matrix,
+        {"dry": numbered(3), "jan": numbered(4), "GT.npz": {"GThard": HARD, "GTsoft": SOFT}},
+        {"root": ".", "reference": "dry", "query": "jan", "source": "get it from there"},
+        [[0], [1], [2]],
+        {
+            **{"protocol": "vpr_tutorial", "reference": "dry", "query": "jan", "ground_truth": "hard"},
+            "unmatched": "drop",
+        },
+        ("1 of 4 queries have no right reference in GThard; they are left out (dataset.unmatched=drop)",),
+    ),
+}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def written(source: str, **changed: Any) -> tuple[Callable[..., Dataset], dict[str, Any]]:
+    """Write the files of a source; returns the dataset's function and its options, some of them changed."""
+    make, files, options, *_ = SOURCES[source]
+    for path, content in files.items():
+        put(Path(path), content)
+    return make, {"name": "mine", **options, **changed}
+
+
+def read(source: str, **changed: Any) -> Dataset:
+    make, options = written(source, **changed)
+    return make(**options)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_what_was_written_is_read(source: str) -> None:
+    expected, dataset = SOURCES[source], read(source)
+    assert dataset.name == "mine"
+    assert rights(dataset) == expected.rights
+    assert dict(dataset.protocol) == expected.protocol
+    assert len(dataset.notes) == len(expected.notes)
+    assert all(told in note for told, note in zip(expected.notes, dataset.notes, strict=True))
+    assert len(used(dataset)) == sum(len(names) for names in expected.files.values() if isinstance(names, list))
+    assert reds(dataset.queries) == [*range(len(expected.rights))]
+    if source == "list":
+        assert dataset.places.tolist() == [0, 1, 0, 2, 3, 1, 4]
+        assert reds(dataset.references) == [0, 1, 2, 3, 4, 4, 0]
+    elif source == "index":
+        assert dataset.places.tolist() == [0, 1, 2] * 2
+    elif source == "matrix":
+        assert reds(dataset.references) == [0, 1, 0]
+    else:
+        assert dataset.places.tolist() == reds(dataset.references) == [*range(dataset.n_places)]
+
+
+def bits(*flipped: int) -> Callable[[bytes], bytes]:
+    def spoil(content: bytes) -> bytes:
+        spoilt = bytearray(content)
+        for bit in flipped:
+            spoilt[bit // 8] ^= 1 << bit % 8
+        return bytes(spoilt)
+
+    return spoil
+
+
+def first(keep: int) -> Callable[[bytes], bytes]:
+    return lambda content: content[:keep]
+
+
+def zip_field(field: int, value: int) -> Callable[[bytes], bytes]:
+    """Change a field of every member, in its own header and in that of the directory."""
+
+    def spoil(content: bytes) -> bytes:
+        spoilt = bytearray(content)
+        for signature, shift in ((b"PK\3\4", 0), (b"PK\1\2", 2)):
+            for start in (found.start() for found in re.finditer(re.escape(signature), content)):
+                spoilt[start + field + shift] = value
+        return bytes(spoilt)
+
+    return spoil
+
+
+def both(content: str) -> dict[str, str]:
+    return {"map0.csv": content, "map1.csv": content, "asked.csv": content}
+
+
+OWN = [[query] for query in range(11)]
+HDF5 = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" + bytes(600)
+BY_CSV = {"ground_truth": "ground_truth.csv"}
+METRES = structure()["utmDb"]
+
+# What is changed on the disk, which options, and what the message names.
+REFUSED: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
+    "index": [
+        ({"b": ["3.jpg"]}, {}, "dataset.references hold different numbers of images (a 3, b 4)"),
+        ({"c": numbered(7)}, {}, "3 of 7 queries have no reference within 1 places (first: c/4.jpg)"),
+        ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
+        ({}, {"ground_truth": "idx"}, "dataset.ground_truth=idx"),
+    ],
+    "utm": [
+        *(
+            ({"c": [name]}, {}, f"c/{name}")
+            for name in ("@east@north@.png", "@12.png", "@nan@4@.png", "@1@-1e308@.png")
+        ),
+        ({"a": ["1.png"]}, {}, "a/1.png"),
+        ({"c": ["@45@0@11@S@.jpg"]}, {}, "2 UTM zones"),
+    ],
+    "matrix": [
+        (
+            {"truth.npz": {"positives": RIGHT.T}},
+            {},
+            "(3, 4) (it is transposed); wanted is (4, 3), queries by references",
+        ),
+        ({"truth.npz": {"truth": RIGHT}}, {}, "truth.npz holds no positives"),
+    ],
+    "database": [
+        ({}, {"unmatched": "error"}, "1 of 3 queries have no reference within 25 m (first: images/test/queries/@900@"),
+        ({}, {"radius_metres": 1, "unmatched": "drop"}, "leaves none"),
+        (
+            {"images/test/queries_images_paths.txt": "@20@0@.jpg\n".encode("utf-16")},
+            {},
+            "queries_images_paths.txt is no",
+        ),
+    ],
+    "list": [
+        ({"asked.csv": table("place", "yard", "x")}, {}, "1 of 2 queries have a place that no reference shows"),
+        ({"asked.csv": table("lat,lon", "1,2")}, {}, "map1.csv has place, image; asked.csv has image, lat, lon"),
+        *(
+            (both(content), {}, told)
+            for content, told in (
+                ("a,b\n1,2\n", "has the columns a, b"),
+                ("image,place,Image name\n0.jpg,1,2\n", "each once"),
+                ("image\n0.jpg\n", "image, and place or east,north or lat,lon"),
+                ("image,place\n", "lists no image"),
+                ("", "has the columns none"),
+                ('image,place\n"0.jpg,1\n', "cannot be read as a CSV"),
+                ("image,place" + ",x" * 999 + "\n0.jpg,1\n", "has 1001 columns"),
+                ("image,place\n0.jpg,1\n0.jpg,\n", "row 2 of map0.csv"),
+                ("image,place\n0.jpg,1\n,2\n", "row 2 of"),
+                ("image,place\n0.jpg,1\n0.jpg,1,5\n", "line 3 of map0.csv has more cells"),
+                ("image,place\n0.jpg\n", "line 2 of map0.csv has fewer cells"),
+                ("image,east,north\n0.jpg,1,x\n", "north x in row 1 of"),
+                ("image,east,north\n0.jpg,0,0\n1.jpg,inf,1\n", "east inf in row 2 of"),
+                ("image,lat,lon\n0.jpg,90.1,1\n", "lat 90.1 in row 1 of"),
+                ("image,lat,lon\n0.jpg,90,180\n0.jpg,1,-181\n", "lon -181 in row 2 of"),
+            )
+        ),
+    ],
+    "dbstruct": [
+        *(
+            ({"set.mat": content}, {}, f"holds {next(iter(content))}, but no dbStruct")
+            for content in ({"other": 1.0}, {"dbStruct": dict.fromkeys("abcd", 1.0)})
+        ),
+        *(
+            ({"set.mat": {"dbStruct": structure(**{field: value})}}, {}, f"field {number} of dbStruct")
+            for number, field, value in (
+                (2, "dbImageFns", np.zeros((3, 1))),
+                (3, "utmDb", METRES.T),
+                (3, "utmDb", METRES * 1e300),
+                (4, "qImageFns", cells([1.0, 2.0])),
+                (4, "qImageFns", cells([])),
+                (5, "utmQ", METRES),
+            )
+        ),
+        *(({"set.mat": first(keep)}, {}, "cannot be read as a .mat file") for keep in (0, 300)),
+        # scipy 1.17 crashes on each of these bits
+        *(({"set.mat": bits(bit)}, {}, "set.mat cannot be read as a .mat file") for bit in (2432, 5252)),
+        ({"set.mat": HDF5}, {}, "-v7"),
+    ],
+    "numbers": [
+        *(
+            ({"ground_truth_new.npy": lists(*rows)}, {}, f"ground_truth_new.npy {told}")
+            for rows, told in (
+                ([*OWN[:10], [10, 11]], "names reference 11 for query 10, but ref/ holds 11 images"),
+                ([*OWN[:10], [-1]], "names reference -1 for query 10"),
+                ([*OWN, [0]], "names query 11, but query/ holds 11 images"),
+                (OWN[:9], "has no row for 2 of 11 queries (first: query 9)"),
+                *(([*OWN[:10], bad], "is no [query, [references]]") for bad in (5, [0.5], [True])),
+                *(([*OWN[:10], bad], "cannot be read as pickled lists of numbers") for bad in ([[1]], "1")),
+            )
+        ),
+        *(
+            ({"ground_truth.csv": content}, BY_CSV, f"ground_truth.csv {told}" if told[0].islower() else told[1:])
+            for content, told in (
+                (b"", "has the columns none"),
+                (b"query,refs\n0,0\n", "has the columns query, refs"),
+                (b"query,matching_refs\n0,0,1\n", "-line 2 of"),
+                *((b"query,matching_refs\n0,0\n" + line, "-line 3 of") for line in (b"x,1", b"1,a b", b"1", b"1,2.5")),
+                (b"query,matching_refs\n0,0\n0,1\n", "has two rows for query 0"),
+                ("query,matching_refs\n0,1\n".encode("utf-16"), "cannot be read as a CSV"),
+                (b"query,matching_refs\n0," + b"1 " * 70_000, "cannot be read as a CSV"),
+            )
+        ),
+    ],
+    "gardens": [
+        ({}, {"references": []}, "dataset.references=[]"),
+        ({}, {"references": ["day_right", "day_right"]}, "each once"),
+        ({}, {"images": 0}, "dataset.images=0"),
+        ({}, {"tolerance": -1}, "dataset.tolerance=-1"),
+    ],
+    "tutorial": [
+        ({"GT.npz": {"GThard": HARD.T}}, {}, "GT.npz has the shape (4, 3) (it is transposed); wanted is (3, 4)"),
+        *(
+            ({"GT.npz": {"GThard": values}}, {}, "GT.npz holds " + told)
+            for values, told in ((HARD * 2, "int64 values"), (HARD * 0.5, "float64"), (HARD.astype(str), "<U5"))
+        ),
+        ({"GT.npz": {"GThard": np.zeros((1000, 1000), bool)}}, {}, "unpacks to 1000128 bytes"),
+        ({"GT.npz": {"GTsoft": HARD}}, {}, "GT.npz holds no GThard"),
+        ({"GT.npz": {"GThard": HARD.astype(object)}}, {}, "GT.npz cannot be read"),  # nor unpickled
+        *(
+            ({"GT.npz": spoil}, {}, "GT.npz cannot be read")
+            # encrypted, of an unknown compression, of another compression than it says
+            for spoil in (first(0), first(200), zip_field(6, 1), zip_field(8, 97), zip_field(8, 14))
+        ),
+    ],
+}
+MISSING: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
+    "index": [
+        *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
+        ({}, {"queries": "gone"}, "dataset.queries: gone is no folder"),
+        ({"d": "a file"}, {"queries": "d"}, "dataset.queries: d is no folder"),
+        ({}, {"queries": ""}, "dataset.queries: nothing is no folder"),
+        ({"d/notes.txt": "no image"}, {"references": ["a", "d"]}, "dataset.references: d holds no images"),
+    ],
+    "matrix": [({}, {"ground_truth": "gone.npz"}, "gone.npz is no file")],
+    "lens": [({"sunset2": None}, {}, "sunset2 is no folder")],
+    "database": [
+        ({"images/test/queries_images_paths.txt": "\n"}, {}, "queries_images_paths.txt names no image"),
+        ({"images/test/queries_images_paths.txt": "@7@.jpg\n"}, {}, "queries/@7@.jpg does not exist (1 of 1 images in"),
+        ({}, {"root": None, "name": "pitts30k"}, "dataset.root is not set: pitts30k"),
+        ({}, {"split": "val"}, "images/val"),
+    ],
+    "list": [
+        ({}, {"references": ["gone.csv"]}, "gone.csv is no file"),
+        (
+            {"3.jpg": None},
+            {},
+            "3.jpg does not exist (1 of 5 images in map0.csv are missing): correct the paths, or set dataset.",
+        ),
+        *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
+    ],
+    "dbstruct": [
+        ({"001/c.jpg": None}, {}, "001/c.jpg does not exist (1 of 3 images in the database of set.mat are missing)"),
+        (
+            {"queries_real/q2.jpg": None},
+            {},
+            "queries_real/q2.jpg does not exist (1 of 2 images in the queries of set.mat",
+        ),
+        ({}, {"mat": None}, "dataset.mat"),
+        ({}, {"mat": "gone.mat"}, "dataset.mat: gone.mat"),
+    ],
+    "numbers": [({part: None}, {}, f"{part}") for part in ("query", "ref", "ground_truth_new.npy")],
+    "gardens": [({}, {"images": 21}, "day_right holds 20 of 21 images: restore the others, or pass dataset.images=20")],
+    "tutorial": [({"GT.npz": None}, {}, "GT.npz is no file: get it from there")],
+}
+
+
+def cases(refused: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]]) -> Any:
+    every = [pytest.param(source, *case, id=f"{source} {case[2]}") for source in refused for case in refused[source]]
+    return pytest.mark.parametrize(("source", "files", "options", "told"), every)
+
+
+def refusal(source: str, files: dict[str, Any], options: dict[str, Any], kind: type[BadInput]) -> str:
+    make, given = written(source, **options)
+    for path, content in files.items():
+        put(Path(path), content)
+    return answer(make, kind=kind, **given)
+
+
+@cases(REFUSED)
+def test_what_does_not_fit_or_is_damaged_or_hostile_is_refused(
+    source: str, files: dict[str, Any], options: dict[str, Any], told: str
+) -> None:
+    assert told in refusal(source, files, options, BadInput)
+
+
+@cases(MISSING)
+def test_what_is_missing_is_named(source: str, files: dict[str, Any], options: dict[str, Any], told: str) -> None:
+    assert told in refusal(source, files, options, NotThere)
+
+
+def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mat_files, "_LEAST_BYTES", 1 << 24)
+    bomb = partial(savemat, mdict={"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
+    make, options = written("dbstruct")
+    bomb("set.mat")
+    assert "more than 16 MB of memory" in answer(make, **options)
