@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 from checkout import ROOT
-from made_table import NAMES
+from assembled import NAMES
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import Chosen, TableRequest, choose, wanted

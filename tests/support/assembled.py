@@ -16,6 +16,9 @@ from vprbench.paper.table.reasons import Reason
 from vprbench.run.record import Failure, Run
 
 
+NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
+
+
 def table(
     runs: Sequence[Run] = (),
     failures: Sequence[Failure] = (),

@@ -1,4 +1,4 @@
-"""Table II as Markdown, CSV, LaTeX and HTML: whole documents are those stored, and any number and text comes out whole.
+"""A table as Markdown, CSV, LaTeX and HTML: whole documents are those stored, and any number and text comes out whole.
 
 A stored document is written anew, to be read before it is committed, where VPRBENCH_STORE_DOCUMENTS is set.
 """
@@ -9,37 +9,56 @@ import csv
 import io
 import os
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
-from made_table import GPU, NAMES, OTHER, cell, found, measured, paper, row, small, table, told
+from assembled import NAMES, table
+from made_table import table as whole
+from stored_runs import ABACUS, NORDLAND, PLAN, RAILWAY, SAD, STREET, failure, run
 
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.paper.table import formats
-from vprbench.paper.table.cells import Cell, Column, Table
+from vprbench.paper.table.build import assemble
+from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import quantities
+from vprbench.run.note import Note
+from vprbench.run.record import Run
 
 STORED = Path(__file__).parent / "stored"
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
-NO_RUN = Column("rail", "Nordland", None, None, "no run is stored", None)
+REAL = [ResolvedColumn(NORDLAND, RAILWAY)]
 
 
-@pytest.mark.parametrize(("form", "ending"), [("markdown", "md"), ("csv", "csv"), ("latex", "tex"), ("html", "html")])
-@pytest.mark.parametrize("name", ["whole", "little"])
-def test_a_document_is_the_stored_one(name: str, form: str, ending: str) -> None:
-    little = small(
-        row("VPRTempo", spiking=True),
-        row("HOG", recall_at_1=found(20.0, disturbed=True), query_cpu=found(50.0), query_gpu=found(20.0, machine=1)),
-        row("SAD", recall_at_1=cell("unfinished", **paper(48.0), notes=(2, 1)), query_cpu=found(41.0, 37.0)),
-        notes=told("first", "second"),
-        machines=(OTHER, GPU),
-    )
-    text = getattr(formats, form)(table() if name == "whole" else little)
-    path = STORED / f"{name}.{ending}"
+def comparison() -> Table:
+    """Return a table with a title of its own, a column for another metric, and rows that stay in their order."""
+    asked = [ResolvedColumn(PlannedColumn("mine", "Corridor_1", ("dataset=street",)), STREET)]
+    rows = [Row("VPRTempo", "vprtempo", spiking=True), Row("SAD", "sad", training="none")]
+    runs = [run("vprtempo", dataset=STREET, timing=None), run(dataset=STREET, hits=[1, 0, 0, 0], timing=None)]
+    found = groups(runs, [failure("vprtempo", dataset=STREET)], asked, rows)
+    return assemble(found, rows, PLAN, {}, quantities(["recall_at_5"], ("cpu",)), "Corridor_1")
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("whole.md", lambda: formats.markdown(whole())),
+        ("whole.csv", lambda: formats.csv(whole())),
+        ("whole.tex", lambda: formats.latex(whole())),
+        ("whole.html", lambda: formats.html(whole())),
+        ("comparison.md", lambda: formats.markdown(comparison())),
+        ("comparison.tex", lambda: formats.latex(comparison(), fragment=True)),
+    ],
+)
+def test_a_document_is_the_stored_one(file: str, text: Any) -> None:
     if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
-        path.write_text(text, encoding="utf-8")
-    assert text == path.read_text(encoding="utf-8")
+        (STORED / file).write_text(text(), encoding="utf-8")
+    assert text() == (STORED / file).read_text(encoding="utf-8")
 
 
 def markdown_table(made: Table) -> list[list[str]]:
@@ -49,13 +68,49 @@ def markdown_table(made: Table) -> list[list[str]]:
     return [cells[0], *cells[2:]]
 
 
-def in_markdown(made: Table, quantity: str = "recall_at_1") -> list[str]:
-    """Return the one or two lines of a cell of the only row."""
-    return [line[1 + NAMES.index(quantity)] for line in markdown_table(made)[1:]]
+def shown(quantity: str, *runs: Run, row: Row = SAD) -> list[str]:
+    """Return the one or two lines of a cell of a row on the paper's frames, without notes."""
+    lines = markdown_table(table(runs, rows=[row], asked=REAL))[1:]
+    return [re.sub(" [⁰¹²³⁴⁵⁶⁷⁸⁹,]+$", "", line[1 + NAMES.index(quantity)]) for line in lines]
 
 
-def in_csv(made: Table) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(formats.csv(made))))
+def minutes(value: float, spread: float = 0, **changes: Any) -> list[Run]:
+    """Return runs of two seeds, or one of no spread, whose trainings take so long, twice as long with the images."""
+    each = [value - spread / 2**0.5, value + spread / 2**0.5] if spread else [value]
+    return [run("new", seed, fit_compute_seconds=60 * m, fit_seconds=120 * m, **changes) for seed, m in enumerate(each)]
+
+
+@pytest.mark.parametrize(
+    ("runs", "told"),
+    [
+        (minutes(1614.96), "1,615 (3,230)"),
+        (minutes(252.3), "252 (505)"),
+        (minutes(10.4), "10 (21)"),
+        (minutes(9.96), "10 (20)"),
+        (minutes(9.94), "9.9 (20)"),
+        (minutes(1.0), "1.0 (2.0)"),
+        (minutes(0.996), "1.0 (2.0)"),
+        (minutes(0.3149), "0.31 (0.63)"),
+        (minutes(0.0000123), "0.000012 (0.000025)"),
+        (minutes(0.0), "0 (0)"),
+        (minutes(1615.0, 9.3), "1,615 ± 9 (3,230)"),
+        (minutes(1615.0, 0.04), "1,615 ± 0.04 (3,230)"),
+        (minutes(1615.0, 1234.0), "1,615 ± 1,234 (3,230)"),
+        (minutes(0.31, notes=(Note("noisy", "noisy: carts"),)), "~0.31 (0.62)"),
+    ],
+)
+def test_a_time_shows_as_many_digits_as_it_has(runs: list[Run], told: str) -> None:
+    assert shown("train_cpu", *runs, row=Row("new", "new", seeds=tuple(range(len(runs))))) == [told]
+
+
+def test_a_recall_shows_a_decimal_and_stands_above_the_printed_one_with_the_difference() -> None:
+    for right, told in ((48, "48 (0.0)"), (47, "48 (-1.0)"), (100, "48 (+52.0)")):
+        above, below = shown("recall_at_1", run(hits=[1] * right + [0] * (100 - right)))
+        assert (above.startswith(f"{right}.0 ["), below) == (True, told)
+    same = shown("recall_at_1", run("new", 0), run("new", 1), row=Row("new", "new", seeds=(0, 1)))
+    assert same == ["50.0 ± 0 [15.0, 85.0]"]
+    assert shown("query_cpu", run(match_seconds=[0.1] * 5))[1] == "10 (match alone here: 10; 0)"
+    assert shown("query_cpu", run(match_seconds=[0.0012] * 5))[1] == "10 (match alone here: 833; +823)"
 
 
 class Grid(HTMLParser):
@@ -86,155 +141,30 @@ class Grid(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def alone(made: Cell, quantity: str = "recall_at_1") -> Table:
-    return small(row("SAD", **{quantity: made}), notes=told("first", "second"))
-
-
-@pytest.mark.parametrize(
-    ("made", "kind", "lines"),
-    [
-        (found(54.321, 56.0, best=True), "measured", ["**54.3**", "56 (-1.7)"]),
-        (cell("quoted", quoted=48.0, **paper(48.0, "quoted")), "quoted", ["*48*", "*48*"]),
-        (cell("not applicable", **paper(None)), "absent", ["-", "-"]),
-        (cell("not there", **paper(32.0), notes=(2,)), "absent", ["not there ²", "32"]),
-        (cell("failed", **paper(53.0), notes=(1, 2)), "absent", ["failed ¹,²", "53"]),
-        (cell("left out", **paper(31.0)), "absent", ["left out", "31"]),
-        (cell("unfinished", **paper(40.0)), "absent", ["unfinished", "40"]),
-        (
-            cell("unfinished", measured=measured(38.5, low=33.6, high=43.6), **paper(40.0), difference=-1.5),
-            "absent",
-            ["unfinished: 38.5 [33.6, 43.6]", "40 (-1.5)"],
-        ),
-    ],
-)
-def test_every_mark_is_told_apart(made: Cell, kind: str, lines: list[str]) -> None:
-    assert in_markdown(alone(made)) == lines
-    assert ("td", {"class": kind}) in Grid(formats.html(alone(made))).tags
-    assert in_csv(alone(made))[0]["mark"] == made.mark
-
-
-@pytest.mark.parametrize(
-    ("quantity", "made", "shown"),
-    [
-        *(
-            (quantity, found(value), shown)
-            for quantity in ("train_cpu", "query_gpu")
-            for value, shown in (
-                *((1614.96, "1,615"), (22345.6, "22,346"), (252.3, "252"), (10.4, "10"), (9.96, "10"), (9.94, "9.9")),
-                *((1.0, "1.0"), (0.996, "1.0"), (0.3149, "0.31"), (0.005234, "0.0052"), (0.0000123, "0.000012")),
-                (0.0, "0"),
-            )
-        ),
-        *(
-            ("recall_at_1", found(value), shown)
-            for value, shown in ((100.0, "100.0"), (0.0, "0.0"), (37.04, "37.0"), (99.97, "100.0"))
-        ),
-        *(
-            ("recall_at_1", found(46.8, spread=spread), shown)
-            for spread, shown in ((1.26, "46.8 ± 1.3"), (0.021, "46.8 ± 0.02"), (0.0, "46.8 ± 0"))
-        ),
-        *(
-            ("query_cpu", found(1615.0, spread=spread), shown)
-            for spread, shown in ((9.3, "1,615 ± 9"), (0.04, "1,615 ± 0.04"), (1234.0, "1,615 ± 1,234"))
-        ),
-        ("recall_at_1", found(46.8, spread=1.26, low=44.93, high=48.68), "46.8 ± 1.3 [44.9, 48.7]"),
-        ("train_cpu", found(0.0691, total=0.2512), "0.069 (0.25)"),
-        ("train_cpu", found(0.31, disturbed=True), "~0.31"),
-    ],
-)
-def test_a_number_shows_as_many_digits_as_it_has(quantity: str, made: Cell, shown: str) -> None:
-    assert in_markdown(alone(made, quantity), quantity) == [shown]
-
-
-@pytest.mark.parametrize(
-    ("quantity", "made", "shown"),
-    [
-        *(
-            ("query_cpu", cell("not run", **paper(value)), shown)
-            for value, shown in ((0.5, "0.5"), (1.0, "1"), (1634.0, "1,634"), (15120.0, "15,120"))
-        ),
-        *(
-            ("recall_at_1", found(value, 48.0), f"48 ({shown})")
-            for value, shown in ((47.97, "0.0"), (48.03, "0.0"), (48.06, "+0.1"), (40.0, "-8.0"))
-        ),
-        ("query_cpu", found(1368.4, 353.0, at_boundary=1614.96), "353 (match alone here: 1,615; +1,262)"),
-        ("query_cpu", replace(found(1.0, 2.0, at_boundary=3.0), difference=None), "2 (match alone here: 3.0)"),
-        ("query_cpu", replace(found(41.0, at_boundary=50.0), published_mark="not applicable"), "-"),
-        ("recall_at_1", replace(found(46.6, 48.0), difference=None), "48"),
-    ],
-)
-def test_what_the_paper_printed_stands_below_with_the_difference(quantity: str, made: Cell, shown: str) -> None:
-    assert in_markdown(alone(made, quantity), quantity)[1] == shown
-
-
-@pytest.mark.parametrize(
-    ("made", "words"),
-    [
-        (alone(found(41.0)), set()),
-        (alone(found(41.0, 37.0)), {"Line paper", "printed; in brackets", "none:"}),
-        (alone(found(41.0, spread=1.0)), {"±"}),
-        (alone(found(41.0, low=1.0, high=2.0)), {"queries: the wider"}),
-        (alone(found(41.0, low=1.0, high=2.0, seeds=(0, 1))), {"of their mean: the wider"}),
-        (alone(cell("quoted", quoted=4.0)), {"Italics"}),
-        (alone(found(41.0, total=50.0), "train_cpu"), {"Training:"}),
-        (alone(found(41.0, at_boundary=50.0), "query_cpu"), {"memory, encoding and"}),
-        (
-            alone(found(41.0, 37.0, at_boundary=50.0), "query_cpu"),
-            {"memory, encoding and", "of one step", "Line paper", "printed; in brackets", "none:"},
-        ),
-    ],
-)
-def test_only_what_a_table_shows_is_explained(made: Table, words: set[str]) -> None:
-    known = {"Line paper", "printed; in brackets", "none:", "±", "queries: the wider", "of their mean: the wider"}
-    known |= {"Italics", "Training:", "memory, encoding and", "of one step"}
-    text = formats.markdown(made)
-    assert {word for word in known if word in text} == words
-
-
-def test_a_comparison_keeps_its_order_and_says_nothing_of_a_paper() -> None:
-    rows = row("VPRTempo", spiking=True, recall_at_1=found(54.3, notes=(1,))), row("SAD", recall_at_1=found(40.0))
-    made = small(*rows, title="Corridor_1", quantities=quantities([], ("cpu",)), notes=told("a note"))
-    assert [line[0] for line in markdown_table(made)] == ["method", "VPRTempo", "SAD"]
-    assert [line["quantity"] for line in in_csv(made)][:3] == ["recall_at_1", "train_cpu", "query_cpu"]
-    texts = [getattr(formats, form)(made) for form in ("markdown", "csv", "latex", "html")]
-    fragment = formats.latex(made, fragment=True)
-    for text in (*texts, fragment):
-        assert not any(word in text for word in ("Table II", "aper line", "ICRA", "GPU", "Line paper"))
-    assert [line for line in fragment.splitlines() if line.startswith("{")] == [
-        r"{VPRTempo} & 54.3 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
-        r"{SAD} & 40.0 &  & \multicolumn{2}{c}{not run} & \multicolumn{2}{c}{not run} \\",
-    ]
-    assert "documentclass" not in fragment
-
-
-def test_a_terminal_shows_each_row_and_note_in_100_columns() -> None:
-    made = table()
-    lines = formats.for_terminal(made).splitlines()
-    assert max(map(len, lines)) <= 100
-    assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
-    assert sum(line.startswith(f"{number} ") for number in range(1, len(made.notes) + 1) for line in lines) >= 1
-
-
-def test_a_table_of_no_runs_is_one_of_words() -> None:
-    made = small(row("SAD", recall_at_1=cell("unfinished", **paper(48.0))), columns=(NO_RUN,), machines=())
-    assert in_markdown(made) == ["unfinished", "48"]
-    assert "\nno run is stored\n" in formats.markdown(made)
-    assert {line["value"] for line in in_csv(made)} == {""}
-
-
 def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html() -> None:
-    tags = Grid(formats.html(table())).tags
+    tags = Grid(formats.html(whole())).tags
     anchors = {attributes["id"] for _, attributes in tags if "id" in attributes}
     links = {str(attributes["href"]).removeprefix("#") for tag, attributes in tags if tag == "a"}
-    assert {f"table-note-{n}" for n in range(1, 9)} <= links <= anchors
+    assert {f"table-note-{n}" for n in range(1, 1 + len(whole().notes))} <= links <= anchors
     assert not any("style" in attributes or tag == "style" for tag, attributes in tags)
 
 
-def named(text: str) -> Table:
-    """Return a table that holds a text wherever it holds any."""
-    column = Column("rail", text, 1, 1, text, text)
-    made = small(row(text, recall_at_1=found(41.0, notes=(1,))), row("second"), columns=(column,))
-    return replace(made, notes=told(text), machines=(text, text), caption=(text, text))
+def test_a_terminal_shows_each_row_and_note_in_100_columns() -> None:
+    made = replace(whole(), columns=whole().columns[:1])
+    lines = formats.for_terminal(made).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
+    assert {*map(str, range(1, 1 + len(made.notes)))} <= {line.split(" ")[0] for line in lines}
+    assert max(map(len, formats.for_terminal(made, wide=True).splitlines())) > 100
+
+
+def named(text: str, *more: str) -> Table:
+    """Return a table that holds a text wherever it holds any, and more rows."""
+    column = PlannedColumn("rail", text, (), remark=text)
+    note = Note("dataset", text)
+    rows = [Row(name, f"m{i}", rate_remark=text) for i, name in enumerate((text, "second", *more))]
+    runs = [run(row.method, notes=(note,), machine={**ABACUS, "processor": text}) for row in rows]
+    return table(runs, [failure("m0", error=text, day="2025-04-01")], rows, [ResolvedColumn(column, RAILWAY)])
 
 
 def test_hostile_text_is_only_text() -> None:
@@ -250,18 +180,99 @@ def test_hostile_text_is_only_text() -> None:
 
 @pytest.mark.parametrize("text", ["vprtempo_ensemble", "SAD [43.3, 50.1], weights not in ~/.cache"])
 def test_harmless_text_stands_in_markdown_as_it_is(text: str) -> None:
-    assert text in formats.markdown(small(caption=("first", text)))
+    assert text in formats.markdown(named(text)).split("\n\n|")[0]
 
 
-@pytest.mark.parametrize("name", ["- a", "+ a", "1. a", "23) a", "= a", "# a"])
-def test_no_text_begins_a_list_or_a_head_of_markdown(name: str) -> None:
-    made = formats.markdown(small(row("SAD"), caption=("first", name)))
-    assert any(line.replace("\\", "") == name and "\\" in line for line in made.splitlines())
+@pytest.mark.parametrize("text", ["- a", "+ a", "1. a", "23) a", "= a", "# a"])
+def test_no_text_begins_a_list_or_a_head_of_markdown(text: str) -> None:
+    assert any(line.replace("\\", "") == text and "\\" in line for line in formats.markdown(named(text)).splitlines())
 
 
 def test_lines_within_text_end_neither_a_row_nor_a_line_of_csv() -> None:
-    made = small(row("a\nb\r\n\tc\x00d", recall_at_1=found(41.0, notes=(1,))), notes=told("Error:\n  at line 3\n"))
-    assert markdown_table(made)[1][:2] == ["a b c d", "41.0 ¹"]
-    assert len(formats.csv(made).splitlines()) == 6
-    assert in_csv(made)[0]["notes"] == "Error: at line 3"
+    made = named("a\nb\r\n\tc\x00d")
+    assert markdown_table(made)[1][0] == "a b c d"
+    assert len(formats.csv(made).splitlines()) == 1 + 2 * len(NAMES)
+    assert "a b c d" in next(csv.DictReader(io.StringIO(formats.csv(made))))["notes"]
     assert Grid(formats.html(made)).rows[2][0] == "a b c d"
+
+
+# LaTeX
+
+
+def compiled(source: str, folder: Path) -> str:
+    """Return what pdflatex says of a document; skips where it or what reads its pages is missing."""
+    missing = [program for program in ("pdflatex", "pdftotext", "pdfinfo") if shutil.which(program) is None]
+    if missing:
+        reason = f"{' and '.join(missing)} not installed"
+        if "VPRBENCH_INSIST_ON_LATEX" in os.environ:
+            pytest.fail(reason)
+        pytest.skip(reason)
+    (folder / "table.tex").write_text(source, encoding="utf-8")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "table.tex"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    return done.stdout
+
+
+def read(folder: Path, *command: str) -> str:
+    """Return what a program says of the document that was compiled."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, encoding="utf-8")
+    return done.stdout
+
+
+def test_four_datasets_are_two_tables_and_a_name_in_brackets_is_no_argument_of_the_line_above() -> None:
+    asked = [ResolvedColumn(PlannedColumn(name, name.upper(), ()), STREET) for name in "abcd"]
+    source = formats.latex(table(rows=[SAD, Row("[2cm]", "other")], asked=asked))
+    assert source.count(r"\begin{tabular}") == 2
+    lines = re.findall(r"^\{SAD\}.*", source, re.MULTILINE)
+    assert [line.count(" & ") for line in lines] == [10, 10]
+    assert not re.search(r"\\\\(\\addlinespace|\s)*\[", source)
+
+
+@pytest.mark.extended
+def test_five_rows_and_two_datasets_fit_on_one_landscape_page_with_the_known_numbers(tmp_path: Path) -> None:
+    assert not re.search(r"Overfull|Warning", compiled(formats.latex(whole()), tmp_path))
+    pages = read(tmp_path, "pdfinfo", "table.pdf")
+    assert re.search(r"Pages: +1\n", pages)
+    assert re.search(r"Page size: +841.89 x 595.276", pages)
+    text = read(tmp_path, "pdftotext", "-layout", "-enc", "UTF-8", "table.pdf", "-")
+    for number in (
+        "95.0 ± 1.7 [",
+        "1.0 ± 0.02 (4.1)",
+        "48 (\u22121.3)",
+        "1 (\u22120.99)",
+        "10 (match alone here: 11; +1.1)",
+    ):
+        assert number in text
+    assert "M2: Loom 3, 1 of 8 cores" in text
+
+
+@pytest.mark.extended
+def test_what_is_narrower_than_the_page_does_not_grow(tmp_path: Path) -> None:
+    compiled(formats.latex(table([run()], rows=[SAD])), tmp_path)
+    boxes = read(tmp_path, "pdftotext", "-bbox", "table.pdf", "-")
+    left = [float(x) for x in re.findall(r'xMin="([\d.]+)".*>Hz<', boxes)]
+    assert 0 < max(left) < 600  # of 842
+
+
+PRINTED = 'A&B %c $d #e _f {g} ~h ^i \\j <k> |l "m" n\'s `o` --p ,,q é ± η µ ß \u2212 \u2013 “r” Ł'
+COMMANDS = r"\input{/etc/hostname} \end{document} ^^5cbye %"
+LACKING = "Ť ŧ 地 e\u0301 ﬁ ℃ \u0301 🙂 a\ud800b"  # in the fonts; the last is half of a pair
+LETTERS = " ".join(map(chr, [*range(0x20, 0x7F), *range(0xA1, 0x180), *range(0x391, 0x3CA)]))
+
+
+@pytest.mark.extended
+def test_any_text_is_printed_as_it_is_or_by_plain_letters_or_numbers(tmp_path: Path) -> None:
+    source = formats.latex(named(PRINTED, "[x]", "*", COMMANDS, LACKING, LETTERS))
+    assert "Missing character" not in compiled(source, tmp_path)
+    text = " ".join(read(tmp_path, "pdftotext", "-layout", "-enc", "UTF-8", "table.pdf", "-").split())
+    assert text.count(PRINTED.replace("'", "\u2019")) >= 4  # a straight apostrophe is set as a curved one
+    assert COMMANDS in text
+    assert "Ť [U+0167] [U+5730] é fi °C" in text
+    assert "[U+1F642] a b" in text
+
+
+@pytest.mark.extended
+def test_a_table_of_no_rows_or_no_datasets_is_still_a_document(tmp_path: Path) -> None:
+    for made in (table(rows=[]), replace(table(), columns=())):
+        compiled(formats.latex(made), tmp_path)

@@ -1,0 +1,505 @@
+"""Cells say what was measured, what was printed and why they differ, or which word stands for nothing."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from assembled import NAMES, absences, cell, codes, measured, reasons, table, tempo
+from stored_runs import (
+    CITY,
+    NETVLAD,
+    NORDLAND,
+    PLAN,
+    RAIL,
+    RAILWAY,
+    SAD,
+    STREET,
+    TOWN,
+    VPRSNN,
+    VPRTEMPO,
+    failure,
+    run,
+)
+
+from vprbench.paper.plan import PlannedColumn, Row
+from vprbench.paper.selection import ResolvedColumn, groups
+from vprbench.paper.table.build import assemble
+from vprbench.paper.table.quantities import quantities
+from vprbench.run.note import Note
+from vprbench.run.record import Failure, Run
+
+approx = pytest.approx
+WILSON = (approx(15.00, abs=0.005), approx(85.00, abs=0.005))  # 95 % of 2 hits of 4
+LOST = failure("vprtempo", 0, "lost: find it; then go on", missing=True)
+HOG = Row("hog", "hog", training="map")  # outside the plan
+FAST = [0.0010, 0.0011, 0.0012, 0.0013, 0.0014]
+SLOW = [10 * each for each in FAST]
+
+
+def test_the_numbers_of_a_single_run_are_those_worked_by_hand() -> None:
+    made = table([run(), run("netvlad")])  # 2 of 4 right; 10 ms to encode and 2.5 ms to match
+    recall = measured(made, "SAD", "recall_at_1")
+    assert (recall.value, recall.spread, recall.total, recall.seeds) == (50.0, None, None, (0,))
+    assert (recall.low, recall.high) == WILSON
+    for row, alone in (("SAD", 400), ("NetVLAD", 100)):
+        query = measured(made, row, "query_cpu")
+        assert (query.value, query.at_boundary, query.low) == (approx(80), approx(alone), None)
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries, column.stand_in_for) == (10, 4, "Nordland")
+    assert column.protocol == "references spring+fall, query summer, tolerance places 0"
+
+
+def test_several_seeds_give_mean_and_spread_and_the_median_of_minutes() -> None:
+    # R@1 75, 50 and 25 %: mean 50, sample deviation 25, 2 of 4 hits in the mean; rates 80, 66.7 and 50 Hz, to match
+    # alone 400, 200 and 100; 1, 9 and 2 minutes, with the images 11, 10 and 3
+    runs = [
+        tempo(0, hits=[1, 1, 1, 0], match_seconds=[0.0025] * 5, fit_compute_seconds=60, fit_seconds=660),
+        tempo(1, hits=[1, 1, 0, 0], match_seconds=[0.005] * 5, fit_compute_seconds=540, fit_seconds=600),
+        tempo(2, hits=[1, 0, 0, 0], match_seconds=[0.010] * 5, fit_compute_seconds=120, fit_seconds=180),
+    ]
+    made = table(runs, rows=[VPRTEMPO])
+    recall, train, query = (measured(made, "VPRTempo", quantity) for quantity in NAMES[:3])
+    assert (recall.value, recall.spread, recall.seeds) == (approx(50), approx(25), (0, 1, 2))
+    assert (recall.low, recall.high) == WILSON
+    assert (query.value, query.spread, query.at_boundary) == (
+        approx(590 / 9),
+        approx(15.0308, abs=1e-3),
+        approx(700 / 3),
+    )
+    assert (train.value, train.spread, train.total) == (approx(2), approx(19**0.5), approx(10))
+
+
+def test_a_difference_to_the_paper_is_given_on_its_own_frames_and_never_on_those_that_stand_in() -> None:
+    runs = [run(), *(tempo(seed, fit_compute_seconds=120) for seed in (0, 1, 2))]
+    cells = [("SAD", "recall_at_1"), ("SAD", "query_cpu"), ("VPRTempo", "train_cpu")]
+    real = table(runs, asked=[ResolvedColumn(NORDLAND, RAILWAY)])
+    assert [cell(real, row, q, "nordland").difference for row, q in cells] == [
+        approx(50 - 48),
+        approx(400 - 10),
+        approx(2 - 60),
+    ]
+    rendered = table(runs)
+    assert [cell(rendered, row, q).published for row, q in cells] == [48, 10, 60]
+    assert {each.difference for row in rendered.rows for each in row.cells.values()} == {None}
+
+
+def test_published_numbers_stand_in_every_row_of_the_paper_whether_measured_or_not() -> None:
+    made = table([run()])
+    tempo_cells, snn = ([cell(made, row, quantity) for quantity in NAMES] for row in ("VPRTempo", "VPRSNN"))
+    assert [(each.published, each.difference) for each in tempo_cells] == [(n, None) for n in (56, 60, 353, 1, 1634)]
+    assert [each.published_mark for each in snn] == ["measured"] * 3 + ["not applicable"] * 2
+    training = cell(made, "SAD", "train_cpu")
+    assert (training.mark, training.published_mark, training.notes) == ("not applicable", "not applicable", ())
+    outside = cell(table([run(dataset=STREET)], asked=[RAIL, TOWN]), "SAD", "recall_at_1", "street")
+    assert (outside.published, outside.published_mark, outside.difference) == (None, "none", None)
+
+
+def test_an_empty_store_shows_words_in_every_cell() -> None:
+    made = table()
+    (column,) = made.columns
+    assert (column.n_places, column.n_queries, made.machines) == (None, None, ())
+    assert absences(made, "SAD") == ["unfinished", "not applicable", "unfinished", "not applicable", "not run"]
+    assert absences(made, "VPRTempo") == ["unfinished", "unfinished", "unfinished", "not run", "not run"]
+    assert reasons(made, "VPRTempo", "recall_at_1") == [("seeds", "0 of 3 seeds are stored")]
+    assert reasons(made, "SAD", "recall_at_1") == [("seeds", "0 of 1 seed is stored")]
+    assert codes(made, "VPRTempo", "query_gpu") == ["device"]
+
+
+def test_stores_of_a_cpu_and_of_a_gpu_fill_their_columns_and_name_their_machines() -> None:
+    on_gpu = run(device="cuda", match_seconds=[0.001] * 5, day="2025-03-09", hits=[1, 0, 0, 0])
+    made = table([run(), on_gpu], rows=[SAD])
+    assert [measured(made, "SAD", q).value for q in ("query_cpu", "query_gpu")] == [approx(80), approx(1 / 0.011)]
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)  # of the CPU
+    assert [made.machines[measured(made, "SAD", quantity).machine] for quantity in ("query_cpu", "query_gpu")] == [
+        "Abacus 9, 1 of 2 cores, torch 2.6.0, 2025-03-01",
+        "Loom 3, 1 of 8 cores, Spindle 80GB, torch 2.6.0, 2025-03-09",
+    ]
+    alone = table([on_gpu, run("vprsnn", device="cuda")])
+    assert absences(alone, "SAD") == ["measured", "not applicable", "not run", "not applicable", "measured"]
+    assert (codes(alone, "SAD", "query_cpu"), len(alone.machines)) == (["device"], 1)
+    assert alone.machines[0].endswith("2025-03-09")  # the newest day
+
+
+@pytest.mark.parametrize("runs", [[], [run("netvlad")]])
+def test_the_training_of_a_pretrained_row_is_quoted_whether_it_runs_or_not(runs: list[Run]) -> None:
+    made = table(runs, [failure("netvlad", missing=True)], rows=[NETVLAD], asked=[RAIL, TOWN])
+    for column, published, mark in (("railway", 15120, "quoted"), ("street", None, "none")):
+        found = cell(made, "NetVLAD", "train_gpu", column)
+        assert (found.mark, found.quoted, found.published, found.published_mark) == ("quoted", 15120, published, mark)
+        assert found.difference is None
+    unknown = table(runs, rows=[replace(NETVLAD, name="MegaLoc")])
+    assert codes(unknown, "MegaLoc", "train_cpu") == ["unpublished"]
+
+
+FETCH = "python -m vprbench fetch nordland parts=[summer,winter]"
+GDOWN = f"`python -m gdown --folder https://drive.google.com/{'x' * 90}`"
+BEGIN = "GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in ~/.cache/vprbench/weights"
+
+
+@pytest.mark.parametrize(
+    ("failures", "mark", "code", "text"),
+    [
+        ([LOST], "not there", "missing", "lost: find it"),
+        ([LOST, failure("vprtempo", 1, "broke")], "failed", "failed", "broke"),
+        *(
+            ([failure("vprtempo", error=message)], "failed", "failed", told)
+            for message, told in (
+                ("x" + " thread" * 40, "x" + " thread" * 16 + "…"),
+                ("it broke " * 30, f"{'it broke ' * 12}it broke…"),
+                # what a message says to do is never cut
+                (f"{'no frames ' * 12}are there: run {FETCH}, or get them", f"{'no frames ' * 5}no… run {FETCH}"),
+                (f"no frames. They can be had: {FETCH}", f"no frames… {FETCH}"),
+                (
+                    f"{BEGIN}: {GDOWN} fetches it; put it there",
+                    f"GCL needs MSLS_resnet152_GeM_480_GCL.pth, which is not in… {GDOWN}",
+                ),
+                (f"{BEGIN}: put weights.pth at /a/b.c, or give another", f"{BEGIN}: put weights.pth at /a/b.c"),
+            )
+        ),
+    ],
+)
+def test_an_error_says_more_than_what_is_missing_and_is_cut_between_words(
+    failures: list[Failure], mark: str, code: str, text: str
+) -> None:
+    made = table([], failures, rows=[VPRTEMPO])
+    assert absences(made, "VPRTempo") == [mark, mark, mark, "not run", "not run"]
+    assert reasons(made, "VPRTempo", "recall_at_1") == [(code, text)]
+
+
+def test_a_row_that_takes_too_long_says_where_it_stands() -> None:
+    left_out = {("railway", "NetVLAD"): "it stands under Railway, 450 places"}
+    made = table([run()], rows=[SAD, NETVLAD], left_out=left_out)
+    assert absences(made, "NetVLAD") == ["left out", "quoted", "left out", "quoted", "not run"]
+    assert reasons(made, "NetVLAD", "query_cpu") == [("left out", left_out["railway", "NetVLAD"])]
+    assert codes(made, "NetVLAD", "query_gpu") == ["device"]
+    stored = table([run(), run("netvlad")], rows=[SAD, NETVLAD], left_out=left_out)
+    assert absences(stored, "NetVLAD")[0] == "measured"
+
+
+def test_an_unfinished_row_shows_what_there_is_and_what_failed() -> None:
+    made = table([tempo(0), tempo(1)], [failure("vprtempo", 2, "it diverged")], rows=[VPRTEMPO])
+    found = cell(made, "VPRTempo", "recall_at_1")
+    assert (found.mark, measured(made, "VPRTempo", "recall_at_1").seeds) == ("unfinished", (0, 1))
+    assert ("seeds", "2 of 3 seeds are stored; seed 2 failed: it diverged") in reasons(made, "VPRTempo", "recall_at_1")
+    assert not any("failed" in sentence for sentence in made.caption)
+
+
+@pytest.mark.parametrize(("changes", "code"), [({"network": "5a" * 32}, "loaded"), ({}, "kept")])
+def test_what_was_loaded_or_kept_is_no_training(changes: dict[str, Any], code: str) -> None:
+    made = table([run("vprsnn", fit_seconds=None, fit_compute_seconds=None, **changes)], rows=[VPRSNN])
+    assert absences(made, "VPRSNN")[:3] == ["measured", "not run", "measured"]
+    assert codes(made, "VPRSNN", "train_cpu") == [code]
+
+
+def test_a_run_that_was_not_timed_has_a_recall_and_a_training_but_no_rate_and_no_bold_time() -> None:
+    mute = {"timing": None, "hits": [1] * 60, "fit_compute_seconds": 60}
+    slow = run("vprsnn", hits=[0] * 60, fit_compute_seconds=600)
+    made = table([*(tempo(seed, **mute) for seed in (0, 1, 2)), slow], rows=[VPRSNN, VPRTEMPO])
+    assert absences(made, "VPRTempo")[:3] == ["measured", "measured", "not timed"]
+    assert codes(made, "VPRTempo", "query_cpu") == ["untimed"]
+    assert measured(made, "VPRTempo", "recall_at_1").best
+    assert measured(made, "VPRTempo", "train_cpu").value == approx(1)
+    assert not any(measured(made, name, "train_cpu").best for name in ("VPRTempo", "VPRSNN"))
+    assert "VPRTempo: seeds 0, 1 and 2; of R@1 and rates the mean, of minutes the median." in made.caption
+    one = table([tempo(0), tempo(1, timing=None), tempo(2, timing=None)], rows=[VPRTEMPO])
+    assert measured(one, "VPRTempo", "query_cpu").seeds == (0,)
+    assert ("fewer", "of 1 of 3 seeds: the others were not timed here") in reasons(one, "VPRTempo", "query_cpu")
+
+
+def test_a_cost_that_is_not_known_says_why() -> None:
+    energy = {"values": {"operations": 2e6, "joules_measured": None}, "how": {"joules_measured": "no counter here"}}
+    costs = quantities(["operations", "joules_measured"], ("cpu",))
+    made = table([run(energy=energy)], rows=[SAD], quantities=costs)
+    assert measured(made, "SAD", "operations").value == 2
+    assert [text for _, text in reasons(made, "SAD", "joules_measured")] == ["Measured n/a: no counter here"]
+
+
+def test_recall_tells_its_ties_its_notes_and_that_it_is_undefined() -> None:
+    # the right place shares the highest score with a wrong one for two of four queries
+    outcome, two, nothing = run(hits=[1, 0, 1, 1]).outcome, np.array([1, 1, 2, 2]), np.zeros(4, np.int64)
+    undefined = replace(outcome, above=nothing + 10, tied=nothing, tied_correct=nothing, n_positives=nothing)
+    notes = tuple(Note(kind, kind) for kind in ("caching", "index", "noisy"))
+    runs = [
+        run(outcome=replace(outcome, top_tied=two, tied=two)),
+        run("hog", outcome=undefined),
+        run("vprsnn", notes=notes),
+    ]
+    made = table(runs, rows=[SAD, HOG, VPRSNN])
+    assert measured(made, "SAD", "recall_at_1").value == approx(50)
+    assert any("25.0 to 75.0 %" in text for code, text in reasons(made, "SAD", "recall_at_1") if code == "ties")
+    assert (absences(made, "hog")[0], codes(made, "hog", "recall_at_1")) == ("not applicable", ["undefined"])
+    query = measured(made, "hog", "query_cpu")  # of a row that the paper does not have
+    assert (query.value, query.at_boundary, codes(made, "hog", "query_cpu")) == (approx(80), None, [])
+    told = [[text for code, text in reasons(made, "VPRSNN", q) if code == "note"] for q in ("recall_at_1", "query_cpu")]
+    assert told == [["index"], ["caching"]]
+
+
+def test_a_method_outside_the_plan_shows_the_time_to_build_its_map_in_no_contest() -> None:
+    made = table([run("hog", fit_compute_seconds=6), run("vprsnn", fit_compute_seconds=600)], rows=[HOG, VPRSNN])
+    assert measured(made, "hog", "train_cpu").value == approx(0.1)
+    assert codes(made, "hog", "train_cpu") == ["map"]
+    assert not measured(made, "hog", "train_cpu").best
+    mine = Row("mine", "mine", seeds=(0, 1))
+    trained = [run("mine", seed, fit_compute_seconds=6) for seed in (0, 1)]
+    made = table([*trained, run("vprsnn", fit_compute_seconds=600)], rows=[mine, VPRSNN])
+    assert (measured(made, "mine", "train_cpu").best, codes(made, "mine", "train_cpu")) == (True, [])
+
+
+@pytest.mark.parametrize(
+    ("tuned_on", "best"),
+    [
+        ({"dataset": "railway", "places": "half of the places"}, False),
+        ({"dataset": "rails", "places": "half of the places", "also_in": ["railway"]}, False),
+        ({"dataset": "street", "places": "half of the places"}, True),
+        ({}, True),
+    ],
+)
+def test_a_row_that_was_tuned_on_a_columns_places_says_so_and_is_in_no_contest_there(
+    tuned_on: dict[str, object], best: bool
+) -> None:
+    tuned = [tempo(s, hits=[1] * 60, match_seconds=FAST, fit_compute_seconds=6, tuned_on=tuned_on) for s in (0, 1, 2)]
+    slow = {"match_seconds": SLOW, "fit_compute_seconds": 600}
+    made = table([*tuned, run("vprsnn", hits=[0] * 60, **slow)], rows=[VPRSNN, VPRTEMPO])
+    for quantity in NAMES[:3]:
+        assert measured(made, "VPRTempo", quantity).best == best
+        assert ("tuned" in codes(made, "VPRTempo", quantity)) == (not best)
+        assert "tuned" not in codes(made, "VPRSNN", quantity)
+    others = table([*tuned, run("vprsnn", hits=[1, 0] * 30, **slow), run(hits=[0] * 60)])
+    assert measured(others, "VPRSNN", "recall_at_1").best == (not best)  # it beats the others that are in the contest
+
+
+@pytest.mark.parametrize(("kind", "marked"), [("noisy", True), ("invalid", True), ("caching", False)])
+def test_times_of_a_busy_machine_or_of_too_few_laps_are_marked_and_recall_is_not(kind: Any, marked: bool) -> None:
+    made = table([tempo(0), tempo(1, notes=(Note(kind, "noisy: carts"),)), tempo(2)], rows=[VPRTEMPO])
+    assert [measured(made, "VPRTempo", quantity).disturbed for quantity in NAMES[:3]] == [False, marked, marked]
+    assert any("tilde" in sentence for sentence in made.caption) == marked
+
+
+def test_two_protocols_are_two_columns_with_titles_that_tell_them_apart() -> None:
+    old = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01", hits=[1, 1, 1, 1])
+    made = table([run(protocol={"query": "summer", "renderer": 2}), old], rows=[SAD, VPRSNN])
+    assert [(column.name, column.title) for column in made.columns] == [
+        ("railway", "Railway (rendered), renderer 2"),
+        ("railway-2", "Railway (rendered), renderer 1"),
+    ]
+    assert measured(made, "SAD", "recall_at_1", "railway-2").value == approx(100)
+    assert cell(made, "VPRSNN", "recall_at_1", "railway-2").mark == "not run"
+
+
+def test_notes_are_numbered_in_the_order_of_the_table_and_never_twice() -> None:
+    made = table([run(), run("vprsnn"), tempo(0)])
+    seen = [number for row in made.rows for found in row.cells.values() for number in found.notes]
+    assert set(seen) == set(range(1, len(made.notes) + 1))
+    assert len(set(made.notes)) == len(made.notes)
+    firsts = [max(found.notes, default=0) for row in made.rows for found in row.cells.values()]
+    assert firsts[0] == len(cell(made, "SAD", "recall_at_1").notes)
+    assert all(list(found.notes) == sorted(found.notes) for row in made.rows for found in row.cells.values())
+
+
+def test_the_order_of_a_store_changes_nothing() -> None:
+    runs = [
+        run(),
+        run(day="2025-01-01"),
+        run(device="cuda"),
+        run(protocol={"query": "night"}, day="2025-02-01"),
+        *(tempo(seed) for seed in (0, 1, 2)),
+        tempo(0, config={"code": "beef"}, day="2025-04-01"),
+        run("netvlad"),
+    ]
+    failures = [failure("vprsnn"), failure("vprtempo", 2, day="2025-05-01")]
+    first = asdict(table(runs, failures))
+    for order in (runs[::-1], runs[4:] + runs[:4]):
+        assert asdict(table(order, failures[::-1])) == first
+
+
+def test_a_comparison_has_its_own_title_and_neither_published_numbers_nor_times_on_a_gpu() -> None:
+    mine = PlannedColumn("mine", "My street", ("dataset=street",))
+    asked, rows = [ResolvedColumn(mine, STREET)], [replace(VPRTEMPO, seeds=(0,)), SAD]
+    found = groups([run(dataset=STREET), tempo(dataset=STREET)], (), asked, rows)
+    made = assemble(found, rows, PLAN, {}, quantities(["recall_at_5"], ("cpu",)), "My street")
+    assert (made.heading, [row.name for row in made.rows]) == ("My street", ["VPRTempo", "SAD"])
+    assert [q.name for q in made.quantities] == ["recall_at_1", "train_cpu", "query_cpu", "recall_at_5"]
+    assert {each.published_mark for row in made.rows for each in row.cells.values()} == {"none"}
+    assert made.caption[0] == "R@1 in %, train CPU in min, query CPU in Hz, R@5 in %."
+
+
+# Why a number is not the paper's
+
+PAPERS_MACHINE = {"processor": "Intel(R) Core(TM) i7-9700K CPU @ 3.60GHz", "threads": 1, "cores": 8}
+ABACUS, LOOM = {**PAPERS_MACHINE, "processor": "Abacus 9"}, {**PAPERS_MACHINE, "accelerator": "Spindle 80GB"}
+RTX = {**LOOM, "accelerator": "NVIDIA GeForce RTX 2080"}
+OXFORD, FIRST = PlannedColumn("oxford", "Oxford", (), "Oxford RobotCar"), replace(VPRTEMPO, seeds=(0,))
+
+
+def protocol(references: list[str], query: str, **more: Any) -> dict[str, Any]:
+    return {"protocol": {"references": references, "query": query, **more}}
+
+
+OXFORDS = {"hits": [1] * 360, "n_places": 450, **protocol(["sun", "rain"], "dusk")}
+OTHER_SIZE = {"hits": [1] * 2761, "n_places": 2761}
+
+
+def why(quantity: str, changes: dict[str, Any], row: Row = FIRST, planned: PlannedColumn = NORDLAND) -> Any:
+    """Return code and text of what sets a number apart from the paper's; `changes` are of a run as the paper's."""
+    paper = {"hits": [1] * 2700, "n_places": 3300, "machine": PAPERS_MACHINE}
+    device = "cuda" if quantity.endswith("gpu") else "cpu"
+    changed = dict(planned.arguments(row))
+    stored = run(row.method, device=device, changed=changed, **{**paper, **changes})
+    made = table([stored], rows=[row], asked=[ResolvedColumn(planned, RAILWAY)])
+    notes = cell(made, row.name, quantity, planned.name).notes
+    return [tuple(made.notes[number - 1]) for number in notes]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "changes", "named", "told"),
+    [
+        ("recall_at_1", {}, {}, {"distractors": "600 places"}),
+        ("train_cpu", {}, {}, {}),
+        ("query_cpu", {}, {}, {}),
+        ("query_cpu", {}, {"row": SAD}, {"paper's way": ""}),
+        ("recall_at_1", {}, {"row": SAD}, {"distractors": ""}),
+        ("query_cpu", {"machine": ABACUS}, {}, {"hardware": ""}),
+        ("train_cpu", {"machine": ABACUS}, {}, {"hardware": ": Abacus 9; the paper's: Intel i7-9700K"}),
+        ("query_gpu", {"machine": LOOM}, {}, {"hardware": ""}),
+        ("train_gpu", {"machine": LOOM}, {}, {"hardware": ": Spindle 80GB; the paper's: Nvidia RTX 2080"}),
+        ("train_gpu", {"machine": RTX}, {}, {}),
+        ("recall_at_1", protocol(["morning"], "dusk"), {"planned": RAIL.planned}, {"rendered": "Nordland"}),
+        ("train_cpu", {}, {"planned": RAIL.planned}, {"rendered": ""}),
+        (
+            "recall_at_1",
+            protocol(["winter"], "summer"),
+            {},
+            {"traverses": ": winter against summer; the paper's: spring and fall against summer"},
+        ),
+        ("recall_at_1", protocol(["fall", "spring"], "summer"), {}, {"distractors": ""}),
+        ("recall_at_1", OXFORDS, {"planned": OXFORD}, {"distractors": ""}),
+        ("recall_at_1", OTHER_SIZE, {}, {"counts": ": 2,761 queries of 2,761 places; the paper's: 2,700 of 3,300"}),
+        ("query_cpu", OTHER_SIZE, {}, {"size": ""}),
+        ("train_cpu", OTHER_SIZE, {}, {"size": ": 2,761 places; the paper's: 3,300"}),
+        ("recall_at_1", protocol(["spring", "fall"], "summer", tolerance_places=1), {}, {"tolerance": " 1 place;"}),
+        ("recall_at_1", protocol(["spring", "fall"], "summer", tolerance_places=3), {}, {"tolerance": " 3 places;"}),
+        ("recall_at_1", protocol(["spring", "fall"], "summer", radius_metres=25.0), {}, {"tolerance": " 25 m;"}),
+        ("recall_at_1", {**protocol(["spring", "fall"], "summer"), "n_places": 2700}, {}, {"no distractors": " 600 "}),
+        *((quantity, {"machine": LOOM}, {"planned": CITY}, {}) for quantity in NAMES),
+    ],
+)
+def test_a_difference_has_its_reasons_which_name_both_sides(
+    quantity: str, changes: dict[str, Any], named: dict[str, Any], told: dict[str, str]
+) -> None:
+    found = why(quantity, changes, **named)
+    assert [code for code, _ in found] == [*told]
+    assert [words for (_, text), words in zip(found, told.values(), strict=True) if words not in text] == []
+
+
+def test_every_reason_is_short() -> None:
+    machine = {**LOOM, "processor": "A processor of a very long name " * 9, "accelerator": "A very long name " * 9}
+    long = protocol(["an autumn of rain", "a winter of snow"], "a day of hail", tolerance_places=3)
+    for quantity in NAMES:
+        for planned in (NORDLAND, RAIL.planned):
+            row = replace(FIRST, rate_remark="slow " * 60)
+            found = why(quantity, {"machine": machine, "hits": [1] * 9, "n_places": 27_592, **long}, row, planned)
+            assert found
+            assert all(len(text) <= 120 for _, text in found)
+
+
+# Rates that were timed otherwise
+
+
+def timed(**changes: Any) -> dict[str, Any]:
+    return {"config": {"timing": {"minimum_seconds": 2.0, "minimum_queries": 64, "sample": 256, **changes}}}
+
+
+USUAL, SHORT = timed(), timed(minimum_seconds=0.01, minimum_queries=1)
+
+
+@pytest.mark.parametrize(
+    ("ways", "told"),
+    [
+        ({"A": [USUAL], "B": [USUAL]}, {}),
+        ({"A": [SHORT], "B": [USUAL], "C": [USUAL]}, {"A": "B and C: at least 0.01 s and 1 query"}),
+        ({"A": [USUAL], "B": [SHORT]}, {"B": "A: at least 0.01 s and 1 query"}),
+        ({"A": [USUAL], "B": [USUAL], "C": [USUAL], "D": [timed(sample=8)]}, {"D": "most rows: sample 8"}),
+        ({"A": [USUAL, SHORT], "B": [USUAL]}, {"A": "B: at least 0.01 s and 1 query"}),
+        ({"A": [USUAL, SHORT]}, {"A": "its other seeds: at least 0.01 s and 1 query"}),
+    ],
+)
+def test_the_row_that_is_timed_otherwise_says_how(ways: dict[str, list[dict[str, Any]]], told: dict[str, str]) -> None:
+    rows = [Row(name, name, seeds=tuple(range(len(given)))) for name, given in ways.items()]
+    runs = [run(name, seed, **way) for name, given in ways.items() for seed, way in enumerate(given)]
+    made = table([*runs, run("A", device="cuda", **SHORT)], rows=rows)
+    apart = {
+        (row.name, quantity): text
+        for row in rows
+        for quantity in NAMES
+        for code, text in reasons(made, row.name, quantity)
+        if code == "timing"
+    }
+    assert apart.keys() == {(name, "query_cpu") for name in told}
+    assert all(apart[name, "query_cpu"].endswith(f" {end}") for name, end in told.items())
+
+
+# The caption
+
+
+def test_seeds_are_named_where_they_differ_between_columns_and_devices() -> None:
+    runs = [tempo(0), tempo(1), *(tempo(seed, dataset=STREET, changed={"max_module": 450}) for seed in (0, 1, 2))]
+    made = table(runs, rows=[VPRTEMPO], asked=[RAIL, TOWN])
+    of_seeds = "; of R@1 and rates the mean, of minutes the median."
+    assert f"VPRTempo: seeds 0 and 1 (Railway (rendered)), seeds 0, 1 and 2 (City street){of_seeds}" in made.caption
+    devices = table([*runs[:2], tempo(0, device="cuda")], rows=[VPRTEMPO])
+    where = "seeds 0 and 1 (Railway (rendered), CPU), seed 0 (Railway (rendered), GPU)"
+    assert f"VPRTempo: {where}{of_seeds}" in devices.caption
+    assert not any("seed" in sentence for sentence in table(runs[:1], rows=[VPRTEMPO]).caption)
+
+
+def test_runs_of_other_options_are_told_where_they_fill_a_column_of_their_own() -> None:
+    asked = ResolvedColumn(RAIL.planned, {**RAIL.dataset, "fog": 0.5})
+    before = run(protocol={"query": "summer", "renderer": 1}, day="2025-01-01")
+    todays = run(dataset=asked.dataset, protocol={"query": "summer", "renderer": 2})
+    told = [s for s in table([before, todays], rows=[SAD], asked=[asked]).caption if "other options" in s]
+    assert told == ["Railway (rendered), renderer 1: its runs are of a time when the dataset had other options (fog)."]
+    assert not any("other options" in s for s in table([before], rows=[SAD], asked=[asked]).caption)
+
+
+def test_a_seed_that_failed_after_it_was_stored_is_named_in_the_caption() -> None:
+    runs = [tempo(seed) for seed in (0, 1, 2)]
+    made = table(runs, [failure("vprtempo", 1, "it diverged", day="2025-04-01")], rows=[VPRTEMPO])
+    assert absences(made, "VPRTempo")[0] == "measured"
+    assert "VPRTempo, Railway (rendered), CPU: seed 1 failed since: it diverged." in made.caption
+
+
+def test_what_a_row_sets_aside_in_all_columns_is_one_sentence() -> None:
+    code = {"config": {"code": "beef"}, "day": "2025-01-01"}
+    libraries = {"machine": {**run().environment, "libraries": {"torch": "2.7.0"}}, "day": "2025-01-01"}
+    again = run(day="2025-01-02")
+    for runs, words in (
+        ([run(dataset=STREET), run(**code), run(dataset=STREET, **code)], "2 runs of other code are"),
+        ([again], "1 run measured again since is"),
+        (
+            [again, run(**code), run(**libraries)],
+            "2 runs of other code or libraries and 1 run measured again since are",
+        ),
+    ):
+        made = table([run(), run(device="cuda"), *runs], rows=[SAD], asked=[RAIL, TOWN])
+        assert [s for s in made.caption if "set aside" in s] == [f"SAD: {words} set aside."]
+
+
+def test_what_a_reader_has_to_know_of_a_column_stands_in_the_caption_once() -> None:
+    remark = "How hard it is was set by hand."
+    columns = [replace(column, planned=replace(column.planned, remark=remark)) for column in (RAIL, TOWN)]
+    made = table([run()], rows=[SAD], asked=columns)
+    assert made.caption.count(remark) == 1
+    assert "Railway (rendered) stands in for Nordland and replaces none." in made.caption
+
+
+def test_the_caption_tells_how_long_the_blocks_of_each_interval_are_and_where_wilsons_is_wider() -> None:
+    made = table([run(hits=np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20).tolist()), run("vprsnn", hits=[1] * 200)])
+    (sentence,) = [sentence for sentence in made.caption if "length in queries of the blocks" in sentence]
+    block = measured(made, "SAD", "recall_at_1").block
+    assert block is not None
+    assert block > 10
+    assert sentence.endswith(f": SAD {block}, VPRSNN 1 (Wilson).")
+    assert not any("length in queries" in sentence for sentence in table([], rows=[SAD]).caption)
