@@ -1,18 +1,34 @@
-"""Nordland: the places of the paper, what may be asked of it, and folders in which something is missing."""
+"""Nordland: the published list and ways to ask it, and folders in which something is missing."""
 
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
 from functools import partial
+from math import hypot
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from image_folders import answer, needs_real_frames, reds, rights
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from image_folders import REAL, answer, needs_real_frames, reds, rights
 from PIL import Image as PillowImage
 
-from vprbench.datasets.nordland import nordland
-from vprbench.errors import NotThere
+from vprbench.api.dataset import Dataset
+from vprbench.datasets.nordland import chosen_names, nordland, published_frames
+from vprbench.datasets.readers import frame_folders
+from vprbench.errors import BadInput, NotThere
+from vprbench.paper.plan import read_plan
+from vprbench.plugins import registry
+from vprbench.run import compose
 
 TINY = {"stride": 2, "places": 6, "query_places": 4, "first_query_place": 2}
 TINY_FRAMES = (202, 204, 206, 208, 210, 212)  # the list begins with 202, 203, 204 and so on
-refusal = partial(answer, nordland)
+FRAMES = [f"images-{frame:05d}.png" for frame in published_frames()]
 SEASON_LEVEL = {"spring": 10, "summer": 20, "fall": 30, "winter": 40}
+refusal = partial(answer, nordland)
 
 
 @pytest.fixture(autouse=True)
@@ -34,71 +50,59 @@ def tiny_root(tmp_path):
 
 
 def test_seasons_come_in_the_order_asked_for_and_queries_from_the_first_query_place_on(tiny_root):
-    dataset = nordland(root=str(tiny_root), references=["winter", "spring"], query="fall", **TINY)
+    dataset = nordland("mine", str(tiny_root), ["winter", "spring"], "fall", tolerance=1, **TINY)
     assert reds(dataset.references) == [40, 41, 42, 43, 44, 45, 10, 11, 12, 13, 14, 15]
     assert reds(dataset.queries) == [32, 33, 34, 35]
-    assert rights(dataset) == [[2], [3], [4], [5]]
+    assert rights(dataset) == [[1, 2, 3], [2, 3, 4], [3, 4, 5], [4, 5]]
     assert (reds(dataset.held_out.references), reds(dataset.held_out.queries)) == ([40, 41, 10, 11], [30, 31])
+    assert dataset.name == "mine"
+    assert dict(dataset.protocol) == {
+        **{"protocol": "vprtempo", "references": ["winter", "spring"], "query": "fall", "stride": 2, "places": 6},
+        **{"query_places": 4, "first_query_place": 2, "reference_places": 6, "held_out_places": 2},
+        **{"tolerance_places": 1, "frame_multiple": 1},
+    }
+    for folder in dataset.folders:
+        assert folder.counts == (35_768, 27_592)  # a whole season, and the frames of the list
+        assert {*folder.wrong_counts} == {24_570, 28_865}
 
 
 @pytest.mark.parametrize(
-    ("options", "lacking", "told"),
-    [
-        ({}, None, None),
-        ({"protocol": "vprsnn"}, "summer", "images-00202.png is missing from {} (1 of 6 "),
-        ({"query": "spring"}, "spring", "images-00202.png is missing from {} (1 of 6 "),
-        ({}, "fall", "images-00202.png is missing from {} (1 of 6 "),
-    ],
+    ("options", "lacking"), [({}, None), ({"protocol": "vprsnn"}, "summer"), ({"query": "spring"}, "spring")]
 )
-def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options, lacking, told):
+def test_only_frames_that_some_method_needs_have_to_be_there(tiny_root, options, lacking):
     # numpy's RandomState(42) draws of six places first 0 and 1, so vprsnn needs the first frames of the query season.
     (tiny_root / (lacking or "summer") / "images-00202.png").unlink()
     asked = {"root": str(tiny_root), **TINY, **options}
     if lacking:
-        assert told.format(tiny_root / lacking) in refusal(kind=NotThere, **asked)
+        told = f"images-00202.png is missing from {tiny_root / lacking} (1 of 6 "
+        assert told in refusal(kind=NotThere, **asked)
     else:
-        dataset = nordland(**asked)
-        assert [len(folder.used) for folder in dataset.folders] == [4, 6, 6]
+        assert [len(folder.used) for folder in nordland(**asked).folders] == [4, 6, 6]
 
 
 @pytest.mark.parametrize(
     ("frames", "others", "told"),
     [
-        ((208, 212), 0, "2 of 6 expected frames are missing, 4 files are there): copy or download them again"),
-        ((206, 208, 210, 212), 0, "set dataset.root so that"),
+        (
+            (208, 212),
+            0,
+            "images-00208.png is missing from {} (2 of 6 expected frames are missing, 4 files are there): c",
+        ),
+        ((206, 210, 212), 0, "set dataset.root so that <root>/spring/images-00202.png"),
         ((208,), 24_565, "24,570 images are a part of the partition of Olid et al."),
-        ((208,), 28_860, "28,865 images are the partition of Olid et al."),
-        ((202, 204, 206, 208, 210, 212), -1, "does not exist"),
+        ((202, 204, 206, 208, 210, 212), -1, "{} does not exist"),
     ],
 )
-def test_missing_frames_are_counted_with_what_to_do(tiny_root, frames, others, told):
+def test_missing_frames_are_counted_with_what_to_do(tiny_root, monkeypatch, frames, others, told):
     for frame in frames:
         (tiny_root / "fall" / f"images-{frame:05d}.png").unlink()
-    for number in range(others):
-        (tiny_root / "fall" / f"{number}.png").touch()
+    there, more = frame_folders.files_in, {f"{number}.png" for number in range(others)}
+    monkeypatch.setattr(frame_folders, "files_in", lambda folder: there(folder) | more)
     if others < 0:
         (tiny_root / "fall").rmdir()
-    message = refusal(kind=NotThere, root=str(tiny_root), **TINY)
-    assert str(tiny_root / "fall") in message
-    assert told in message
-
-
-def test_the_protocol_says_everything_that_was_selected(tiny_root):
-    dataset = nordland("mine", str(tiny_root), ["fall"], "winter", tolerance=1, **TINY)
-    assert dataset.name == "mine"
-    assert dict(dataset.protocol) == {
-        "protocol": "vprtempo",
-        "references": ["fall"],
-        "query": "winter",
-        "stride": 2,
-        "places": 6,
-        "query_places": 4,
-        "first_query_place": 2,
-        "reference_places": 6,
-        "held_out_places": 2,
-        "tolerance_places": 1,
-        "frame_multiple": 1,
-    }
+    elif not others:  # a folder under the name of a frame is no frame
+        (tiny_root / "fall" / f"images-{frames[0]:05d}.png").mkdir()
+    assert told.format(tiny_root / "fall") in refusal(kind=NotThere, root=str(tiny_root), **TINY)
 
 
 def test_places_before_the_first_one_are_left_out_and_the_others_keep_their_numbers(tiny_root):
@@ -111,56 +115,27 @@ def test_places_before_the_first_one_are_left_out_and_the_others_keep_their_numb
 
 
 @pytest.mark.parametrize("name", ["nordland", "nordland_27k"])
-def test_without_a_root_the_download_that_all_protocols_share_is_taken(tiny_root, no_downloads, name):
+def test_without_a_root_the_shared_download_is_taken_before_the_default_root(tiny_root, no_downloads, tmp_path, name):
     (no_downloads / "nordland").symlink_to(tiny_root)
-    assert reds(nordland(name, **TINY).queries) == [22, 23, 24, 25]
-
-
-def test_a_folder_under_the_name_of_a_frame_is_no_frame(tiny_root):
-    frame = tiny_root / "fall" / "images-00208.png"
-    frame.unlink()
-    frame.mkdir()
-    assert f"{frame.name} is missing from {tiny_root / 'fall'}" in refusal(kind=NotThere, root=str(tiny_root), **TINY)
+    (tmp_path / "other").mkdir()
+    assert reds(nordland(name, default_root=str(tmp_path / "other"), **TINY).queries) == [22, 23, 24, 25]
 
 
 def test_frames_that_were_converted_are_answered_with_the_suffix_to_set(tiny_root):
     for path in [*tiny_root.rglob("*.png")]:
         path.rename(path.with_suffix(".jpg"))
-    message = refusal(kind=NotThere, root=str(tiny_root), **TINY)
-    assert message.endswith("images-00206.jpg is there: pass dataset.suffix=.jpg")
+    assert "images-00206.jpg is there: pass dataset.suffix=.jpg" in refusal(kind=NotThere, root=str(tiny_root), **TINY)
     assert nordland(root=str(tiny_root), suffix=".jpg", **TINY).queries.names[0] == "images-00206.jpg"
-
-
-def test_a_whole_season_has_35768_frames_and_a_filtered_one_those_of_the_list(tiny_root):
-    for folder in nordland(root=str(tiny_root), **TINY).folders:
-        assert folder.counts == (35_768, 27_592)
-        assert {*folder.wrong_counts} == {24_570, 28_865}
-
-
-def test_what_an_unfinished_download_left_is_no_root(tiny_root, no_downloads):
-    (no_downloads / "nordland" / "archives").mkdir(parents=True)
-    (no_downloads / "nordland" / ".fetch.lock").touch()
-    message = refusal(kind=NotThere, **TINY)
-    assert message.startswith("dataset.root is not set: nordland needs")
-    assert message.endswith("nordland (which holds no frames yet: a download was not finished)")
-
-
-def test_a_download_comes_before_the_default_root(tiny_root, no_downloads, tmp_path):
-    (no_downloads / "nordland").symlink_to(tiny_root)
-    (tmp_path / "other").mkdir()
-    assert len(nordland(default_root=str(tmp_path / "other"), **TINY).queries) == 4
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"references": []}, "dataset.references=[]: name at least one season"),
-        ({"references": ["spring", "spring"]}, "dataset.references=['spring', 'spring']"),
+        ({"references": []}, "dataset.references=[]"),
         ({"query": "tea"}, "dataset.query=tea: Nordland has spring, summer, fall, winter"),
         ({"places": 3450}, "dataset.places=3450: the list of 27592 names at stride 8 has 3449 places"),
         ({"stride": 1, "places": 2762, "frame_multiple": 10}, "dataset.places=2762: the list of 2761 names"),
         ({"first_query_place": 601}, "dataset.first_query_place=601 and dataset.query_places=2700"),
-        ({"stride": 0}, "dataset.stride=0"),
         ({"frame_multiple": 0}, "dataset.frame_multiple=0"),
         ({"protocol": "sift"}, "dataset.protocol=sift: choose vprtempo, vprsnn, patchnetvlad, 27k or vprbench"),
         ({"protocol": "27k"}, "dataset.protocol=27k with dataset.stride=8"),
@@ -174,31 +149,131 @@ def test_a_bad_option_is_named_in_one_line(arguments, message):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({}, "dataset.root is not set: nordland needs"),
+        ({}, "nordland (which holds no frames yet: a download was not finished)"),
         ({"default_root": "../no/such/folder"}, "dataset.root is not set"),
         ({"root": "/no/such"}, "dataset.root=/no/such is no folder"),
         ({"name": "nordland_64x32", "download": "nordland_64x32"}, "or call that folder {}/nordland_64x32"),
     ],
 )
-def test_no_root_is_answered_with_where_the_frames_are(tiny_root, no_downloads, options, told):
+def test_no_root_is_answered_with_where_the_frames_are(no_downloads, options, told):
     (no_downloads / "nordland" / "archives").mkdir(parents=True)
+    (no_downloads / "nordland" / ".fetch.lock").touch()
     message = refusal(kind=NotThere, **options)
     assert told.format(no_downloads) in message
     assert "Somayeh-h/Nordland" in message
 
 
+# The published list
+
+
+def test_the_list_is_byte_for_byte_the_published_one():
+    # nordland_imageNames.txt of VPRSNN, and nordland-summer.csv of VPRTempo
+    rows = "Image name,index\n" + "".join(f"{name},{k}\n" for k, name in enumerate(FRAMES))
+    digests = [hashlib.sha256(text.encode()).hexdigest() for text in ("".join(f"{name}\n" for name in FRAMES), rows)]
+    assert digests == [
+        "6b1dcf6a8ccf2860f5b473dce84941fff87735bcb94face0af66d14fba49ff73",
+        "790a59381bc5c96919b5043fc4dc8bdf7e720e8d3cb4b1d2d535b87b92a15ce6",
+    ]
+    places = chosen_names(8, 3300, 1)
+    assert [places[place][7:12] for place in (0, 1, 599, 600, 3299)] == ["00202", "00210", "07021", "07029", "34160"]
+
+
+@settings(derandomize=True, deadline=None, max_examples=30, database=None)
+@given(st.integers(-1, 12), st.integers(-1, 30_000), st.integers(-1, 12))
+def test_names_of_any_numbers_are_as_many_as_asked_for_and_ascending_or_are_refused(stride, places, multiple):
+    listed = [name for name in FRAMES if multiple >= 1 and int(name[7:12]) % multiple == 0]
+    if min(stride, places, multiple) < 1 or len(range(0, len(listed), stride)) < places:
+        with pytest.raises(BadInput, match=r"^dataset\."):
+            chosen_names(stride, places, multiple)
+    else:
+        assert chosen_names(stride, places, multiple) == listed[::stride][:places]
+
+
 @needs_real_frames
-def test_the_frames_beside_the_checkout_are_found_by_their_default_root():
-    dataset = nordland(
-        "nordland_64x32",
-        references=["winter"],
-        stride=1,
-        places=2761,
-        query_places=2761,
-        first_query_place=0,
-        frame_multiple=10,
-        default_root="../shared/data/nordland_64x32",
-    )
+def test_the_frames_beside_the_checkout_are_those_divisible_by_ten_and_found_by_their_default_root():
+    listed = (REAL / "nordland_64x32" / "frames_clean_qvpr.txt").read_text().split()
+    assert [Path(name).stem for name in chosen_names(1, 2761, 10)] == [Path(name).stem for name in listed]
+    whole = {"stride": 1, "places": 2761, "query_places": 2761, "first_query_place": 0, "frame_multiple": 10}
+    root = "../shared/data/nordland_64x32"
+    dataset = nordland("nordland_64x32", references=["winter"], default_root=root, **whole)
     assert (len(dataset.references), dataset.n_places, len(dataset.queries)) == (2761, 2761, 2761)
     assert all(len([*folder.path.iterdir()]) == 3576 == folder.counts[0] for folder in dataset.folders)
     assert dataset.references[0].shape == dataset.queries[2760].shape == (32, 64, 3)
+
+
+# The published ways to ask Nordland
+
+
+def config(*options: str) -> dict[str, Any]:
+    return dict(compose.composed(list(options))["dataset"])
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Dataset]:
+    """Every published way over four seasons that seem to hold the listed frames: nothing is read."""
+    folder = tmp_path_factory.mktemp("nordland")
+    for season in SEASON_LEVEL:
+        (folder / season).mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(frame_folders, "files_in", lambda _: {*FRAMES})
+        return {name: registry.make_dataset({**config(f"dataset={name}"), "root": str(folder)}) for name in PUBLISHED}
+
+
+METRES_A_FRAME = 25 / 10.5
+DRAWN = {*np.random.RandomState(42).permutation(3300)[:600].tolist()}  # that VPRSNN's authors set aside
+EIGHTH = FRAMES[::8][:3300]
+LEFT = [name for place, name in enumerate(EIGHTH) if place not in DRAWN]
+# References, query, names of the map and of the queries, and tolerance in places.
+PUBLISHED: dict[str, tuple[list[str], str, list[str], list[str], int]] = {
+    "nordland": (["spring", "fall"], "summer", EIGHTH, EIGHTH[600:], 0),
+    "nordland_vprsnn": (["spring", "fall"], "summer", LEFT, LEFT, 0),
+    "nordland_patchnetvlad": (["summer"], "winter", FRAMES, FRAMES, 7),
+    "nordland_27k": (["summer"], "winter", FRAMES, FRAMES, 10),
+    "nordland_vprbench": (["winter"], "summer", FRAMES, FRAMES[::10], 1),
+}
+# Ground truth from what each publishes, of the numbers of a query and of a frame of the map.
+BY_SOURCE: dict[str, Callable[[int, int], bool]] = {
+    "nordland_patchnetvlad": lambda query, frame: hypot(query - frame, query - frame) <= 10,  # frame i at (i, i)
+    "nordland_27k": lambda query, frame: abs(query * METRES_A_FRAME - frame * METRES_A_FRAME) <= 25,
+    "nordland_vprbench": lambda query, frame: frame in (query - 1, query, query + 1),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_each_way_asks_the_frames_and_seasons_that_are_published(datasets: Mapping[str, Dataset], name: str) -> None:
+    dataset, (references, query, mapped, queried, tolerance) = datasets[name], PUBLISHED[name]
+    assert [*dataset.references.names] == mapped * len(references)
+    assert [*dataset.queries.names] == queried
+    assert dataset.places.tolist() == [*range(len(mapped))] * len(references)
+    assert [folder.path.name for folder in dataset.folders] == [query, *references]
+    told = dataset.protocol
+    assert (told["references"], told["query"], told["tolerance_places"]) == (references, query, tolerance)
+    assert told["protocol"] == name.removeprefix("nordland_").replace("nordland", "vprtempo")
+    assert (told.get("query_stride", 1), told["reference_places"]) == (10 if "vprbench" in name else 1, len(mapped))
+    if name == "nordland_vprsnn":
+        assert [*dataset.held_out.queries.names] == [EIGHTH[place] for place in sorted(DRAWN)]
+    elif name != "nordland":
+        assert dataset.held_out is None
+    patch_netvlad = name == "nordland_patchnetvlad"
+    assert ["10 frames" in note and note.endswith("up to 7 away") for note in dataset.notes] == [True] * patch_netvlad
+
+
+@pytest.mark.parametrize("name", BY_SOURCE)
+def test_right_are_the_frames_that_the_source_counts_as_right(datasets: Mapping[str, Dataset], name: str) -> None:
+    positives, stride = datasets[name].positives, 10 if name == "nordland_vprbench" else 1
+    n = len(positives)
+    for number in (*range(11), 500, *range(n - 11, n)):
+        right = [frame for frame in range(27_592) if BY_SOURCE[name](number * stride, frame)]
+        assert positives[number].tolist() == right
+
+
+@pytest.mark.parametrize("name", BY_SOURCE)
+def test_columns_of_whole_maps_are_shown_on_request_and_vprtempos_modules_are_nearly_of_one_size(name: str) -> None:
+    column = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns[name]
+    assert (column.on_request, column.published) == (True, None)
+    sizes = [fits["max_module"] for fits in column.fits.values()]
+    assert all(size <= 1100 and size - 27_592 % size < 0.05 * size for size in sizes)
+
+
+def test_vprsnns_by_its_name_is_the_papers_with_another_protocol() -> None:
+    assert config("dataset=nordland_vprsnn") == config("dataset=nordland", "dataset.protocol=vprsnn")
