@@ -1,3 +1,5 @@
+"""The laws of growth against an independent fit, and the runs that make the growth of a row."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -16,6 +18,7 @@ from vprbench.run.note import Note
 
 SIZES = np.array([100.0, 300, 1000, 3000, 9000, 27000])
 TEMPO = Row("VPRTempo", "vprtempo", boundary="match")
+OLD = {"time_utc": "2024-01-01T00:00:00Z"}
 
 
 def noisy(seconds: npt.NDArray[np.float64], percent: float, seed: int) -> npt.NDArray[np.float64]:
@@ -36,7 +39,6 @@ def slow_aicc(shape: npt.NDArray[np.float64], seconds: npt.NDArray[np.float64]) 
     ("law", "a", "b", "shape"),
     [
         ("constant", 0.25, 0, np.zeros_like),
-        ("logarithmic", 0.001, 0.002, np.log),
         ("linear", 0.5, 0.01, np.positive),
         ("logarithmic", -0.1 * log(50), 0.1, np.log),
     ],
@@ -46,13 +48,8 @@ def test_exact_times_give_their_law_and_its_coefficients_back(law: Law, a: float
     assert (found.best, found.supported) == (law, (law,))
     assert (found.fits[law].a, found.fits[law].b) == pytest.approx((a, b))
     assert found.fits[law].at([1, exp(3)]) == pytest.approx(a + b * shape(np.array([1, exp(3)])))
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_times_of_each_law_with_five_percent_noise_are_told_from_the_other_laws(law: str) -> None:
-    times = {"constant": np.full(6, 2.0), "logarithmic": 0.1 * np.log(SIZES), "linear": 1 + 0.01 * SIZES}[law]
-    for seed in range(10):
-        assert compare(SIZES, noisy(times, 5, seed)).supported == (law,)
+    for seed in range(3):
+        assert compare(SIZES, noisy(a + b * shape(SIZES), 5, seed)).supported == (law,)
 
 
 def test_aicc_is_that_of_an_independent_fit() -> None:
@@ -60,10 +57,10 @@ def test_aicc_is_that_of_an_independent_fit() -> None:
     sizes = np.append(SIZES, 50000)
     found = compare(sizes, seconds)
     shapes = {"constant": np.zeros(7), "logarithmic": np.log(sizes), "linear": sizes}
-    lowest = min(slow_aicc(shape, seconds) for shape in shapes.values())
-    for law in LAWS:
-        assert found.fits[law].aicc == pytest.approx(slow_aicc(shapes[law], seconds), abs=1e-6)
-        assert found.differences[law] == pytest.approx(slow_aicc(shapes[law], seconds) - lowest, abs=1e-6)
+    slow = {law: slow_aicc(shapes[law], seconds) for law in LAWS}
+    assert {law: fit.aicc for law, fit in found.fits.items()} == pytest.approx(slow, abs=1e-6)
+    least = min(slow.values())
+    assert found.differences == pytest.approx({law: value - least for law, value in slow.items()}, abs=1e-6)
 
 
 def test_falling_times_are_never_fitted_by_a_falling_law() -> None:
@@ -72,7 +69,7 @@ def test_falling_times_are_never_fitted_by_a_falling_law() -> None:
     assert found.best == "constant"
 
 
-@pytest.mark.parametrize("power", [0.0, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("power", [0.0, 0.5, 2.0])
 def test_the_exponent_of_an_exact_power_is_that_power_without_width(power: float) -> None:
     found = compare(SIZES, 0.003 * SIZES**power).exponent
     assert (found.low, found.value, found.high) == pytest.approx((power, power, power), abs=1e-6)
@@ -85,11 +82,8 @@ def test_the_exponent_s_interval_is_student_s() -> None:
     found = exponent(places, np.exp(np.array([1.0, 1, 0, 3, 5])))
     half = 3.18245 * 0.2**0.5
     assert (found.low, found.value, found.high) == pytest.approx((1 - half, 1, 1 + half), rel=1e-5)
-
-
-def test_the_interval_of_the_exponent_holds_the_true_one_in_about_95_of_100_noisy_series() -> None:
-    found = [exponent(SIZES, noisy(0.01 * SIZES, 10, seed)) for seed in range(60)]
-    assert 53 <= sum(each.low <= 1 <= each.high for each in found) <= 59
+    two = exponent(places[:2], places[:2])
+    assert (two.low, two.value, two.high) == (-np.inf, 1, np.inf)
 
 
 def test_data_that_two_laws_describe_alike_support_both() -> None:
@@ -108,7 +102,7 @@ def test_of_several_times_of_a_size_the_median_is_fitted() -> None:
     ("sizes", "times", "named"),
     [
         ([100, 300, 1000, 3000] * 3, [1.0] * 12, "^times at 4"),
-        ([100, 300, 1000, 3000], [1.0] * 4, "^times at 4"),
+        ([0, *SIZES[1:]], [1.0] * 6, "one place or more"),
         *((SIZES, [1, 2, 3, 4, 5, wrong], "above 0") for wrong in (0.0, -1.0, float("nan"), float("inf"))),
     ],
 )
@@ -119,7 +113,7 @@ def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused(
         compare(sizes, times)
 
 
-@pytest.mark.parametrize(("n_laps", "k"), [(6, 1), (10, 2), (20, 6), (25, 8), (100, 40)])
+@pytest.mark.parametrize(("n_laps", "k"), [(6, 1), (10, 2), (25, 8), (100, 40)])
 def test_the_interval_of_a_median_lies_at_the_tabulated_ranks(n_laps: int, k: int) -> None:
     # ranks of the 95 % interval: Conover, Practical Nonparametric Statistics, table of the binomial distribution
     assert interval_of_median(np.arange(5.0)) is None
@@ -127,41 +121,37 @@ def test_the_interval_of_a_median_lies_at_the_tabulated_ranks(n_laps: int, k: in
     assert interval_of_median(laps) == (k, n_laps + 1 - k)
 
 
-def test_samples_stand_in_the_order_of_places_and_seeds() -> None:
+def test_samples_stand_in_the_order_of_places_and_seeds_and_the_newest_run_of_each_counts() -> None:
     runs = [
         figure_runs.sized(n, 5.0, 0.001 * n, seed=seed, fit_compute_seconds=n / 100)
         for n in (300, 100)
         for seed in (1, 0)
     ]
-    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))  # the newer one counts
+    runs.append(figure_runs.sized(100, 9.0, 0.009, seed=0, time_utc="2020-01-01T00:00:00Z"))
     found = samples(TEMPO, runs, ())
-    assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == [
-        (100, 0),
-        (100, 1),
-        (300, 0),
-        (300, 1),
-    ]
+    wanted = [(100, 0), (100, 1), (300, 0), (300, 1)]
+    assert [(run.outcome.n_places, run.config["seed"]) for run in found.runs] == wanted
     assert [(sample.n_places, sample.seconds) for sample in found.training] == [(100, 1), (100, 1), (300, 3), (300, 3)]
     assert found.query[-1].seconds == pytest.approx(0.301)  # 1 ms to encode
     with pytest.raises(BadInput, match="no run of VPRTempo"):
         samples(TEMPO, [], ())
 
 
-def test_disturbed_times_are_marked() -> None:
+def test_disturbed_times_are_marked_and_a_loaded_network_gives_query_times_alone() -> None:
     carts = (Note("noisy", "noisy: a cart"),)
-    runs = [figure_runs.sized(n, 1.0, 0.001, notes=notes) for n, notes in ((100, carts), (300, ()))]
+    runs = [
+        figure_runs.sized(100, 1.0, 0.001, notes=carts),
+        figure_runs.sized(300, 1.0, 0.001, notes=()),
+        figure_runs.sized(500, None, 0.001),
+    ]
     found = samples(TEMPO, runs, ())
-    for times in (found.training, found.query):
-        assert [sample.disturbed for sample in times] == [True, False]
-
-
-def test_the_query_time_is_that_of_encode_and_match_together() -> None:
-    run = figure_runs.sized(100, 1.0, match_seconds=0.003, encode_seconds=0.010)
-    assert samples(TEMPO, [run], ()).query[0].seconds == pytest.approx(0.013)
+    assert [(sample.n_places, sample.disturbed) for sample in found.training] == [(100, True), (300, False)]
+    assert [(sample.n_places, sample.disturbed) for sample in found.query[:2]] == [(100, True), (300, False)]
+    assert len(found.query) == 3
 
 
 def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> None:
-    old = [figure_runs.sized(n, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z") for n in (100, 300, 1000)]
+    old = [figure_runs.sized(n, 9.0, 0.009, code="older", **OLD) for n in (100, 300, 1000)]
     slow = [figure_runs.sized(300, 9.0, 0.009, processor="Slide rule", time_utc="2024-06-01T00:00:00Z")]
     new = [figure_runs.sized(n, 1.0, 0.001) for n in (100, 300)]
     found = samples(TEMPO, [*old, *new, *slow], ())
@@ -173,20 +163,16 @@ def test_runs_under_other_conditions_than_the_newest_are_set_aside_by_name() -> 
 
 
 def test_runs_with_other_arguments_weights_or_protocol_are_another_growth() -> None:
-    given = {"max_module": 1100, "rules": "own"}
-    new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={"places": 1000, "tolerance_places": 0})
-    when = {"time_utc": "2024-01-01T00:00:00Z", "protocol": {"places": 300, "tolerance_places": 0}}
+    given, protocol = {"max_module": 1100, "rules": "own"}, {"places": 300, "tolerance_places": 0}
+    new = figure_runs.sized(1000, 1.0, 0.001, arguments=given, protocol={**protocol, "places": 1000})
+    heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, protocol=protocol, **OLD)
     others = {
-        "arguments of the method": figure_runs.sized(
-            300, 9.0, 0.001, arguments={**given, "rules": "reference"}, **when
-        ),
-        "dataset": figure_runs.sized(
-            300, 9.0, 0.001, arguments=given, **{**when, "protocol": {"places": 300, "tolerance_places": 2}}
-        ),
+        "arguments of the method": {"arguments": {**given, "rules": "reference"}, "protocol": protocol},
+        "dataset": {"arguments": given, "protocol": {**protocol, "tolerance_places": 2}},
     }
-    heavier = figure_runs.sized(300, 9.0, 0.001, arguments=given, **when)
-    others["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
-    for part, other in others.items():
+    runs = {part: figure_runs.sized(300, 9.0, 0.001, **changed, **OLD) for part, changed in others.items()}
+    runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
+    for part, other in runs.items():
         found = samples(TEMPO, [new, other], ["max_module"])
         assert found.runs == (new,)
         assert found.aside == (f"Set aside: runs of VPRTempo at 300 places (other {part}).",)
@@ -205,9 +191,3 @@ def test_arguments_that_small_maps_lower_and_their_places_and_queries_do_not_par
     ]
     assert samples(TEMPO, runs, ["max_module"]).runs == tuple(runs)
     assert len(samples(TEMPO, runs, ()).runs) == 1
-
-
-def test_a_run_whose_network_was_loaded_gives_query_times_alone() -> None:
-    found = samples(TEMPO, [figure_runs.sized(100, None, 0.001), figure_runs.sized(300, 2.0, 0.002)], ())
-    assert [sample.n_places for sample in found.training] == [300]
-    assert [sample.n_places for sample in found.query] == [100, 300]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import product
-from math import comb
 from statistics import NormalDist
 
 import numpy as np
@@ -26,25 +25,19 @@ from vprbench.metrics.intervals import (
 )
 
 
-def interval_of(found: Interval | None) -> Interval:
-    assert found is not None
-    return found
-
-
-@pytest.mark.parametrize(("successes", "n"), [(0, 1), (1, 1), (7, 20), (20, 20), (75, 111), (1350, 2700)])
-@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99])
+@pytest.mark.parametrize(("successes", "n"), [(0, 1), (7, 20), (20, 20), (1350, 2700)])
+@pytest.mark.parametrize("confidence", [0.5, 0.95])
 def test_wilson_of_whole_counts_is_that_of_scipy(successes: int, n: int, confidence: float) -> None:
     expected = binomtest(successes, n).proportion_ci(confidence, method="wilson")
-    found = interval_of(wilson(successes, n, confidence))
+    found = wilson(successes, n, confidence)
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
 def test_wilson_of_expected_hits_solves_its_defining_equation() -> None:
-    successes, n = 37.25, 100
-    found = interval_of(wilson(successes, n))
+    found = wilson(37.25, 100)
     z = NormalDist().inv_cdf(0.975)
     for end in (found.low, found.high):
-        assert abs(successes / n - end) == pytest.approx(z * (end * (1 - end) / n) ** 0.5, abs=1e-12)
+        assert abs(0.3725 - end) == pytest.approx(z * (end * (1 - end) / 100) ** 0.5, abs=1e-12)
 
 
 @pytest.mark.parametrize(("n", "block"), [(4, 2), (5, 2), (7, 3), (5, 1)])
@@ -57,7 +50,7 @@ def test_the_bootstrap_has_the_quantiles_of_all_choices_of_circular_blocks(n: in
         for starts in product(range(n), repeat=n_blocks)
     ]
     means = values[draws][:, :n].mean(axis=1)
-    found = interval_of(block_bootstrap(values, block, confidence=0.8))
+    found = block_bootstrap(values, block, confidence=0.8)
     for end, share in ((found.low, 0.1), (found.high, 0.9)):
         assert np.abs(means - end).min() < 1e-9
         assert np.mean(means < end - 1e-9) < share <= np.mean(means < end + 1e-9) + 1e-9
@@ -69,7 +62,7 @@ def test_the_bootstrap_of_any_numbers_has_the_quantiles_of_many_draws() -> None:
     drawn = values[(starts + np.arange(24)) % 200].sum(axis=(1, 2))
     rest = values[(random.integers(200, size=(40_000, 1)) + np.arange(8)) % 200].sum(axis=1)
     ends = np.quantile((drawn + rest) / 200, [0.025, 0.975])
-    found = interval_of(block_bootstrap(values, 24))
+    found = block_bootstrap(values, 24)
     assert (found.low, found.high) == pytest.approx(ends, abs=0.002)
 
 
@@ -87,11 +80,10 @@ def covered(intervals: list[Interval], truth: float) -> float:
 
 def test_the_interval_of_hits_in_runs_holds_the_truth_far_more_often_than_wilsons_and_than_blocks_of_ten() -> None:
     random = np.random.default_rng(0)
-    rows = [in_runs(800, 0.3, 0.95, random) for _ in range(150)]
-    found = [interval_of(share_interval(row)) for row in rows]
-    assert covered(found, 0.3) > 0.85
-    assert covered([interval_of(block_bootstrap(row, 10)) for row in rows], 0.3) < 0.75
-    assert covered([interval_of(wilson(row.sum(), 800)) for row in rows], 0.3) < 0.4
+    rows = [in_runs(800, 0.3, 0.95, random) for _ in range(100)]
+    assert covered([share_interval(row) for row in rows], 0.3) > 0.85
+    assert covered([block_bootstrap(row, 10) for row in rows], 0.3) < 0.75
+    assert covered([wilson(row.sum(), 800) for row in rows], 0.3) < 0.4
 
 
 def test_the_interval_of_independent_hits_is_hardly_wider_than_wilsons() -> None:
@@ -99,7 +91,7 @@ def test_the_interval_of_independent_hits_is_hardly_wider_than_wilsons() -> None
     widths = []
     for _ in range(50):
         row = in_runs(800, 0.3, 0, random)
-        found, independent = interval_of(share_interval(row)), interval_of(wilson(row.sum(), 800))
+        found, independent = share_interval(row), wilson(row.sum(), 800)
         widths.append((found.high - found.low) / (independent.high - independent.low))
     assert min(widths) == pytest.approx(1)
     assert np.mean(widths) < 1.06
@@ -109,28 +101,20 @@ def test_the_interval_of_a_difference_holds_the_truth_far_more_often_than_blocks
     # Two methods of equal recall that find some stretches easy together, and each some of its own.
     random = np.random.default_rng(2)
     pairs = []
-    for _ in range(150):
+    for _ in range(100):
         together = in_runs(800, 0.5, 0.98, random)
         pairs.append([np.where(together > 0, in_runs(800, 0.4, 0.95, random), 0) for _ in range(2)])
-    assert covered([interval_of(difference_interval(*pair)) for pair in pairs], 0) > 0.88
-    assert covered([interval_of(block_bootstrap(one - other, 10)) for one, other in pairs], 0) < 0.75
+    assert covered([difference_interval(*pair) for pair in pairs], 0) > 0.88
+    assert covered([block_bootstrap(one - other, 10) for one, other in pairs], 0) < 0.75
 
 
 def test_which_interval_is_wider_and_its_block_length_are_told() -> None:
     perfect = share_interval(np.ones(200))
-    assert perfect == WiderInterval(*vars(interval_of(wilson(200, 200))).values(), kind="independent", block=1)
+    assert perfect == WiderInterval(*vars(wilson(200, 200)).values(), kind="independent", block=1)
     runs = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
-    found = share_interval(runs)
-    assert found is not None
+    found, plain = share_interval(runs), block_bootstrap(runs, block_length(runs))
     assert (found.kind, found.block) == ("blocks", block_length(runs))
-    assert share_interval([]) is None
-
-
-def test_few_blocks_widen_the_interval_beyond_that_of_the_bootstrap() -> None:
-    row = np.arange(100) % 50 < 25
-    found = interval_of(share_interval(row))
-    plain = interval_of(block_bootstrap(row, block_length(row)))
-    assert found.low < plain.low < plain.high < found.high
+    assert found.low < plain.low < plain.high < found.high  # for there are few blocks
 
 
 def test_a_difference_without_runs_has_the_interval_of_agresti_and_min() -> None:
@@ -140,7 +124,6 @@ def test_a_difference_without_runs_has_the_interval_of_agresti_and_min() -> None
     assert (won.sum(), lost.sum()) == (12, 4)
     half = 1.959964 * ((17 / 402 - (8 / 402) ** 2) / 402) ** 0.5
     found = difference_interval(won, lost)
-    assert found is not None
     assert found.kind == "independent"
     assert (found.low, found.high) == pytest.approx((8 / 402 - half, 8 / 402 + half), abs=1e-6)
 
@@ -149,22 +132,19 @@ def hits(both: int, first: int, second: int, none: int) -> tuple[list[int], list
     return [1] * (both + first) + [0] * (second + none), [1] * both + [0] * first + [1] * second + [0] * none
 
 
-@pytest.mark.parametrize(("b", "c"), [(0, 1), (5, 5), (0, 9), (16, 32), (3, 9), (700, 640)])
-def test_mcnemar_follows_its_formula_and_the_exact_binomial_test(b: int, c: int) -> None:
-    found = mcnemar_exact(*hits(4, b, c, 6))
-    assert (found.b, found.c) == (b, c)
-    formula = min(1, 2 * sum(comb(b + c, i) for i in range(min(b, c) + 1)) / 2 ** (b + c))
-    assert found.p_value == pytest.approx(formula, rel=1e-9)
-    assert found.p_value == pytest.approx(binomtest(b, b + c).pvalue, rel=1e-9)
-    swapped = mcnemar_exact(*reversed(hits(4, b, c, 6)))
-    assert (swapped.b, swapped.c, swapped.p_value) == (c, b, found.p_value)
+@pytest.mark.parametrize(("b", "c"), [(0, 1), (5, 5), (0, 9), (16, 32), (700, 640)])
+def test_mcnemar_is_the_exact_binomial_test_of_the_queries_on_which_two_disagree(b: int, c: int) -> None:
+    found, swapped = mcnemar_exact(*hits(4, b, c, 6)), mcnemar_exact(*reversed(hits(4, b, c, 6)))
+    assert (found.b, found.c) == (swapped.c, swapped.b) == (b, c)
+    assert found.p_value == swapped.p_value == pytest.approx(binomtest(b, b + c).pvalue, rel=1e-9)
 
 
 def test_what_is_undefined_and_what_has_no_width() -> None:
-    assert wilson(0, 0) is None
+    assert wilson(0, 0) is share_interval([]) is None
     assert difference_interval(np.ones(19), np.zeros(19)) is None  # too few
+    assert difference_interval(np.ones(20), np.zeros(20)) is not None
     assert [block_bootstrap(np.ones(n), 10) for n in (0, 1, 19)] == [None] * 3  # less than two blocks
-    assert block_bootstrap(np.ones(45), 10) == Interval(1, 1)
+    assert block_bootstrap(np.ones(20), 10) == block_bootstrap(np.ones(45), 10) == Interval(1, 1)
     assert mcnemar_exact(*hits(3, 0, 0, 2)) == mcnemar_exact([], []) == McNemar(0, 0, 1.0)
 
 
@@ -172,13 +152,15 @@ def test_what_is_undefined_and_what_has_no_width() -> None:
     ("refused", "named"),
     [
         *((partial(wilson, hits, n), "successes") for hits, n in ((-1, 5), (6, 5), (float("nan"), 5), (0, -1))),
-        *((partial(wilson, 1, 2, confidence), "confidence=") for confidence in (0, 1, 95)),
-        *((partial(block_bootstrap, [0, 1], 1, confidence), "confidence=") for confidence in (0, 1, 95)),
+        *((partial(wilson, 1, 2, confidence), "confidence=") for confidence in (0, 1)),
+        *((partial(block_bootstrap, [0, 1], 1, confidence), "confidence=") for confidence in (0, 1)),
+        (partial(difference_interval, np.ones(30), np.zeros(30), 95), "confidence="),
         (partial(block_bootstrap, [0, 1], 0), "block=0"),
         *((partial(block_bootstrap, values, 1), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
         (partial(difference_interval, np.ones(30), np.zeros(31)), "same queries"),
         (partial(mcnemar_exact, [0.5, 1], [0, 1]), "hits of 0 or 1"),
         (partial(mcnemar_exact, [1, 0], [1, 0, 1]), "same queries"),
+        (partial(mcnemar_exact, [[1, 0]], [[1, 0]]), "same queries"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(refused: Callable[[], object], named: str) -> None:
@@ -199,10 +181,5 @@ def test_where_windows_overlap_only_every_so_manieth_query_is_a_trial() -> None:
 
 def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on() -> None:
     hits = np.random.default_rng(0).integers(0, 2, 400)
-    alone, windowed = share_interval(hits), share_interval(hits, window=25)
-    assert alone is not None
-    assert windowed is not None
-    assert alone.block < 25 == windowed.block
-    difference = difference_interval(hits, hits[::-1], window=30)
-    assert difference is not None
-    assert difference.block == 30
+    assert share_interval(hits).block < 25 == share_interval(hits, window=25).block
+    assert difference_interval(hits, hits[::-1], window=30).block == 30

@@ -13,65 +13,39 @@ from little import a_run, unanswerable_run
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
 from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.ranking import best_places, outcome
+from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.tolerance import hits_within
 from vprbench.run import rows
 from vprbench.run.record import Run
 from vprbench.run.store import Store
 
-
-def top(*places: int) -> np.ndarray:
-    return np.array([places], np.int32)
-
-
-def scores(*values: float) -> np.ndarray:
-    return np.array([values], np.float32)
-
-
-def right(*places: int) -> tuple[np.ndarray, ...]:
-    return (np.array(places, np.int64),)
-
-
-def ranked(matrix: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """The best places of each query, best first, and their scores, as a run stores them."""
-    best = best_places(matrix, depth)
-    order = np.argsort(-np.take_along_axis(matrix, best, 1), axis=1, kind="stable")
-    best = np.take_along_axis(best, order, 1)
-    return best.astype(np.int32), np.take_along_axis(matrix, best, 1)
-
-
-def coarse_matrix(seed: int, n_queries: int, n_places: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Scores of which many tie, and zero to three right places a query."""
-    random = np.random.default_rng(seed)
-    matrix = random.integers(0, 6, (n_queries, n_places)).astype(np.float32)
-    matrix[random.random(matrix.shape) < 0.1] = -np.inf
-    matrix[0] = -np.inf
-    positives = tuple(np.sort(random.choice(n_places, count, False)) for count in random.integers(0, 4, n_queries))
-    return matrix, positives
-
-
 GAPS = np.array([0, 1, 2, 5, 6])  # 3 and 4 are not in the map
+LOST = -np.inf
+
+
+def hits(best: list[int], scores: list[float], right: list[int], tolerances: list[int], numbers: Any = None) -> Any:
+    """Return the hits of one query, (n_tolerances,)."""
+    given = np.array([best], np.int32), np.array([scores], np.float32), (np.array(right, np.int64),)
+    return hits_within(*given, tolerances, numbers)[:, 0]
 
 
 @pytest.mark.parametrize(
-    ("best", "scored", "places", "tolerances", "numbers", "hits"),
+    ("best", "scored", "right", "tolerances", "numbers", "wanted"),
     [
-        (top(4, 2), scores(0.9, 0.8), right(2), [0, 1, 2, 3], None, [0, 0, 1, 1]),
-        (top(3), scores(0.5), right(2), [1, 2, 3], GAPS, [0, 0, 1]),
-        (top(4), scores(0.5), right(3), [1], GAPS, [1]),
-        (top(7), scores(0.5), right(0, 9, 30), [1, 2], None, [0, 1]),  # the nearest counts
-        (top(9), scores(0.5), right(0), [1, 8, 9], None, [0, 0, 1]),  # the route is no circle
-        (top(3, 7, 20, 4), scores(0.5, 0.5, 0.5, 0.4), right(4), [0, 1, 3], None, [0, 1 / 3, 2 / 3]),  # ties
-        (*ranked(np.zeros((1, 10), np.float32), 4), right(0), [0, 1], None, [1 / 4, 2 / 4]),  # of the stored ones
-        (top(1, 0), scores(0.5, 0.4), right(), [0, 100], None, [0, 0]),
-        (top(1, 0), scores(-np.inf, -np.inf), right(1), [0, 100], None, [0, 0]),
+        ([4, 2], [0.9, 0.8], [2], [0, 1, 2, 3], None, [0, 0, 1, 1]),
+        ([3], [0.5], [2], [1, 2, 3], GAPS, [0, 0, 1]),
+        ([4], [0.5], [3], [1], GAPS, [1]),
+        ([7], [0.5], [0, 9, 30], [1, 2], None, [0, 1]),  # the nearest counts
+        ([9], [0.5], [0], [1, 8, 9], None, [0, 0, 1]),  # the route is no circle
+        ([3, 7, 20, 4], [0.5, 0.5, 0.5, 0.4], [4], [0, 1, 3], None, [0, 1 / 3, 2 / 3]),  # ties
+        ([1, 0], [0.5, 0.4], [], [0, 100], None, [0, 0]),
+        ([1, 0], [LOST, LOST], [1], [0, 100], None, [0, 0]),
     ],
 )
 def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches_them(
-    best: np.ndarray, scored: np.ndarray, places: Any, tolerances: list[int], numbers: Any, hits: list[float]
+    best: list[int], scored: list[float], right: list[int], tolerances: list[int], numbers: Any, wanted: list[float]
 ) -> None:
-    found = hits_within(best, scored, places, tolerances, numbers)
-    np.testing.assert_allclose(found[:, 0], hits)
+    np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
 
 
 @pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
@@ -81,40 +55,43 @@ def test_within_so_many_places_is_what_a_dataset_of_that_tolerance_finds(protoco
         for k in (0, 1, 2, 5)
     )
     matrix = np.random.default_rng(3).random((40, exact.n_places), np.float32)
-    found = hits_within(*ranked(matrix, 5), exact.positives, [1, 2, 5], exact.place_numbers)
+    found = hits_within(*ranked_places(matrix, 5), exact.positives, [1, 2, 5], exact.place_numbers)
     expected = [hits_at(outcome(matrix, dataset.positives), 1) for dataset in wider]
     assert found.tolist() == [hits.tolist() for hits in expected]
     assert (exact.place_numbers is None) == (protocol == "vprtempo")
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth(seed: int) -> None:
-    n_queries, n_places = 30, 12
-    matrix, positives = coarse_matrix(seed, n_queries, n_places)
+def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth() -> None:
+    random = np.random.default_rng(0)
+    n_queries, n_places = 100, 12
+    matrix = random.integers(0, 6, (n_queries, n_places)).astype(np.float32)  # many tie
+    matrix[random.random(matrix.shape) < 0.1] = -np.inf
+    matrix[0] = -np.inf
+    positives = tuple(np.sort(random.choice(n_places, count, False)) for count in random.integers(0, 4, n_queries))
     for tolerance in (0, 1, 2, 5, 20):
         expected = []
         for row, places in zip(matrix, positives, strict=True):
             widened = {near for place in places for near in range(place - tolerance, place + tolerance + 1)}
             best = [place for place in range(n_places) if row[place] == row.max() > -np.inf]
             expected.append(sum(place in widened for place in best) / len(best) if best else 0.0)
-        hits = hits_within(*ranked(matrix, n_places), positives, [tolerance])
-        np.testing.assert_allclose(hits[0], expected)
+        found = hits_within(*ranked_places(matrix, n_places), positives, [tolerance])
+        np.testing.assert_allclose(found[0], expected)
 
 
 def test_a_tolerance_below_0_and_parts_of_different_runs_are_refused() -> None:
     with pytest.raises(BadInput, match="-1 places"):
-        hits_within(top(1), scores(0.5), right(1), [0, -1])
-    for best, positives in ((top(1), (*right(1), *right(2))), (top(1, 2), right(1))):
+        hits([1], [0.5], [1], [0, -1])
+    right = (np.array([1]),)
+    for places, scores, of in (([[1]], [[0.5]], right * 2), ([[1, 2]], [[0.5]], right), ([1], [0.5], right)):
         with pytest.raises(ValueError, match="same queries and depth"):
-            hits_within(best, scores(0.5), positives, [0])
+            hits_within(np.array(places), np.array(scores, np.float32), of, [0])
 
 
 # The tolerances that a dataset asks for beside its own. Of `a_run` the best places are 0, 1, 9 and 7, the right ones
 # 0, 1 or 5, 2 and 3: they lie 0, 0, 7 and 4 places away.
 
 
-def sweep(*also: int, **changes: Any) -> Run:
-    own = changes.pop("own", 0)
+def sweep(*also: int, own: int = 0, **changes: Any) -> Run:
     return a_run(protocol={"query": "dusk", "tolerance_places": own, "also_tolerance_places": [*also]}, **changes)
 
 
@@ -123,6 +100,8 @@ def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for()
     assert rows.tolerance_line(sweep(1, 4, 7)) == "R@1 within 1, 4, 7 places: 50.0 / 75.0 / 100.0 %"
     assert rows.numbers(sweep(1, 4))["recall_at_1_within_4_places"] == 0.75
     assert set(rows.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
+    assert (rows.recall_at_1_within(a_run()), rows.tolerance_line(a_run())) == ({}, None)
+    assert not [name for name in rows.numbers(a_run()) if "within" in name]
 
 
 def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own() -> None:
@@ -132,29 +111,20 @@ def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datas
     assert rows.recall_at_1_within(sweep(3, 4, own=1, positives=positives)) == {3: 0.5, 4: 0.75}
 
 
-def test_a_dataset_that_asks_for_none_and_a_record_from_before_there_were_any_have_none() -> None:
-    assert rows.recall_at_1_within(a_run()) == {}
-    assert rows.tolerance_line(a_run()) is None
-    assert not [name for name in rows.numbers(a_run()) if "within" in name]
-
-
 def test_without_a_right_place_they_are_undefined_and_not_zero() -> None:
     run = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)
     assert rows.recall_at_1_within(run) == {1: None, 2: None}
     assert rows.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
 
 
-def test_the_numbers_of_places_are_stored_too(tmp_path: Path) -> None:
+def test_the_numbers_of_places_are_stored_and_count_and_a_wider_ground_truth_with_gaps_has_no_wider_ones(
+    tmp_path: Path,
+) -> None:
     store = Store(tmp_path)
     store.prepare()
     store.save(replace(sweep(4), place_numbers=np.arange(10) * 3))
     (read,) = store.runs()
-    assert read.place_numbers is not None
     assert read.place_numbers.tolist() == [0, 3, 6, 9, 12, 15, 18, 21, 24, 27]
     assert rows.recall_at_1_within(read) == {4: 0.5}  # along the map the third query is within 4
-
-
-def test_a_ground_truth_wider_than_one_place_of_a_map_with_gaps_has_no_wider_ones() -> None:
-    run = replace(sweep(4), protocol={"tolerance_places": 1, "also_tolerance_places": [2]})
-    assert [*rows.recall_at_1_within(run)] == [2]
-    assert rows.recall_at_1_within(replace(run, place_numbers=np.arange(10))) == {}
+    assert [*rows.recall_at_1_within(sweep(2, own=1))] == [2]
+    assert rows.recall_at_1_within(sweep(2, own=1, place_numbers=np.arange(10))) == {}
