@@ -5,16 +5,13 @@ from __future__ import annotations
 import errno
 import io
 import logging
-import multiprocessing
 import tracemalloc
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 import pytest
-from little import keep_frames_often
 from PIL import Image as PillowImage
 
 from vprbench import progress
@@ -27,7 +24,7 @@ from vprbench.errors import BadInput
 from vprbench.run import thumbnails
 
 FINGERPRINT = "0123456789abcdef" * 4
-QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
+QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1"]
 
 
 def plain(level: int, size: tuple[int, int] = (20, 40)) -> Image:
@@ -54,12 +51,16 @@ def two_traverses() -> Dataset:
     return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
 
 
-def kept(root: Path, dataset: Dataset) -> thumbnails.Thumbnails:
-    root.mkdir(exist_ok=True)
-    thumbnails.keep(root, FINGERPRINT, dataset)
+def known(root: Path) -> thumbnails.Thumbnails:
     found = thumbnails.find(root, FINGERPRINT)
     assert found is not None
     return found
+
+
+def kept(root: Path, dataset: Dataset) -> thumbnails.Thumbnails:
+    root.mkdir(exist_ok=True)
+    thumbnails.keep(root, FINGERPRINT, dataset)
+    return known(root)
 
 
 def level(webp: bytes) -> int:
@@ -76,29 +77,11 @@ def path(root: Path) -> Path:
     return root / "frames" / "0123456789abcdef.npz"
 
 
-def test_large_frames_are_kept_with_few_of_them_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
-    monkeypatch.setattr(images, "_READERS", 2)
-    names = [str(i) for i in range(40)]
-    large = Images(lambda i: plain(i, (700, 500)), names)  # 1 MB each
-    dataset = Dataset("large", large, np.arange(40), large, tuple(np.array([i]) for i in range(40)), {})
-    kept(tmp_path, two_traverses())  # imports what it needs
-    tracemalloc.start()
-    thumbnails.keep(tmp_path, "f" * 64, dataset)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 20 << 20
-
-
-# The right frame
-
-
 def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path: Path) -> None:
     found = kept(tmp_path, two_traverses())
     assert [level(found.references[place]) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
-    assert found.reference_names == ("r1.png", "r0.png", "r2.png")
     assert [level(found.queries[i]) for i in range(2)] == pytest.approx([35, 15], abs=2)
-    assert found.query_names == ("q0.png", "q1.png")
+    assert (found.reference_names, found.query_names) == (("r1.png", "r0.png", "r2.png"), ("q0.png", "q1.png"))
 
 
 @pytest.mark.parametrize(
@@ -126,8 +109,7 @@ def large(monkeypatch: pytest.MonkeyPatch) -> Dataset:
 
 
 def there(root: Path) -> tuple[list[int], list[int]]:
-    found = thumbnails.find(root, FINGERPRINT)
-    assert found is not None
+    found = known(root)
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
     queries, places = ([i for i, frame in enumerate(kind) if frame] for kind in (found.queries, found.references))
     return queries, places
@@ -140,10 +122,7 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
     one.mkdir()
     thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
     assert there(one) == ([3, 4, 7], [1, 2, 5])
-    found = thumbnails.find(one, FINGERPRINT)
-    assert found is not None
-    assert level(found.references[5]) == pytest.approx(5, abs=2)
-    assert found.queries[0] == b""
+    assert level(known(one).references[5]) == pytest.approx(5, abs=2)
     thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5})])
     thumbnails.keep(tmp_path, FINGERPRINT, large, [(7, {1, 20}), (8, {5, 21}), (9, {22, 23})])
     assert there(tmp_path) == ([3, 7, 8], [1, 2, 5, 20, 21])
@@ -151,18 +130,27 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
     assert there(tmp_path) == ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])
 
 
-def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown(tmp_path: Path, large: Dataset) -> None:
+def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(
+    tmp_path: Path, large: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
+    monkeypatch.setattr(images, "_READERS", 2)
     read: list[int] = []
 
     def reading(i: int) -> Image:
         read.append(i)
-        return plain(i % 256)
+        return plain(i % 256, (700, 500))  # 1 MB
 
+    kept(tmp_path, two_traverses())  # imports what it needs
     many = Images(reading, [f"{i}.png" for i in range(5000)])
     whole = Dataset("world", many, np.arange(5000), large.queries, large.positives, {})
-    thumbnails.keep(tmp_path, FINGERPRINT, whole, [(7, {4000, 4001})])
+    tracemalloc.start()
+    thumbnails.keep(tmp_path, "f" * 64, whole, [(7, {4000, 4001})])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     assert {4000, 4001} <= set(read)
-    assert len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
+    assert 30 < len(set(read)) < 50  # a few others tell how large thumbnails become, or are examples
+    assert peak < 20 << 20
 
 
 # Examples
@@ -194,9 +182,6 @@ def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(
     assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == examples
 
 
-# Small on disk
-
-
 def detailed(seed: int) -> Image:
     """Return a picture without noise, but full of edges: overlapping bars, 180 x 320 pixels."""
     draw = np.random.default_rng(seed)
@@ -208,24 +193,14 @@ def detailed(seed: int) -> Image:
 
 
 def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path: Path) -> None:
-    references, queries = [detailed(i) for i in range(165)], [detailed(1000 + i) for i in range(135)]
-    kept(tmp_path, world(references, range(165), queries, [[]] * 135))
-    assert path(tmp_path).stat().st_size < 5e6 * 300 / 6000
-    simple, fine = (
-        decoded(kept(tmp_path / name, world([image], [0], [image], [[]])).queries[0]).shape
-        for name, image in (("simple", plain(9, (180, 320))), ("fine", detailed(0)))
-    )
-    assert fine[1] < simple[1] == 96
+    references, queries = [detailed(i) for i in range(55)], [detailed(1000 + i) for i in range(45)]
+    fine = kept(tmp_path, world(references, range(55), queries, [[]] * 45))
+    assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
+    simple = kept(tmp_path / "simple", world([plain(9, (180, 320))], [0], [plain(9, (180, 320))], [[]]))
+    assert decoded(fine.queries[0]).shape[1] < decoded(simple.queries[0]).shape[1] == 96
 
 
 # Written once and whole
-
-
-def test_two_writers_leave_a_whole_file_at_any_time(tmp_path: Path) -> None:
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("forkserver")) as pool:
-        assert list(pool.map(keep_frames_often, [tmp_path] * 2, [FINGERPRINT] * 2)) == [15, 15]
-    assert [entry.name for entry in tmp_path.iterdir()] == ["frames"]
-    assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
 
 
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
@@ -233,9 +208,8 @@ def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_
     with progress.listening(lambda stage, done: told.append((stage, done))):
         thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [("keeping small frames", i / 5) for i in range(5)]
-    found = thumbnails.find(tmp_path, FINGERPRINT)
-    assert found is not None
-    assert all([*found.queries, *found.references])  # a small dataset is kept whole
+    assert all([*known(tmp_path).queries, *known(tmp_path).references])  # a small dataset is kept whole
+    assert [entry.name for entry in (tmp_path / "frames").iterdir()] == ["0123456789abcdef.npz"]
     unread = Images(lambda _: pytest.fail("an image was read"), ["a", "b"])
     thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
 
@@ -258,13 +232,8 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-# Found again
-
-
 @pytest.mark.parametrize(
-    "spoil",
-    [lambda whole: b"", lambda whole: whole[: len(whole) // 2], lambda whole: b"<html></html>"],
-    ids=["empty", "cut", "another kind of file"],
+    "spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2], lambda whole: b"<html></html>"]
 )
 def test_a_damaged_file_is_none_and_named_and_made_anew(
     tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture
@@ -283,46 +252,34 @@ def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> N
     right = kept(tmp_path, two_traverses())
     whole = path(tmp_path).read_bytes()
     lost = 0
-    for position in range(0, len(whole), 11):
+    for position in range(0, len(whole), 23):
         path(tmp_path).write_bytes(whole[:position] + bytes([whole[position] ^ 4]) + whole[position + 1 :])
         found = thumbnails.find(tmp_path, FINGERPRINT)
         lost += found is None
         if found is not None:  # a time or a flag that nobody reads
             assert (found.queries, found.references) == (right.queries, right.references)
             assert (found.query_names, found.reference_names) == (right.query_names, right.reference_names)
-    assert lost > 50
+    assert lost > 20
 
 
-# A run keeps them
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_where_the_disk_refuses_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.chdir(tmp_path)
-    return tmp_path / "results" / "frames"
-
-
-def test_a_run_from_the_store_makes_the_frames_that_are_missing_and_are_asked_for(here: Path) -> None:
+    here = tmp_path / "results" / "frames"
     main(["method=sad", *QUICK])
     (made,) = here.glob("*.npz")
     with np.load(made, allow_pickle=False) as archive:
         assert {archive[name].dtype.kind for name in archive.files} <= set("iuU")
-    made.unlink()
-    assert main(["method=sad", *QUICK]) == 0
-    assert list(here.glob("*.npz")) == [made]
-    made.unlink()
-    assert main(["method=sad", "frames=false", *QUICK]) == 0
-    assert not list(here.glob("*.npz"))
+    for options, frames in (([], [made]), (["frames=false"], [])):
+        made.unlink()
+        assert main(["method=sad", *options, *QUICK]) == 0
+        assert list(here.glob("*.npz")) == frames
 
-
-def test_a_disk_that_refuses_frames_costs_no_run(
-    here: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
     def refuse(*_: Any) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(thumbnails, "keep", refuse)
-    with caplog.at_level(logging.WARNING):
-        assert main(["method=sad", *QUICK]) == 0
-    assert "no small pictures of synthetic were kept (No space left on device)" in caplog.text
-    assert len(list(here.parent.glob("synthetic/sad-*/run.json"))) == 1
+    assert main(["method=sad", "seed=1", *QUICK]) == 0
+    assert "(No space left on device)" in caplog.text
+    assert len(list(here.parent.glob("synthetic/sad-*/run.json"))) == 2

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import count, cycle
+from itertools import count
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -23,7 +22,6 @@ from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.metrics.ranking import Outcome
 from vprbench.plugins import networks
-from vprbench.run import thumbnails
 from vprbench.run.note import Note
 from vprbench.run.record import Failure, Run
 from vprbench.run.stopwatch import Laps, Protocol, Timing
@@ -269,15 +267,6 @@ def save_keys(root: Path, keys: Sequence[str]) -> int:
     return len(keys)
 
 
-def save_forever(root: Path, started: Path, keys: Sequence[str]) -> None:
-    """Save runs under these keys in turn, again and again, until somebody ends this process."""
-    store = Store(root)
-    store.save(a_run(key=keys[0]))
-    started.touch()
-    for key in cycle(keys):
-        store.save(a_run(key=key))
-
-
 def replace_and_die(root: Path, step: int) -> None:
     """Replace a stored run, killed right before so many steps that change or open something on disk are done."""
     steps = count()
@@ -313,31 +302,3 @@ def replace_network_and_die(path: Path, step: int) -> None:
     where = destination(path, method, dataset, replace=True)
     sys.addaudithook(die)
     networks.save(where, method, "new", 1.0, 1.0)
-
-
-def save_where_no_file_may_exceed(root: Path, limit_bytes: int) -> str:
-    """Try to save a run whose scores fill 400 kB where the system refuses longer files; returns the complaint."""
-    noise = np.random.default_rng(0).random((1000, 100), np.float32)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        Store(root).save(a_run(n_references=21, scores=noise))
-    except BadInput as error:
-        return str(error)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    return ""
-
-
-def keep_frames_often(root: Path, fingerprint: str) -> int:
-    """Keep the frames again and again, each time as if they were not there; returns how often they were whole."""
-    whole = 0
-    find = thumbnails.find
-    for _ in range(15):
-        thumbnails.find = lambda *_: None
-        try:
-            thumbnails.keep(root, fingerprint, journey(3, 3))
-        finally:
-            thumbnails.find = find
-        whole += find(root, fingerprint) is not None
-    return whole
