@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -75,18 +74,11 @@ def refused(hashes: FileHashes, paths: list[Path]) -> str:
     return str(caught.value)
 
 
-# Right
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "sha256"),
-    [("a.png", b"", EMPTY), ("a.png", b"abc", ABC), (os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc", ABC)],
-    ids=["empty", "abc", "a name that is no Unicode"],
-)
-def test_the_hash_of_a_file_is_its_sha256(tmp_path: Path, folder: Path, name: str, content: bytes, sha256: str) -> None:
+def test_the_hash_of_a_file_is_its_sha256_whatever_its_name(tmp_path: Path, folder: Path) -> None:
+    paths = [write(tmp_path / "a.png", b""), write(tmp_path / os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc")]
     for _ in range(2):
-        (found,) = later(folder).of([write(tmp_path / name, content)])
-        assert (found.size_bytes, found.sha256.hex()) == (len(content), sha256)
+        found = later(folder).of(paths)
+        assert [(file.size_bytes, file.sha256.hex()) for file in found] == [(0, EMPTY), (3, ABC)]
 
 
 def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_once(
@@ -95,9 +87,6 @@ def test_hashes_come_in_the_order_of_the_files_and_a_file_named_twice_is_read_on
     a, b, c = files(tmp_path, 3)
     assert [*later(folder).of([c, a, c, b, a])] == expected([c, a, c, b, a])
     assert set(read.values()) == {1}
-
-
-# Once
 
 
 @pytest.mark.parametrize("again", [False, True], ids=["another program", "the same one"])
@@ -114,25 +103,16 @@ def test_a_second_call_reads_what_came_since_alone(
 
 
 @pytest.mark.parametrize("asked", [[0, 20, 39], [*range(40)], [39, 3, 39, 20]], ids=["few", "all", "some twice"])
-def test_what_is_known_is_found_among_much_or_little_else(
+def test_what_is_known_is_found_among_others_by_its_relative_name_too(
     tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch, asked: list[int]
 ) -> None:
     monkeypatch.setattr(file_hashes, "_ASKED", 3)
     paths = files(tmp_path, 40)
     later(folder).of(paths)
     read.clear()
-    chosen = [paths[number] for number in asked]
-    assert [*later(folder).of(chosen)] == expected(chosen)
-    assert not read
-
-
-def test_a_file_is_known_by_its_relative_name_too(
-    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    later(folder).of(files(tmp_path, 1))
     monkeypatch.chdir(tmp_path / "frames")
-    assert [*later(folder).of([Path("0.png")])] == expected([Path("0.png")])
-    assert read == {"0.png": 1}
+    assert [*later(folder).of([Path(f"{number}.png") for number in asked])] == expected([paths[n] for n in asked])
+    assert not read
 
 
 def test_hashes_that_were_read_before_an_error_are_kept(
@@ -154,33 +134,21 @@ def test_hashes_that_were_read_before_an_error_are_kept(
     assert not read
 
 
-# Files that change
-
-
-def put_another_in_its_place(path: Path) -> Path:
-    other = write(path.with_name("other.png"), b"summer")
-    os.utime(other, ns=(0, 0))
-    return other.replace(path)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda path: path.rename(path.with_name("other.png")),
-        lambda path: os.utime(path, ns=(1, 1)) or path,
-        put_another_in_its_place,
-    ],
-    ids=["renamed", "touched", "another in its place"],
-)
-def test_a_file_that_is_not_as_it_was_is_read_again(
-    tmp_path: Path, folder: Path, read: Counter[str], change: Callable[[Path], Path]
+def test_a_file_is_read_again_once_it_has_another_name_time_inode_or_content(
+    tmp_path: Path, folder: Path, read: Counter[str]
 ) -> None:
     path = write(tmp_path / "a.png", b"winter")
     os.utime(path, ns=(0, 0))
     later(folder).of([path])
-    changed = change(path)
-    assert [*later(folder).of([changed])] == expected([changed])
-    assert read.total() == 2
+    os.utime(path, ns=(1, 1))
+    later(folder).of([path])
+    path = path.rename(tmp_path / "b.png")
+    assert [*later(folder).of([path])] == expected([path])
+    other = write(tmp_path / "c.png", b"summer")
+    os.utime(other, ns=(1, 1))
+    other.replace(path)
+    assert [*later(folder).of([path])] == expected([path])
+    assert read.total() == 4
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps no time of change that nobody can set back")
@@ -192,9 +160,7 @@ def test_other_content_of_the_same_size_whose_time_was_set_back_is_seen(tmp_path
     while path.stat().st_ctime_ns == before.st_ctime_ns:  # until the clock of the file system has gone on
         path.write_bytes(b"summer")
         os.utime(path, ns=(0, 0))
-    after = path.stat()
-    assert (after.st_size, after.st_mtime_ns, after.st_ino) == (before.st_size, before.st_mtime_ns, before.st_ino)
-    assert later(folder).of([path])[0].sha256 == hashlib.sha256(b"summer").digest()
+    assert [*later(folder).of([path])] == expected([path])
 
 
 @pytest.mark.parametrize(
@@ -229,26 +195,21 @@ def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever
     if times == 2:
         assert [*later(folder).of([path])] == [FileHash(14, hashlib.sha256(b"half more more").digest())]
     else:
-        assert refused(later(folder), [path]).startswith(f"{path} changes while it is read")
+        assert str(path) in refused(later(folder), [path])
 
 
 @pytest.mark.parametrize("name", ["absent.png", "frames"])
-def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path: Path, folder: Path, name: str) -> None:
-    paths = [*files(tmp_path, 2), tmp_path / name]
-    assert f"{tmp_path / name} cannot be read (" in refused(later(folder), paths)
-
-
-# A database that is not as it was left
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, folder: Path, name: str) -> None:
+    assert str(tmp_path / name) in refused(later(folder), [*files(tmp_path, 2), tmp_path / name])
 
 
 @pytest.mark.parametrize(
     "damaged",
     [
-        lambda whole: whole[: len(whole) // 2],
         lambda whole: b"this is no database, whatever it is " * 1000,
         lambda whole: whole[: len(whole) // 2] + b"\xa5" * (len(whole) // 2),
     ],
-    ids=["shortened", "overwritten", "torn"],
+    ids=["overwritten", "torn"],
 )
 def test_a_damaged_database_is_begun_anew(
     tmp_path: Path,
@@ -276,7 +237,7 @@ def ask(folder: Path, *questions: str) -> list[Any]:
         return [[*database.execute(question)] for question in questions][-1]
 
 
-@pytest.mark.parametrize("stored", ["NULL", "'text'", "x'1234'", "7"])
+@pytest.mark.parametrize("stored", ["NULL", "'text'", "x'1234'"])
 def test_what_is_no_hash_is_not_taken_for_one(tmp_path: Path, folder: Path, stored: str) -> None:
     paths = files(tmp_path, 2)
     later(folder).of(paths)
@@ -312,9 +273,7 @@ def test_a_locked_database_costs_one_line_and_never_the_hashes(
         other.execute("BEGIN EXCLUSIVE")
         assert [*hashes.of(paths[:2])] == expected(paths[:2])
         assert [*hashes.of(paths)] == expected(paths)
-    assert [record.getMessage() for record in caplog.records] == [
-        f"no hashes of files are kept in {path} (database is locked): the next run reads them again"
-    ]
+    assert len(caplog.records) == 1
     assert read == {"0.png": 2, "1.png": 2, "2.png": 1, "3.png": 1}  # what was read since is known without a database
 
 
@@ -330,17 +289,6 @@ def test_where_no_database_can_be_made_the_hashes_are_right(
     paths, hashes = files(tmp_path, 3), later(folder)
     assert [[*hashes.of(paths)], [*hashes.of(paths[:1])]] == [expected(paths), expected(paths[:1])]
     assert len(caplog.records) == 1
-
-
-# Several at once
-
-
-def test_several_threads_share_the_hashes(tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    paths, hashes = files(tmp_path, 40), later(folder)
-    with ThreadPoolExecutor(6) as threads:
-        found = [*threads.map(lambda i: [*hashes.of(paths[i:] + paths[:i])], range(12))]
-    assert found == [expected(paths[i:] + paths[:i]) for i in range(12)]
-    assert caplog.records == []
 
 
 OTHER_PROCESS = """
@@ -366,9 +314,6 @@ def test_several_processes_share_the_hashes(tmp_path: Path, folder: Path, read: 
     assert not read
 
 
-# Where they lie, and what is told
-
-
 @pytest.mark.parametrize("chosen", [True, False])
 def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: bool
@@ -384,13 +329,13 @@ def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
     assert [path.name for path in folder.iterdir()] == ["files-1.sqlite3"]
 
 
-@pytest.mark.parametrize(("count", "shares"), [(9, [4 / 9, 8 / 9, 1.0]), (4, [])], ids=["many", "few"])
-def test_hashing_many_files_is_told_of(
-    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, count: int, shares: list[float]
+def test_hashing_more_files_than_a_batch_is_told_of_once(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(file_hashes, "_BATCH", 4)
-    paths, told = files(tmp_path, count), list[tuple[str, float]]()
-    with listening(lambda stage, done: told.append((stage, done))):
+    paths, told = files(tmp_path, 13), list[float]()
+    with listening(lambda _, done: told.append(done)):
+        later(folder).of(paths[:4])
         later(folder).of(paths)
         later(folder).of(paths)
-    assert told == [("hashing frames", share) for share in shares]
+    assert told == [4 / 9, 8 / 9, 1.0]
