@@ -74,36 +74,17 @@ def test_a_file_comes_whole_and_once_with_nothing_beside_it(server: Served, to: 
     assert server.net.asked == []
 
 
-def test_progress_rises_to_the_whole(server: Served, to: Path) -> None:
+def test_a_broken_connection_is_continued_and_progress_rises_to_the_whole(server: Served, to: Path) -> None:
     heard: list[tuple[str, float]] = []
-    with listening(lambda stage, done: heard.append((stage, done))):
-        get(server, to)
-    shares = [done for _, done in heard]
-    assert {stage for stage, _ in heard} == {"downloading net.pth"}
-    assert shares == sorted(shares)
-    assert shares[0] == 0
-    assert shares[-1] == 1
-    assert any(0.3 < share < 0.4 for share in shares)  # one chunk of a little more than three
-
-
-def test_what_a_broken_connection_has_brought_is_continued(server: Served, to: Path) -> None:
     server.breaks_after = CHUNK
-    get(server, to, sha256=SHA256)
+    with listening(lambda stage, done: heard.append((stage, done))):
+        get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={n * CHUNK}-" for n in (1, 2, 3)]
-
-
-def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: Served, to: Path) -> None:
-    server.content = CONTENT * 20  # 30 MB
-    had = 57 * CHUNK
-    interrupt(server, to, had)
-    get(server, to)
-    assert to.read_bytes() == server.content
-    assert all(asked.ended.wait(PATIENCE) for asked in server.net.asked)
-    rests = [asked.sent_bytes for asked in server.net.asked if asked.status == 206]
-    assert max(rests) == len(server.content) - had
-    whole = [asked.sent_bytes for asked in server.net.asked if asked.status == 200]
-    assert sum(whole) < len(server.content) / 2  # answers that were closed once their headers had come
+    shares = [done for _, done in heard]
+    assert {stage for stage, _ in heard} == {"downloading net.pth"}
+    assert (shares, shares[0], shares[-1]) == (sorted(shares), 0, 1)
+    assert any(0.3 < share < 0.4 for share in shares)  # one chunk of a little more than three
 
 
 def test_a_killed_process_leaves_what_the_next_continues(server: Served, to: Path) -> None:
@@ -135,23 +116,20 @@ def test_a_stalled_server_is_left_and_asked_again(server: Served, to: Path) -> N
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
-def test_a_server_that_keeps_silent_is_given_up(server: Served, to: Path) -> None:
+def test_a_server_that_keeps_silent_or_is_not_there_is_given_up_in_one_line(server: Served, to: Path) -> None:
     server.stalls_after = 0
-    with pytest.raises(BadInput, match=r"\(.*timed"):
-        fetch(server.url, to, timeout_seconds=0.1, pause_seconds=0.0)
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))  # and does not listen
+        absent = f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth"
+        for url in (server.url, absent):
+            with pytest.raises(BadInput) as error:
+                fetch(url, to, timeout_seconds=0.1, pause_seconds=0.0)
+            assert url in str(error.value)
+            assert "\n" not in str(error.value)
     assert not to.exists()
 
 
-def test_a_server_that_is_not_there_is_given_up_in_one_line(to: Path) -> None:
-    with socket.socket() as nobody:
-        nobody.bind(("127.0.0.1", 0))  # and does not listen
-        url = f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth"
-        with pytest.raises(BadInput, match="refused") as error:
-            fetch(url, to, pause_seconds=0.0)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("status", [429, 500, 503])
+@pytest.mark.parametrize("status", [429, 503])
 def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Served, to: Path, status: int) -> None:
     interrupt(server, to)
     server.statuses = [status, status]
@@ -160,43 +138,38 @@ def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Serv
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
 
 
-@pytest.mark.parametrize("status", [401, 403, 404, 410])
+@pytest.mark.parametrize("status", [401, 404])
 def test_a_lasting_refusal_is_reported_at_once(server: Served, to: Path, status: int) -> None:
     server.statuses = [status] * 9
-    with pytest.raises(BadInput, match=rf"net\.pth answers {status} .* store it as .*weights.net\.pth"):
+    with pytest.raises(BadInput, match=rf"net\.pth answers {status} "):
         get(server, to)
     assert len(server.net.asked) == 1
 
 
-def test_redirects_are_followed_when_continuing_too(server: Served, to: Path) -> None:
-    server.net.serve("/newer", location=server.url)
+@pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
+def test_redirects_within_the_web_alone_are_followed(server: Served, to: Path, target: str) -> None:
+    for url in (target, server.net.serve("/old", location=target)):
+        with pytest.raises(BadInput):
+            fetch(url, to, pause_seconds=0.0)
+    assert not to.exists()
     server.breaks_after = 2 * CHUNK
-    fetch(server.net.serve("/old", location="/newer"), to, pause_seconds=0.0)
+    fetch(server.net.serve("/older", location=server.url), to, pause_seconds=0.0)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
-@pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
-def test_only_the_web_is_downloaded_from_by_redirects_too(server: Served, to: Path, target: str) -> None:
-    with pytest.raises(BadInput, match="does not start with http"):
-        fetch(target, to)
-    with pytest.raises(BadInput, match="cannot be followed"):
-        fetch(server.net.serve("/old", location=target), to, pause_seconds=0.0)
-    assert not to.exists()
-
-
-def test_a_server_without_ranges_sends_the_whole_anew(server: Served, to: Path) -> None:
+def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_always_breaks(
+    server: Served, to: Path
+) -> None:
     interrupt(server, to)
     server.honours_ranges = False
-    get(server, to)
-    assert to.read_bytes() == CONTENT
-
-
-def test_a_server_without_ranges_that_always_breaks_is_given_up(server: Served, to: Path) -> None:
-    server.honours_ranges, server.breaks_after = False, 2 * CHUNK
-    with pytest.raises(BadInput, match=r"\(Download"):
+    server.breaks_after = 2 * CHUNK
+    with pytest.raises(BadInput):
         get(server, to)
     assert not to.exists()
+    server.breaks_after = None
+    get(server, to)
+    assert to.read_bytes() == CONTENT
 
 
 @pytest.mark.parametrize("dated", [False, True])
@@ -234,17 +207,11 @@ def test_a_part_longer_than_the_file_is_begun_anew(server: Served, to: Path) -> 
     assert to.read_bytes() == CONTENT[:CHUNK]
 
 
-@pytest.mark.parametrize(
-    ("stated", "message"),
-    [
-        ({"sha256": "0" * 64}, rf"gave a file with SHA-256 {SHA256}, expected {'0' * 64}"),
-        ({"size_bytes": 7}, f"gave {len(CONTENT)} bytes, expected 7"),
-    ],
-)
+@pytest.mark.parametrize(("stated", "found"), [({"sha256": "0" * 64}, SHA256), ({"size_bytes": 7}, str(len(CONTENT)))])
 def test_another_file_than_stated_is_deleted_and_named(
-    server: Served, to: Path, stated: dict[str, Any], message: str
+    server: Served, to: Path, stated: dict[str, Any], found: str
 ) -> None:
-    with pytest.raises(BadInput, match=rf"^{server.url} {message}: it was deleted"):
+    with pytest.raises(BadInput, match=f"{server.url} .*{found}"):
         get(server, to, **stated)
     assert not to.exists()
     assert left_behind(to) == []
@@ -260,10 +227,10 @@ def test_a_corrupted_part_is_deleted_and_the_next_run_is_right(server: Served, t
     assert to.read_bytes() == CONTENT
 
 
-@pytest.mark.parametrize(("content", "said"), [(PAGE, "answers with a"), (b"", "gave 0 bytes, expected more")])
-def test_a_web_page_or_nothing_is_not_taken_for_the_file(server: Served, to: Path, content: bytes, said: str) -> None:
+@pytest.mark.parametrize("content", [PAGE, b""])
+def test_a_web_page_or_nothing_is_not_taken_for_the_file(server: Served, to: Path, content: bytes) -> None:
     server.content, server.kind = content, "text/html"
-    with pytest.raises(BadInput, match=said):
+    with pytest.raises(BadInput):
         get(server, to)
     assert not to.exists()
 
@@ -282,12 +249,8 @@ def test_a_full_disk_is_named_and_what_came_is_kept(server: Served, to: Path) ->
     assert not to.exists()
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
-
-
-def test_a_folder_that_cannot_be_made_is_named(server: Served, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(BadInput, match="cannot be written"):
-        get(server, tmp_path / "file" / "net.pth")
+    with pytest.raises(BadInput, match=str(to)):
+        get(server, to / "net.pth")  # below a file no folder can be made
 
 
 class TestGoogleDrive:
