@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import yaml
-from checkout import ROOT
 from assembled import NAMES
+from checkout import ROOT
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import Chosen, TableRequest, choose, wanted

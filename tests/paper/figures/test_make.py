@@ -2,60 +2,82 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 
 import pytest
-from small_plan import RUN, Apart, install
+from PIL import Image
+from small_plan import PLAN, RUN, Apart, install
 
 from vprbench.cli import main
+from vprbench.paper.figures import style
 from vprbench.paper.figures.make import listed
 
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
+ONE = [*SMALL, "columns=[route_12]", "stored=true"]
 OF_A_COLUMN = (
-    "fig3a-frames",
-    "fig3b-similarity",
-    "fig3c-precision-recall",
-    "fig3d-recall-at-n",
-    "tolerance",
-    "rate",
-    "memory",
-    "spikes",
+    *("fig3a-frames", "fig3b-similarity", "fig3c-precision-recall", "fig3d-recall-at-n"),
+    *("tolerance", "rate", "memory", "spikes"),
 )
-NAMES = {
-    "fig2a-training-time",
-    "fig2b-query-rate",
-    "fig2c-growth",
-    *(f"{name}-{column}" for name in OF_A_COLUMN for column in ("route", "route_12")),
-}
+SPEED = {"fig2a-training-time", "fig2b-query-rate", "fig2c-growth"}
+NAMES = {*SPEED, *(f"{name}-{column}" for name in OF_A_COLUMN for column in ("route", "route_12"))}
+
+
+def quick_png(drawn: style.Drawn) -> bytes:
+    """Stand in for a rendered figure, which takes long."""
+    written = BytesIO()
+    Image.new("L", (len(drawn.figure.axes), 1)).save(written, "PNG")
+    return written.getvalue()
+
+
+def grown(folder: Path, monkeypatch: pytest.MonkeyPatch, quick: bool = True) -> Apart:
+    """Let the small plan hold in a folder, of only two sizes of the growth, and files of figures be quickly written."""
+    if quick:
+        for kind in ("png", "pdf"):
+            monkeypatch.setattr(style, kind, quick_png)
+    return install(monkeypatch, folder, PLAN.replace("[10, 12, 14, 16]", "[10, 14]"))
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Apart]]:
-    """A folder in which the figures were drawn once, and what was run for them."""
+def drawn(made: tuple[Path, Apart, int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Apart]]:
+    """A folder in which the figures were drawn once from stored runs, and what was run for them."""
     folder = tmp_path_factory.mktemp("drawn")
+    shutil.copytree(made[0] / "results", folder / "results")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        apart = install(monkeypatch, folder)
+        apart = grown(folder, monkeypatch)
         assert main(["figures", *SMALL, *RUN]) == 0
     yield folder, apart
     shutil.rmtree(folder)
 
 
 @pytest.fixture
-def copied(drawn: tuple[Path, Apart], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Apart:
+def elsewhere(drawn: tuple[Path, Apart], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Apart:
     shutil.copytree(drawn[0] / "results", tmp_path / "results")
-    return install(monkeypatch, tmp_path)
+    return grown(tmp_path, monkeypatch)
 
 
-def test_every_figure_is_there_as_pdf_and_png(drawn: tuple[Path, Apart]) -> None:
+def captioned() -> set[str]:
+    text = Path("results/figures/captions.md").read_text()
+    return {line.split("**")[1].rstrip(".") for line in text.splitlines() if line.startswith("**")}
+
+
+def pictured(page: Path) -> set[str]:
+    return set(re.findall(r'id="large-([^"]+)"', page.read_text()))
+
+
+def test_every_figure_is_there_as_pdf_and_png_with_its_caption(drawn: tuple[Path, Apart], elsewhere: Apart) -> None:
     files = {path.name for path in (drawn[0] / "results" / "figures").iterdir()}
     assert files == {f"{name}{ending}" for name in NAMES for ending in (".pdf", ".png")} | {"captions.md"}
+    assert captioned() == NAMES
 
 
-def test_every_figure_has_a_caption(drawn: tuple[Path, Apart]) -> None:
-    text = (drawn[0] / "results" / "figures" / "captions.md").read_text()
-    assert {line.split("**")[1].rstrip(".") for line in text.splitlines() if line.startswith("**")} == NAMES
+def test_only_the_growth_is_run_once_at_each_size_with_few_queries(drawn: tuple[Path, Apart]) -> None:
+    sizes = [[option for option in options if option.startswith("dataset.")] for options in drawn[1].asked]
+    assert sizes == [[f"dataset.places={n}", "dataset.query_places=6"] for n in (10, 14)]
+    assert all("frames=false" in options for options in drawn[1].asked)
 
 
 def test_a_name_in_a_caption_is_no_markup() -> None:
@@ -66,51 +88,50 @@ def test_a_name_in_a_caption_is_no_markup() -> None:
     )
 
 
-def test_the_growth_runs_once_at_each_size_with_few_queries(drawn: tuple[Path, Apart]) -> None:
-    sizes = [
-        [option for option in options if option.startswith("dataset.")]
-        for options in drawn[1].asked
-        if any(option.startswith("dataset.query_places") for option in options)
-    ]
-    assert sizes == [[f"dataset.places={n}", "dataset.query_places=6"] for n in (10, 12, 14, 16)]
+def test_the_page_holds_table_figures_and_queries(elsewhere: Apart) -> None:
+    assert main(["report", *ONE]) == 0
+    assert elsewhere.asked == []
+    (page,) = Path("results").glob("report*.html")
+    assert page.name == "report-route_12.html"
+    assert pictured(page) == {*SPEED, *(f"{name}-route_12" for name in OF_A_COLUMN)}
+    assert page.read_text().count("data:image/png;base64,") >= len(pictured(page))
+    assert "Made from 2 stored runs, the newest of " in page.read_text()
+    assert ">SAD</th>" in page.read_text()
 
 
-def test_from_the_store_alone_the_figures_are_the_same_to_the_byte(drawn: tuple[Path, Apart], copied: Apart) -> None:
-    shutil.rmtree("results/figures")
-    assert main(["figures", *SMALL, "stored=true"]) == 0
-    assert copied.asked == []
-    for path in (drawn[0] / "results" / "figures").iterdir():
-        assert Path("results/figures", path.name).read_bytes() == path.read_bytes(), path.name
-
-
-def test_the_page_holds_table_figures_and_queries_and_is_the_same_from_the_store_alone(copied: Apart) -> None:
-    assert main(["report", *SMALL, *RUN]) == 0
-    page = Path("results/report.html").read_bytes()
-    text = page.decode()
-    assert text.count("data:image/png;base64,") >= len(NAMES)
-    assert "fig2c-growth" in text
-    assert "synthetic" in text
-    assert main(["report", *SMALL, "stored=true"]) == 0
-    assert Path("results/report.html").read_bytes() == page
-
-
-def test_without_kept_frames_the_other_figures_are_drawn(copied: Apart, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_cannot_be_drawn_is_absent_alone_and_told_in_the_page(elsewhere: Apart) -> None:
     shutil.rmtree("results/frames")
-    shutil.rmtree("results/figures")
-    assert main(["figures", *SMALL, "stored=true"]) == 0
-    there = {path.stem for path in Path("results/figures").glob("*.png")}
-    assert there == NAMES - {"fig3a-frames-route", "fig3a-frames-route_12"}
+    for folder in Path("results/synthetic").glob("sad-*"):
+        if '"query_places": 6' in (folder / "run.json").read_text():
+            shutil.rmtree(folder)
+    assert main(["report", *ONE, "name=less"]) == 0
+    page = Path("results/report-less.html")
+    assert pictured(page) == {
+        *(SPEED - {"fig2c-growth"}),
+        *(f"{name}-route_12" for name in OF_A_COLUMN if name != "fig3a-frames"),
+    }
+    assert "fig2c-growth is not drawn" in page.read_text()
 
 
-def test_a_report_of_columns_without_runs_is_one_line(copied: Apart, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_of_columns_without_runs_is_one_line(elsewhere: Apart, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", *SMALL, "columns=[nordland]", "stored=true"]) == 2
     assert "holds no run of these rows and columns" in capsys.readouterr().err
     assert not list(Path("results").glob("report*.html"))
 
 
-def test_a_report_says_which_figures_are_absent(copied: Apart) -> None:
-    for folder in Path("results/synthetic").glob("sad-*"):
-        if '"query_places": 6' in (folder / "run.json").read_text():
-            shutil.rmtree(folder)
-    assert main(["report", *SMALL, "stored=true"]) == 0
-    assert "fig2c-growth is not drawn" in Path("results/report.html").read_text()
+@pytest.mark.extended
+def test_from_the_store_alone_figures_and_page_are_the_same_to_the_byte(
+    drawn: tuple[Path, Apart], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(drawn[0] / "results", tmp_path / "results")
+    apart = grown(tmp_path, monkeypatch, quick=False)
+    files = []
+    for more in (RUN, ["stored=true"]):
+        shutil.rmtree("results/figures")
+        for command in ("figures", "report"):
+            assert main([command, *SMALL, "columns=[route_12]", *more]) == 0
+        written = [*Path("results/figures").iterdir(), Path("results/report-route_12.html")]
+        files.append({path.name: path.read_bytes() for path in written})
+    assert apart.asked == []
+    assert files[0] == files[1]
+    assert len(files[0]) == 2 * (len(SPEED) + len(OF_A_COLUMN)) + 2
