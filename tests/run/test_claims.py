@@ -1,4 +1,4 @@
-"""Claims on runs: of many processes one has it, the dead hold nothing, and nothing is left behind."""
+"""A run is claimed while it is made: of many processes one makes it, the dead hold nothing, and `status` tells."""
 
 from __future__ import annotations
 
@@ -8,20 +8,32 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Barrier
+from typing import Any, Self
 
 import pytest
 from checkout import ROOT
+from little import Lookup, a_failure, a_run, journey
+from little_runs import QUICK, asked_for, table
 
-from vprbench import ending
-from vprbench.run import claims
-from vprbench.run.claims import EXPIRES_SECONDS, Claim, Claims, Held
+from vprbench import cli
+from vprbench.api.images import Images
+from vprbench.run import claims, find_or_make
+from vprbench.run.claims import EXPIRES_SECONDS, Claim, Claims, Held, HeldElsewhereError
+from vprbench.run.find_or_make import FailedElsewhereError, Made
+from vprbench.run.processes import IN_SWEEP, SINCE
+from vprbench.run.settings import Settings
+from vprbench.run.store import Store
+
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 KEY = "journey/little-0123456789abcdef"
+ABOUT = {"method": "little", "dataset": "journey", "seed": 3, "device": "cpu", "corruption": "shift-1"}
 ELSEWHERE = {"token": "theirs", "machine": "another", "host": "far", "process": 1, "parent": 1, "started": 1}
 OWNER = """
 import os, sys, time
@@ -44,83 +56,62 @@ def owner(root: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def claimed(root: Path, silent_seconds: float, text: str | None = None) -> Path:
+def claimed(root: Path, silent_seconds: float, text: str = json.dumps(ELSEWHERE)) -> Path:
     """Write the claim of a process of another host, which has been silent for so long."""
     taken = Claims(root).take(KEY, {})
     assert isinstance(taken, Claim)
-    taken.path.write_text(json.dumps(ELSEWHERE) if text is None else text)
-    moment = time.time() - silent_seconds
-    os.utime(taken.path, (moment, moment))
+    taken.path.write_text(text)
+    os.utime(taken.path, (time.time() - silent_seconds,) * 2)
     return taken.path
 
 
-def test_a_claim_tells_who_has_it_since_when_and_how_far(tmp_path: Path) -> None:
-    with Claims(tmp_path).take(KEY, {"method": "little"}) as claim:
-        claim.tell("fit", 0.25)
-        (held,) = Claims(tmp_path).held()
-    assert held.alive
-    assert (held.words["process"], held.words["parent"]) == (os.getpid(), os.getppid())
-    assert abs(held.words["since"] - time.time()) < 60
-    told = {name: held.words[name] for name in ("key", "about", "stage", "done")}
-    assert told == {"key": KEY, "about": {"method": "little"}, "stage": "fit", "done": 0.25}
-
-
-def test_of_all_who_want_a_run_one_gets_it_and_after_it_the_next(tmp_path: Path) -> None:
-    first = Claims(tmp_path).take(KEY, {})
-    assert isinstance(first, Claim)
-    assert isinstance(Claims(tmp_path).take(KEY, {}), Held)
-    assert isinstance(Claims(tmp_path).take(f"{KEY}0", {}), Claim)
-    first.release()
-    assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
-
-
 @pytest.mark.parametrize("key", [KEY, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
-def test_a_run_of_any_name_is_claimed_in_the_store_and_nothing_of_it_is_left(key: str, tmp_path: Path) -> None:
-    with Claims(tmp_path / "results").take(key, {}) as claim:
-        assert [*(tmp_path / "results" / ".claims").iterdir()] == [claim.path]
-    assert [*(tmp_path / "results").iterdir()] == []
+def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(
+    key: str, tmp_path: Path
+) -> None:
+    for _ in range(2):
+        with Claims(tmp_path / "results").take(key, {}) as claim:
+            assert isinstance(Claims(tmp_path / "results").take(key, {}), Held)
+            assert [*(tmp_path / "results" / ".claims").iterdir()] == [claim.path]
+            with Claims(tmp_path / "results").take(f"{key}0", {}) as other:
+                assert isinstance(other, Claim)
+        assert [*(tmp_path / "results").iterdir()] == []
 
 
-def test_the_claim_of_a_dead_owner_is_free_at_once_and_that_of_a_stopped_one_is_not(tmp_path: Path) -> None:
+def test_the_claim_of_a_living_owner_is_held_and_of_a_dead_one_is_free_once_its_parent_has_stored_its_failure(
+    tmp_path: Path,
+) -> None:
     with owner(tmp_path) as process:
         held = Claims(tmp_path).take(KEY, {})
         assert isinstance(held, Held)
-        assert held.words["process"] == process.pid
+        words = dict(held.words)
+        assert words["process"] == process.pid
         process.send_signal(signal.SIGSTOP)
         os.utime(held.path, (1.0, 1.0))
         assert isinstance(Claims(tmp_path).take(KEY, {}), Held)
-        process.kill()
-        process.wait()
-        assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
-
-
-def test_an_owner_is_no_other_process_that_got_its_number(tmp_path: Path) -> None:
-    with owner(tmp_path):
-        (held,) = Claims(tmp_path).held()
-        held.path.write_text(json.dumps({**held.words, "started": held.words["started"] - 1}))
-        assert not claims.is_held(held.path)
-
-
-def test_a_dead_owner_holds_its_claim_until_who_waits_for_it_has_stored_its_failure(tmp_path: Path) -> None:
-    with owner(tmp_path) as process:
-        (held,) = Claims(tmp_path).held()
-        words = dict(held.words)
-        waits = {"parent": words["process"], "parent_started": words["started"]}
+        claims.beat(held.path)  # as who waits for the process does
+        assert time.time() - held.path.stat().st_mtime < 60
+        claims.clear(held.path)
+        assert held.path.exists()
         other = held.path.with_name("another")
-        other.write_text(json.dumps({**words, **waits, "process": 2**30}))
-        assert claims.is_held(other)
+        for changes, lives in (
+            ({"started": words["started"] - 1}, False),  # another process that got its number
+            ({"process": 2**30, "parent": words["process"], "parent_started": words["started"]}, True),
+        ):
+            other.write_text(json.dumps({**words, **changes}))
+            assert claims.is_held(other) == lives
         process.kill()
         process.wait()
         assert not claims.is_held(other)
+        assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
 
 
-@pytest.mark.parametrize("text", [None, "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
+@pytest.mark.parametrize("text", [json.dumps(ELSEWHERE), "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
 def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(text: str, tmp_path: Path) -> None:
     path = claimed(tmp_path, EXPIRES_SECONDS - 10, text)
     assert claims.is_held(path)
     assert isinstance(Claims(tmp_path).take(KEY, {}), Held)
-    moment = time.time() - EXPIRES_SECONDS - 10
-    os.utime(path, (moment, moment))
+    os.utime(path, (time.time() - EXPIRES_SECONDS - 10,) * 2)
     assert not claims.is_held(path)
     assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
 
@@ -128,9 +119,9 @@ def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(t
 def test_a_dead_claim_is_taken_over_by_one_of_many(tmp_path: Path) -> None:
     for _ in range(30):
         claimed(tmp_path, 2 * EXPIRES_SECONDS)
-        at_once = Barrier(4)
+        at_once = threading.Barrier(4)
 
-        def take(_: int, at_once: Barrier = at_once) -> Claim | Held:
+        def take(_: int, at_once: threading.Barrier = at_once) -> Claim | Held:
             at_once.wait()
             return Claims(tmp_path).take(KEY, {})
 
@@ -156,35 +147,20 @@ def test_an_owner_that_was_taken_for_dead_knows_it_and_touches_nothing_of_the_ne
     assert lost.path.stat().st_mtime_ns == before.st_mtime_ns
 
 
-def test_who_waits_for_a_process_keeps_its_claim_alive_and_clears_it_away(tmp_path: Path) -> None:
-    with owner(tmp_path) as process:
-        (held,) = Claims(tmp_path).held()
-        os.utime(held.path, (1.0, 1.0))
-        claims.beat(held.path)
-        assert time.time() - held.path.stat().st_mtime < 60
-        claims.clear(held.path)
-        assert held.path.exists()
-        process.kill()
-        process.wait()
-        claims.clear(held.path)
-    assert [*tmp_path.iterdir()] == []
-
-
-def test_where_nobody_waits_for_a_process_it_beats_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_nobody_waits_for_beats_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "BEAT_SECONDS", 0.01)
-    assert not ending.waited_for()
     with Claims(tmp_path).take(KEY, {}) as claim:
         os.utime(claim.path, (1.0, 1.0))
+        until = time.monotonic() + 20
         while claim.path.stat().st_mtime == 1.0:
+            assert time.monotonic() < until
             time.sleep(0.01)
 
 
 def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_path: Path) -> None:
-    with owner(tmp_path) as process:
-        (held,) = Claims(tmp_path).held()
-    assert process.returncode == -signal.SIGKILL
-    held.path.rename(held.path.with_name(".partial-1"))
-    os.utime(held.path.with_name(".partial-1"), (1.0, 1.0))
+    left = claimed(tmp_path, 2 * EXPIRES_SECONDS)
+    left.rename(left.with_name(".partial-1"))
+    os.utime(left.with_name(".partial-1"), (1.0, 1.0))
     claimed(tmp_path, 2 * EXPIRES_SECONDS)
     with Claims(tmp_path).take("another", {}) as claim:
         Claims(tmp_path).tidy()
@@ -202,4 +178,208 @@ def test_where_nothing_can_be_claimed_the_run_is_made_all_the_same(
         assert claim.kept()
     assert Claims(tmp_path).held() == []
     (warning,) = caplog.records
-    assert f"{KEY} cannot be claimed (" in warning.getMessage()
+    assert KEY in warning.getMessage()
+
+
+# Runs that are claimed
+
+
+@dataclass
+class Busy(Lookup):
+    """Does something while it is fitted, and counts how often it was."""
+
+    during: Callable[[], object] = lambda: None
+    fits: list[int] = field(default_factory=list)
+
+    def fit(self, references: Images, places: Any) -> Self:
+        self.fits.append(1)
+        self.during()
+        return super().fit(references, places)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "results")
+
+
+def busy(during: Callable[[], object] = lambda: None) -> Busy:
+    return Busy(table(4, 4), during=during)
+
+
+def made(method: Busy, store: Store) -> Made:
+    request = asked_for(method, journey(4, 4), replace(QUICK, rates=False), files=find_or_make.networks.Files())
+    request = replace(request, config={**request.config, "files": []})
+    return find_or_make.made(request, Settings(frames=False, timing=request.protocol), store, {})
+
+
+def claim_of_another(store: Store) -> Claim:
+    """Claim the run of `made` as another process would: it is known by what it would be stored as."""
+    elsewhere = Store(store.root.with_name("elsewhere"))
+    made(busy(), elsewhere)
+    (folder,) = (elsewhere.root / "journey").iterdir()
+    claim = Claims(store.root).take(f"journey/{folder.name}", {})
+    assert isinstance(claim, Claim)
+    return claim
+
+
+def failure_of(method: Busy) -> Any:
+    config = {**asked_for(method, journey(4, 4)).config, "files": []}
+    return a_failure(method="little", dataset="journey", config=config, error="ValueError: no", missing=False)
+
+
+def test_a_run_is_claimed_while_it_is_made_and_nothing_is_left_of_the_claim_nor_is_a_stored_one_claimed(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[dict[str, Any]] = []
+    made(busy(lambda: seen.extend(dict(held.words) for held in Claims(store.root).held())), store)
+    (words,) = seen
+    assert words["about"] == {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
+    assert words["stage"] == "fit"
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+    monkeypatch.setattr(Claims, "take", None)
+    assert made(busy(), store).from_store
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error: type[BaseException], store: Store) -> None:
+    def fail() -> None:
+        assert len(Claims(store.root).held()) == 1
+        raise error
+
+    with pytest.raises(error):
+        made(busy(fail), store)
+    assert [*store.root.iterdir()] == []
+
+
+def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim, method = claim_of_another(store), busy()
+    monkeypatch.setenv(IN_SWEEP, "1")
+    with pytest.raises(HeldElsewhereError) as raised:
+        made(method, store)
+    assert (raised.value.claim, method.fits) == (claim.path, [])
+    claim.release()
+    assert not made(method, store).from_store
+    assert method.fits == [1]
+
+
+def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_store(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claims, "_LOOK_EVERY", 0.01)
+    begun, waited_for = threading.Event(), threading.Event()
+
+    def wait(path: Path) -> None:
+        waited_for.set()
+        claims.wait(path)
+
+    monkeypatch.setattr(find_or_make, "wait", wait)
+    other = threading.Thread(target=made, args=(busy(lambda: begun.set() or waited_for.wait(20)), store))
+    other.start()
+    begun.wait(20)
+    method = busy()
+    assert made(method, store).from_store
+    other.join()
+    assert method.fits == []
+    assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim, method = claim_of_another(store), busy()
+
+    def fail(_: Path) -> None:
+        store.save_failure(failure_of(method))
+        claim.release()
+
+    monkeypatch.setattr(find_or_make, "wait", fail)
+    with pytest.raises(FailedElsewhereError, match="little on journey failed .*: ValueError: no"):
+        made(method, store)
+    assert method.fits == []
+
+
+def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.prepare()
+    method = busy()
+    before = Claims(store.root).now() - 1
+    store.save_failure(failure_of(method))
+    monkeypatch.setenv(SINCE, repr(before))
+    with pytest.raises(FailedElsewhereError):
+        made(method, store)
+    monkeypatch.setenv(SINCE, repr(before + 60))
+    assert not made(method, store).from_store
+    assert method.fits == [1]
+
+
+def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lose() -> None:
+        (held,) = Claims(store.root).held()
+        held.path.write_text(json.dumps({"token": "theirs"}))
+
+    monkeypatch.setenv(IN_SWEEP, "1")
+    with pytest.raises(HeldElsewhereError):
+        made(busy(lose), store)
+    assert [*store.runs()] == []
+    assert len(Claims(store.root).held()) == 1
+
+
+# What `status` tells
+
+
+def printed(capsys: pytest.CaptureFixture[str], store: Store, *options: str) -> str:
+    assert cli.main(["status", f"results={store.root}", *options]) == 0
+    return capsys.readouterr().out
+
+
+def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stands_there_with_stage_and_owner(
+    store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store.prepare()
+    for seed in range(3):
+        store.save(a_run(key=f"{seed % 2}"))
+        store.save_failure(a_failure(config={"seed": seed}))
+    for path in (".partial-1/run.json", "journey/.damaged-1/run.json", "descriptors/1/2/run.json"):
+        (store.root / path).parent.mkdir(parents=True)
+        (store.root / path).write_text("{}")
+    assert len(printed(capsys, store).splitlines()) == 2
+    with Claims(store.root).take("journey/little-1", ABOUT) as claim:
+        claim.tell("fit, reading images", 0.25)
+        head, row = printed(capsys, store, "wide=true").splitlines()[1:]
+        told = json.loads(printed(capsys, store, "output=json"))
+    assert head.split()[:3] == ["run", "stage", "%"]
+    assert row.startswith("little on journey, shift-1  fit")
+    assert (told["runs"], told["failures"]) == (2, 3)
+    (made,) = told["claims"]
+    assert {name: made[name] for name in ABOUT} == ABOUT
+    assert (made["stage"], made["done"], made["process"]) == ("fit, reading images", 0.25, os.getpid())
+    assert made["alive"]
+    assert made["silent_seconds"] < 30
+
+
+def test_the_claim_of_a_dead_owner_and_one_that_is_not_all_there_stand_there_too(
+    store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = store.root / ".claims"
+    folder.mkdir(parents=True)
+    (folder / "half").write_text('{"about": {"met')
+    (folder / "odd").write_text('{"about": 3, "since": "x", "done": "x", "owner": "\\u001b[2J"}')
+    (folder / "old").write_text("")
+    os.utime(folder / "old", (1.0, 1.0))
+    lines = printed(capsys, store, "wide=true").splitlines()
+    assert len(lines) == 5
+    assert ["dead" in line for line in lines[2:]].count(True) == 1
+    assert "\x1b" not in "".join(lines)
+
+
+def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
+    assert "/nowhere" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []

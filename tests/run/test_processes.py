@@ -1,21 +1,21 @@
-"""Runs in processes of their own: how each ended is known, whatever became of it, and it ends with who started it."""
+"""Runs in processes of their own: how each ended is known, and one cell of a host is timed while the others stand."""
 
 from __future__ import annotations
 
 import json
-import os
 import signal
+import subprocess
 import sys
 import tempfile
-import threading
 import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from threading import Event, Timer
 
 import psutil
 import pytest
-from checkout import ROOT
 
 from vprbench import cli
 from vprbench.cluster import crew
@@ -25,19 +25,19 @@ from vprbench.run.store import Store
 from vprbench.storage import owner
 
 RUN = {"method": "little", "dataset": "journey", "config": {"seed": 4}}
-STUCK = """import os, pathlib, sys, time, types
-
-def main():
-    pathlib.Path("it").write_text(str(os.getpid()))
-    time.sleep(60)
-
-sys.modules["vprbench.cli"] = types.SimpleNamespace(main=main)
-"""
 GOOD = '{"code": 0}'
+HOLDER = "from vprbench.run import slot\nwith slot.alone(): print(flush=True), __import__('time').sleep(60)"
+Ends = Callable[..., Ending]
+
+
+@pytest.fixture(autouse=True)
+def _host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work on a host where nothing runs."""
+    monkeypatch.setenv(slot.FOLDER, str(tmp_path / "slot"))
 
 
 @pytest.fixture
-def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
     """Return what runs a script in place of the command line, and says how it ended."""
 
     def run(script: str, *arguments: str) -> Ending:
@@ -50,23 +50,15 @@ def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return run
 
 
-def test_a_run_apart_is_given_its_options_and_told_that_it_is_one_of_many(ends, tmp_path: Path) -> None:
-    asked = tmp_path / "asked"
-    script = f"""echo "$@" "$VPRBENCH_IN_SWEEP" > {asked}; echo '{GOOD}' > "$VPRBENCH_ENDING" """
-    assert ends(script, "method=sad", "seed=1") == Ending(0)
-    assert asked.read_text().split()[-5:] == ["-m", "vprbench", "method=sad", "seed=1", "1"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="files without a name that another process opens")
-def test_a_run_apart_has_no_temporary_file_that_a_kill_could_leave(
-    ends, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_run_apart_is_given_its_options_told_that_it_is_one_of_many_and_leaves_no_temporary_file(
+    ends: Ends, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    temporary = tmp_path / "temporary"
+    asked, temporary = tmp_path / "asked", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    script = f"""ls -A {temporary} > {tmp_path}/seen; echo '{GOOD}' > "$VPRBENCH_ENDING" """
-    assert ends(script) == Ending(0)
-    assert (tmp_path / "seen").read_text() == ""
+    script = f"""echo "$@" "$VPRBENCH_IN_SWEEP" `ls -A {temporary}` > {asked}; echo '{GOOD}' > "$VPRBENCH_ENDING" """
+    assert ends(script, "method=sad", "seed=1") == Ending(0)
+    assert asked.read_text().split()[-5:] == ["-m", "vprbench", "method=sad", "seed=1", "1"]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +66,6 @@ def test_a_run_apart_has_no_temporary_file_that_a_kill_could_leave(
     [
         ("exit 0", 1, "exit code 0"),
         ("exit 3", 1, "exit code 3"),
-        ("kill -KILL $$", 1, "signal 9 (SIGKILL)"),
         ("kill -SEGV $$", 1, "signal 11 (SIGSEGV)"),
         (f"""echo '{GOOD[:-1]}' > "$VPRBENCH_ENDING" """, 1, "exit code 0"),  # died while it wrote
         (f"""echo '{GOOD}' > "$VPRBENCH_ENDING"; kill -SEGV $$""", 0, ""),  # died after all was done
@@ -82,16 +73,15 @@ def test_a_run_apart_has_no_temporary_file_that_a_kill_could_leave(
     ],
 )
 def test_what_a_process_said_counts_and_one_that_said_nothing_has_failed(
-    ends, script: str, code: int, words: str, capfd: pytest.CaptureFixture[str]
+    ends: Ends, script: str, code: int, words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ending = ends(script)
-    assert (ending.code, ending.missing) == (code, code == 2)
-    assert ending.error.endswith(words) or words in ending.error
+    assert (ending.code, ending.missing, words in ending.error) == (code, code == 2, True)
     assert len(capfd.readouterr().err.splitlines()) == (code == 1)
 
 
 def test_a_run_that_dies_is_a_stored_failure_with_its_signal(
-    ends, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    ends: Ends, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     begun = {"run": RUN, "results": str(tmp_path / "results"), "threads": 1, "output": "json"}
     (tmp_path / "begun").write_text(json.dumps(begun))
@@ -104,7 +94,7 @@ def test_a_run_that_dies_is_a_stored_failure_with_its_signal(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) -> None:
+def test_being_told_to_end_ends_the_process_too(ends: Ends, number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt) as ended:
         ends(f"kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
@@ -112,29 +102,79 @@ def test_being_told_to_end_ends_the_process_too(ends, number: signal.Signals) ->
     assert signal.getsignal(number) is before
 
 
-@pytest.fixture
-def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work on a host where nothing runs."""
-    monkeypatch.setenv(slot.FOLDER, str(tmp_path / "slot"))
+@pytest.mark.parametrize("in_sweep", [True, False])
+def test_an_interruption_is_told_once_by_the_process_that_was_asked(
+    in_sweep: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt(signal.SIGTERM)
+
+    monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
+    monkeypatch.setenv(processes.IN_SWEEP, "1" if in_sweep else "")
+    assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
+    assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
 
 
-@pytest.mark.usefixtures("host")
+@pytest.mark.parametrize(("after", "words"), [(4, "out of memory on "), (3, "not for want of memory")])
+def test_a_kill_for_want_of_memory_is_told_from_another(
+    ends: Ends, after: int, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = iter([3, after])
+    monkeypatch.setattr(watched, "_oom_kills", lambda: {"/proc/vmstat": next(counts)})
+    assert words in ends("kill -KILL $$").error
+
+
+def test_a_dead_child_leaves_no_claim_and_no_half_file(ends: Ends, tmp_path: Path) -> None:
+    store, host = tmp_path / "results", owner.mark().partition("-")[0]
+    (store / ".claims").mkdir(parents=True)
+    claim = store / ".claims" / "it"
+    words = json.dumps({**owner.this_process(), "process": 1234567, "started": 7654321})
+    (tmp_path / "words").write_text(words)
+    (tmp_path / "begun").write_text(json.dumps({"claim": str(claim), "results": str(store)}))
+    others = store / f".partial-{owner.mark()}-x"
+    others.touch()
+    ends(
+        "started=$(cut -d' ' -f22 /proc/$$/stat)\n"
+        f'sed "s/1234567/$$/;s/7654321/$started/" {tmp_path}/words > {claim}\n'
+        f"touch {store}/.partial-{host}-$$-$started-y\n"
+        f'cat {tmp_path}/begun > "$VPRBENCH_ENDING"; kill -KILL $$'
+    )
+    assert [path.name for path in store.iterdir()] == [others.name]
+
+
+def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or Ending(len(asked) % 2))
+    monkeypatch.chdir(tmp_path)
+    places = "dataset.references=[a,b]"
+    assert cli.main(["method=vprtempo,vprtempo_int8", "method.max_module=921", "-m", "seed=0,1", places]) == 1
+    assert [options[:3] for options in asked] == [
+        [f"method={method}", "method.max_module=921", f"seed={seed}"]
+        for method in ("vprtempo", "vprtempo_int8")
+        for seed in (0, 1)
+    ]
+    assert all(places in options for options in asked)
+
+
+# One cell of a host is timed at a time
+
+
 def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_stands_still(
-    ends, tmp_path: Path
+    ends: Ends, tmp_path: Path
 ) -> None:
     ticks, words = tmp_path / "ticks", '"$VPRBENCH_ENDING"'
     limit, bound = tmp_path / "limit", '{"bound": true}'
-    loop = f"for i in 1 2 3 4 5 6 7 8 9 10; do date +%s%N >> {ticks}; cat {limit} >> {words}; sleep 0.1; done"
+    loop = f"for i in 1 2 3 4 5 6 7 8 9 10; do date +%s%N >> {ticks}; cat {limit} >> {words}; sleep 0.05; done"
     script = f"echo '{bound}' >> {words}; touch {limit}; {loop}; cp {words} {tmp_path}/said; echo '{GOOD}' >> {words}"
     with ThreadPoolExecutor(1) as pool:
         ending = pool.submit(ends, script)
         while not ticks.exists():
             time.sleep(0.01)
-        limit.write_text(json.dumps({"until": time.monotonic() + 3, "limit_minutes": 0.05}) + "\n")
-        time.sleep(0.2)
+        limit.write_text(json.dumps({"until": time.monotonic() + 2, "limit_minutes": 0.03}) + "\n")
+        time.sleep(0.1)
         with slot.alone() as alone:
             began = time.time_ns()
-            time.sleep(3)
+            time.sleep(2)
             ended = time.time_ns()
             assert alone()
         assert ending.result() == Ending(0)
@@ -142,14 +182,12 @@ def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_st
     assert len(seen) == 10
     assert not [moment for moment in seen if began < moment < ended]
     told = [json.loads(line).get("stopped", 0) for line in (tmp_path / "said").read_text().splitlines()]
-    assert 3 <= max(told) < 4
+    assert 2 <= max(told) < 3
 
 
-@pytest.mark.usefixtures("host")
-def test_a_stopped_cell_is_interrupted_at_once(ends) -> None:
+def test_a_stopped_cell_is_interrupted_at_once(ends: Ends) -> None:
     script = """echo '{"bound": true}' > "$VPRBENCH_ENDING"; (sleep 0.5; kill -INT $PPID) & exec sleep 20"""
-    began = threading.Event()
-    over = threading.Event()
+    began, over = Event(), Event()
 
     def hold() -> None:
         time.sleep(0.2)
@@ -167,79 +205,84 @@ def test_a_stopped_cell_is_interrupted_at_once(ends) -> None:
     assert time.monotonic() - started < 5
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="processes that end with their parent")
-@pytest.mark.usefixtures("host")
-def test_a_stopped_cell_ends_with_a_killed_parent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "sitecustomize.py").write_text(STUCK)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
-    monkeypatch.chdir(tmp_path)
-    waiting = "from vprbench.run.processes import run_apart; run_apart(['seed=1'])"
-    with psutil.Popen([sys.executable, "-c", waiting]) as parent:
-        while not (tmp_path / "it").exists() or not (tmp_path / "it").read_text():
-            time.sleep(0.02)
-        child = psutil.Process(int((tmp_path / "it").read_text()))
+def test_who_wants_to_be_alone_waits_for_the_others() -> None:
+    place = slot.Place(1)
+    place.enter()
+    Timer(0.3, place.leave).start()
+    began = time.monotonic()
+    with slot.alone() as alone:
+        assert time.monotonic() - began >= 0.3
+        assert slot.taken()
+        assert alone()
+    assert not slot.taken()
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slot, "_PATIENCE", 0.0)
+    place = slot.Place(1)
+    with ExitStack() as until_now:
+        if stays:
+            place.enter()
+        alone = until_now.enter_context(slot.alone())
+        time.sleep(0.02)
+        place.enter()
+        place.end()
+        assert not alone()
+
+
+def test_a_cell_that_came_and_went_has_disturbed_and_one_that_was_killed_is_forgotten() -> None:
+    killed = slot.folder() / "running" / "1-0"
+    killed.parent.mkdir()
+    killed.touch()
+    undisturbed = slot.undisturbed()
+    assert undisturbed()
+    assert not killed.exists()
+    time.sleep(0.02)
+    place = slot.Place(1)
+    place.enter()
+    assert not undisturbed()
+    place.end()
+    assert not undisturbed()
+    time.sleep(0.02)
+    assert slot.undisturbed()()
+
+
+@contextmanager
+def held_elsewhere() -> Iterator[psutil.Popen]:
+    """Let another process have the slot."""
+    with psutil.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline()
+        yield process
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
+
+
+def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for() -> None:
+    with held_elsewhere() as process:
+        assert slot.taken()
+        process.suspend()
+        while process.status() != psutil.STATUS_STOPPED:
+            time.sleep(0.01)
+        assert not slot.taken()
+        with slot.alone() as alone:
+            assert not alone()
+        process.kill()
+        process.wait()
         with slot.alone() as alone:
             assert alone()
-            assert child.status() == psutil.STATUS_STOPPED
-            parent.kill()
-            child.wait(10)
 
 
-@pytest.mark.parametrize(("after", "words"), [(4, "out of memory on "), (3, "not for want of memory")])
-def test_a_kill_for_want_of_memory_is_told_from_another(
-    ends, after: int, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    counts = iter([3, after])
-    monkeypatch.setattr(watched, "_oom_kills", lambda: {"/proc/vmstat": next(counts)})
-    assert words in ends("kill -KILL $$").error
-
-
-def test_a_dead_child_leaves_no_claim_and_no_half_file(ends, tmp_path: Path) -> None:
-    store, host = tmp_path / "results", owner.mark().partition("-")[0]
-    (store / ".claims").mkdir(parents=True)
-    claim = store / ".claims" / "it"
-    words = json.dumps({**owner.this_process(), "process": 1234567, "started": 7654321})
-    (tmp_path / "words").write_text(words)
-    (tmp_path / "begun").write_text(json.dumps({"claim": str(claim), "results": str(store)}))
-    others = store / f".partial-{owner.mark()}-x"
-    others.touch()
-    ends(
-        "started=$(cut -d' ' -f22 /proc/$$/stat)\n"
-        f'sed "s/1234567/$$/;s/7654321/$started/" {tmp_path}/words | tee {claim} > {tmp_path}/copy\n'
-        f"touch {store}/.partial-{host}-$$-$started-y\n"
-        f'cat {tmp_path}/begun > "$VPRBENCH_ENDING"; kill -KILL $$'
-    )
-    assert json.loads((tmp_path / "copy").read_text())["machine"] == owner.this_process()["machine"]
-    assert [path.name for path in store.iterdir()] == [others.name]
-
-
-@pytest.mark.parametrize("in_sweep", [True, False])
-def test_an_interruption_is_told_once_by_the_process_that_was_asked(
-    in_sweep: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt() -> None:
-        raise KeyboardInterrupt(signal.SIGTERM)
-
-    monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
-    monkeypatch.setenv(processes.IN_SWEEP, "1" if in_sweep else "")
-    assert cli.main(["method=sad"]) == 128 + signal.SIGTERM
-    assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
-
-
-def test_an_option_of_a_sweep_goes_to_each_of_its_methods(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level("INFO")
-    asked: list[list[str]] = []
-    monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or Ending(len(asked) % 2))
-    monkeypatch.chdir(tmp_path)
-    methods, places = ["vprtempo", "vprtempo_int8"], "dataset.references=[a,b]"
-    swept = [f"method={','.join(methods)}", "method.rules=paper,reference", "method.max_module=921"]
-    assert cli.main([*swept, "-m", "dataset=nordland_64x32", "seed=0,1", places]) == 1
-    assert [options[:3] for options in asked] == [
-        [f"method={method}", f"method.rules={rules}", "method.max_module=921"]
-        for method, rules, _ in product(methods, ("paper", "reference"), (0, 1))
-    ]
-    assert all(places in options and "dataset=nordland_64x32" in options for options in asked)
-    assert [options[4] for options in asked] == ["seed=0", "seed=1"] * 4
-    assert [record.name for record in caplog.records] == ["vprbench.cluster.sweep"] * 8  # none of Hydra's
+def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
+    slot._gpus.cache_clear()
+    with slot.turn(["device=cpu", "device=cuda"], lambda: False) as first:
+        assert first == {"CUDA_VISIBLE_DEVICES": "GPU-a"}
+        with slot.turn(["device=cuda:1"], lambda: False) as numbered, slot.turn(["seed=1"], lambda: False) as none:
+            assert numbered == none == {}
+            looks = iter([False, True])
+            with slot.turn(["device=cuda"], lambda: next(looks)) as given_up:
+                assert given_up == {}
+        with slot.turn(["device=cuda"], lambda: False) as second:
+            assert second == {"CUDA_VISIBLE_DEVICES": "GPU-b"}
+    slot._gpus.cache_clear()

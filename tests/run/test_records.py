@@ -517,7 +517,7 @@ def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_in
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     content = {"method": {"window": 5, "name": "sad"}, "code": "c0de"}
-    text = '{"code":"c0de","method":{"name":"sad","window":5},"schema":%d}' % SCHEMA
+    text = '{"code":"c0de","method":{"name":"sad","window":5},"schema":' + f"{SCHEMA}}}"
     key = content_key(content)
     assert key == hashlib.sha256(text.encode()).hexdigest()[:16]
     assert key == content_key({"code": "c0de", "method": {"name": "sad", "window": 5}})

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import importlib.util
+import importlib
 import inspect
 import json
+import linecache
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
-from little import Lookup, journey, picture, pictures
+from checkout import ROOT
+from little import Lookup, journey, pictures
 from little_runs import QUICK, asked_for, run_of
+from small_plan import RUN
 
 from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
+from vprbench.cli import main
 from vprbench.methods.hog import HOG
+from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
+from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
-from vprbench.run import harness, machine
+from vprbench.run import harness, machine, sources
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import code_hash, fingerprint
-from vprbench.run.sources import meaning
+from vprbench.run.loose_code import UntoldError
 from vprbench.run.stopwatch import Protocol
 
 pytestmark = pytest.mark.usefixtures("surroundings")
-
 
 DECIDED = Path(__file__).with_name("harness.json")
 METHOD = Lookup(np.ones((6, 4), np.float32))
@@ -45,36 +51,34 @@ def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int
         {"seed": 1},
         {"depth": 4},
         {"threads": 2},
-        {"dataset": replace(journey(6, 4), name="voyage")},
-        {"dataset": replace(journey(6, 4), protocol={"queries": "dawn", "tolerance_places": 0})},
-        {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
-        {"dataset": replace(journey(6, 4), queries=pictures([0, 1, 2, 3, 4, 6]))},
-        {"dataset": replace(journey(6, 4), queries=pictures([1, 0, 2, 3, 4, 5]))},
-        {"dataset": replace(journey(6, 4), references=pictures([0, 1, 2, 4]))},
-        {"dataset": replace(journey(6, 4), places=np.array([0, 1, 3, 2]))},
-        {"dataset": corrupted(journey(6, 4), "shift-1")},
+        *(
+            {"dataset": dataset}
+            for dataset in (
+                replace(journey(6, 4), name="voyage"),
+                replace(journey(6, 4), protocol={"queries": "dawn", "tolerance_places": 0}),
+                journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]]),
+                replace(journey(6, 4), queries=pictures([0, 1, 2, 3, 4, 6])),
+                replace(journey(6, 4), queries=pictures([1, 0, 2, 3, 4, 5])),
+                replace(journey(6, 4), references=pictures([0, 1, 2, 4])),
+                replace(journey(6, 4), places=np.array([0, 1, 3, 2])),
+                corrupted(journey(6, 4), "shift-1"),
+            )
+        ),
     ],
 )
 def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any]) -> None:
     assert key(**changes) != key()
 
 
-def test_another_device_has_another_key_and_another_version_of_this_package_has_not(
+def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_of_the_network(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    before, version = key(), importlib.metadata.version
-    with monkeypatch.context() as patch:
-        patch.setattr(machine, "processor", lambda: "Abacus 10")
-        assert key() != before
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: "9.9" if name == "vprbench" else version(name))
-    assert (key(), machine.capture("cpu", 1)["vprbench"]) == (before, "9.9")
-
-
-def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_training() -> None:
     files = [Files(sha256=network) for network in (None, "a" * 64, "b" * 64, None)]
     keys = [asked_for(METHOD, journey(6, 4), files=given).key() for given in files]
-    assert len(set(keys)) == 3
-    assert keys[0] == keys[3]
+    assert (len(set(keys)), keys[0]) == (3, keys[3])
+    before = key()
+    monkeypatch.setattr(machine, "processor", lambda: "Abacus 10")
+    assert key() != before
 
 
 @pytest.mark.parametrize(
@@ -83,10 +87,8 @@ def test_a_run_that_loads_a_network_has_the_key_of_that_network_and_not_of_a_tra
         {"overrides": ["results=elsewhere"]},
         {"protocol": replace(QUICK, minimum_queries=6, rates=False)},
         {"method": {"device": "cpu", "window": 5, "_target_": "little.Lookup"}},
-        {"method": {"window": 5, "_target_": "little.Lookup"}},
         {"method": {"window": 5, "_target_": "moved.elsewhere.Lookup"}},
         *({name: {"other": 5}} for name in ("changed", "code", "timing")),  # what a run says of itself
-        {},
     ],
     ids=str,
 )
@@ -98,40 +100,221 @@ def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
     run = run_of(METHOD, journey(6, 4))
     assert run.config["code"] == code_hash(type(METHOD))
     assert run.config["timing"] == {
-        "minimum_seconds": 0,
-        "minimum_queries": 5,
-        "minimum_passes": 1,
-        "maximum_seconds": 120.0,
-        "sample": 16,
-        "warmup_queries": 2,
-        "batch_sizes": [1, 4],
-        "total_seconds": None,
-        "rates": True,
+        **{"minimum_seconds": 0, "minimum_queries": 5, "minimum_passes": 1, "maximum_seconds": 120.0},
+        **{"sample": 16, "warmup_queries": 2, "batch_sizes": [1, 4], "total_seconds": None, "rates": True},
     }
 
 
-def test_another_harness_changes_the_hash_of_every_method(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_without_a_decision(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    decided = json.loads(DECIDED.read_text())
+    files = [Path(inspect.getfile(importlib.import_module(name))) for name in harness.MODULES]
+    now = {"version": harness.VERSION, "meaning": sources.meaning(files)}
+    assert now == decided, (
+        "the harness changed: if a run may now have other answers or times, raise harness.VERSION; in any case write "
+        f"{json.dumps(now)} to {DECIDED}"
+    )
     before = code_hash(HOG)
     monkeypatch.setattr(harness, "VERSION", harness.VERSION + 1)
     assert code_hash(HOG) != before
 
 
-def test_nobody_changes_what_reads_scores_and_times_without_a_decision() -> None:
-    decided = json.loads(DECIDED.read_text())
-    files = [Path(inspect.getfile(importlib.import_module(name))) for name in harness.MODULES]
-    now = {"version": harness.VERSION, "meaning": meaning(files)}
-    assert now == decided, (
-        "the harness changed: if a run may now have other answers or times, raise harness.VERSION; in any case write "
-        f"{json.dumps(now)} to {DECIDED}"
-    )
+# The files of a method
 
 
-@pytest.mark.parametrize("changes", [{"changed": {"window": 5}}, {"code": "c0de"}, {"timing": {"sample": 3}}])
-def test_what_a_run_says_of_itself_does_not_change_its_key(changes: dict[str, Any]) -> None:
-    assert key(**changes) == key()
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty package named meadow."""
+    folder = tmp_path / "meadow"
+    (folder / "inner").mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield folder
+    forget()
 
 
-def test_images_are_seen_through_the_fingerprint_whatever_their_names() -> None:
-    named = Images.from_arrays([picture(0), picture(1)], ["a.png", "b.png"])
-    renamed = Images.from_arrays([picture(0), picture(1)], ["a.png", "c.png"])
-    assert named.fingerprint() != renamed.fingerprint()
+def forget() -> None:
+    """Let the package be imported anew."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "meadow"]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+
+
+def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_no_other(package: Path) -> None:
+    files = {
+        "__init__": "",
+        "method": "import numpy\nfrom vprbench.api.resize import Resize\n"
+        "from .near import thing\nfrom . import beside\nimport meadow.dotted\n"
+        "class Method:\n    def fit(self):\n        from meadow.inner.late import x\n",
+        "near": "from .behind_near import thing\nif not thing:\n    from .method import Method\n",  # a circle
+        **{"behind_near": "thing = 1\n", "beside": "", "dotted": "", "unused": ""},
+        **{"inner/__init__": "from .late import x\n", "inner/late": "x = 1\n"},
+    }
+    for name, text in files.items():
+        (package / f"{name}.py").write_text(text)
+    found = sources.behind(importlib.import_module("meadow.method").Method)
+    wanted = ("", ".method", ".near", ".behind_near", ".beside", ".dotted", ".inner.late")
+    assert set(found) == {"vprbench.api.resize", *(f"meadow{name}" for name in wanted)}
+    ours = sources.behind(VPRTempoEnsemble)
+    inherited = {f"vprbench.{name}" for name in ("methods.vprtempo.method", "methods.vprtempo.layer", "api.preprocess")}
+    assert inherited <= set(ours)
+    assert not any(word in name for name in ours for word in ("hog", "runner", "images", "progress"))
+
+
+@pytest.fixture
+def from_store(
+    package: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., bool]:
+    """Return what changes a text in the package's copy of SAD and tells whether its stored run is found then."""
+    text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
+    (package / "sad.py").write_text(text)
+    (package / "method").mkdir()
+    yaml = (ROOT / "conf/method/sad.yaml").read_text()
+    (package / "method/grass.yaml").write_text(yaml.replace("vprbench.methods.sad", "meadow.sad"))
+    ours = registry.conf_folders()
+    monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "meadow": package})
+    monkeypatch.chdir(package.parent)
+
+    def found(file: str = "sad.py", old: str = "", new: str = "") -> bool:
+        text = (package / file).read_text()
+        assert old in text
+        (package / file).write_text(text.replace(old, new))
+        forget()
+        asked = ["method=grass", "dataset.places=12", "dataset.first_query_place=0", "frames=false", "output=json"]
+        assert main([*asked, *RUN, "timing=none"]) == 0
+        return bool(json.loads(capsys.readouterr().out)["from_store"])
+
+    return found
+
+
+def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved_file_and_not_after_another_number(
+    package: Path, from_store: Callable[..., bool]
+) -> None:
+    assert not from_store()
+    assert from_store("sad.py", '"""Scores a place by minus the', '"""Scores a place by less the')
+    (package / "sad.py").rename(package / "inner" / "moved.py")
+    assert from_store("method/grass.yaml", "meadow.sad", "meadow.inner.moved")
+    assert not from_store("inner/moved.py", "similarity[query, row] = -0.0", "similarity[query, row] = -1.0")
+    assert not from_store("method/grass.yaml", "patch: 7", "patch: 5")
+
+
+BEFORE = '''"""Counts."""
+from typing import TYPE_CHECKING
+from meadow.near import thing
+
+class Method:
+    """A method."""
+
+    window: int = 5  # pixels
+
+    def fit(self):
+        """Fit it."""
+        return [thing + 2 * self.window, -1]
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "counts"),
+    [
+        ("A method.", "One method.", False),
+        ('    """A method."""\n\n', "", False),
+        ("  # pixels", "  # of the patch", False),
+        (
+            "[thing + 2 * self.window, -1]",
+            "[\n            thing + (2 * self.window),\n            -1,\n        ]",
+            False,
+        ),
+        ("from meadow.near", "from .near", False),
+        ("from meadow.near", "from meadow.inner.moved", False),
+        ("\nclass", "\nif TYPE_CHECKING:\n    from meadow.inner import late\n\nclass", False),
+        ("2 *", "3 *", True),
+        ("= 5", "= 5.0", True),
+        ("-1", "1", True),
+        ("-1", "None", True),
+        ("int", "float", True),
+        ("thing +", "thing -", True),
+    ],
+)
+def test_values_and_statements_count_and_words_layout_and_place_of_code_do_not(
+    tmp_path: Path, old: str, new: str, counts: bool
+) -> None:
+    def meaning(text: str) -> str:
+        (tmp_path / "code.py").write_text(text)
+        return sources.meaning([tmp_path / "code.py"])
+
+    assert (old in BEFORE, meaning(BEFORE.replace(old, new)) != meaning(BEFORE)) == (True, counts)
+
+
+# A class of a notebook
+
+CELLS = '''
+import numpy as np
+from vprbench.api import Method, Resize
+
+SCALE, UNUSED = 2.0, 1
+WEIGHTS = np.arange(6)
+
+def halved(value):
+    return quartered(value) * 2
+
+def quartered(value):
+    return value / 4
+
+class Base(Method):
+    """A base."""
+
+    def fit(self, references, places):
+        return self
+
+class Mine(Base):
+    def encode(self, images):
+        return [halved(np.mean(image)) * SCALE + WEIGHTS.sum() for image in images]
+
+    def match(self, codes):
+        return codes
+'''
+
+
+def session(monkeypatch: pytest.MonkeyPatch, text: str, known: bool = True, **values: Any) -> type[Any]:
+    """Run a text as the cell of a notebook and return the class Mine that it defines."""
+    main = ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    name = f"<cell {abs(hash(text))}>"
+    if known:
+        monkeypatch.setitem(linecache.cache, name, (len(text), None, text.splitlines(keepends=True), name))
+    vars(main).update(values)
+    exec(compile(text, name, "exec"), vars(main))
+    return main.Mine  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "counts"),
+    [
+        ("SCALE, UNUSED = 2.0, 1", "SCALE, UNUSED = 3.0, 1", True),
+        ("arange(6)", "arange(7)", True),
+        ("* 2\n", "* 3\n", True),
+        ("value / 4", "value / 5", True),
+        ("        return self", "        return self.reset()", True),
+        ("return codes", "return -codes", True),
+        ("np.mean(image)", "Resize(image)", True),
+        ("UNUSED = 2.0, 1", "UNUSED = 2.0, 7", False),
+        ("A base.", "One base.", False),
+        ("def halved", "def other():\n    return 1\n\ndef halved", False),
+        ("    def match", "    # the rest\n\n    def match", False),
+    ],
+)
+def test_of_a_notebook_what_a_class_and_all_that_it_names_says_counts_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, old: str, new: str, counts: bool
+) -> None:
+    assert old in CELLS
+    before = sources.source_hash(session(monkeypatch, CELLS))
+    assert (sources.source_hash(session(monkeypatch, CELLS.replace(old, new))) != before) == counts
+
+
+def test_a_class_without_source_or_with_a_network_behind_it_cannot_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UntoldError, match="Mine"):
+        sources.source_hash(unknown := session(monkeypatch, CELLS, known=False))
+    assert code_hash(unknown) != code_hash(unknown)
+    network = CELLS.replace("SCALE +", "SCALE + NET.weight +")
+    with pytest.raises(UntoldError, match="NET"):
+        sources.source_hash(session(monkeypatch, network, NET=np.random.default_rng()))
