@@ -9,7 +9,7 @@ import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from torch.nn import functional
+from backbones_oracle import Draw
 
 from vprbench.api.weights import load_strictly
 from vprbench.errors import BadInput
@@ -17,7 +17,7 @@ from vprbench.methods.parts.backbones.resnet import n_channels, resnet
 from vprbench.methods.parts.backbones.vgg import vgg16_features
 from vprbench.methods.parts.backbones.vit import SIZES, VisionTransformer, first_blocks
 
-WORDS = {"0": "conv1", "1": "bn1", "4": "layer1", "5": "layer2", "6": "layer3", "7": "layer4"}
+WORDS = {"0": "conv1", "1": "bn1", "4": "layer1", "5": "layer2", "6": "layer3"}
 RESNETS = {
     "resnet18": 11_176_512,
     "resnet34": 21_284_672,
@@ -28,10 +28,6 @@ RESNETS = {
 }
 
 
-def generator(seed=0):
-    return torch.Generator().manual_seed(seed)
-
-
 def loaded(tensors, build, *arguments, **options):
     """A backbone with these tensors, taken strictly."""
     with torch.device("meta"):
@@ -40,12 +36,8 @@ def loaded(tensors, build, *arguments, **options):
     return model
 
 
-def shapes(tensors):
-    return {name: tensor.shape for name, tensor in tensors.items()}
-
-
-def images(height, width, n=2, seed=1):
-    return torch.randn(n, 3, height, width, generator=generator(seed))
+def images(height, width, n=2):
+    return Draw(1).normal(n, 3, height, width)
 
 
 def assert_same(fast, slow, tolerance=2e-5):
@@ -55,25 +47,24 @@ def assert_same(fast, slow, tolerance=2e-5):
 
 @pytest.mark.parametrize(("n_layers", "shape"), [(29, (1, 512, 4, 6)), (31, (1, 512, 2, 3))])
 def test_vgg16_equals_the_slow_version_at_both_cuts(n_layers, shape):
-    tensors, x = oracle.vgg16_checkpoint(generator()), images(64, 96, n=1)
+    tensors, x = oracle.vgg16_checkpoint(Draw()), images(64, 96, n=1)
     out = loaded(tensors, vgg16_features, n_layers)(x)
     assert out.shape == shape
     assert_same(out, oracle.vgg16(tensors, "", x, n_layers - 1))
-    assert sum(tensor.numel() for tensor in tensors.values()) == 14_714_688
 
 
 @pytest.mark.parametrize(
     ("name", "n_stages"), [("resnet18", 4), ("resnet50", 4), ("resnet50", 3), ("resnext101_32x8d", 4), ("resnet18", 2)]
 )
 def test_resnet_equals_the_slow_version(name, n_stages):
-    tensors, x = oracle.resnet_checkpoint(generator(), name, n_stages=n_stages), images(75, 50, n=1)
+    tensors, x = oracle.resnet_checkpoint(Draw(), name, n_stages=n_stages), images(75, 50, n=1)
     out = loaded(tensors, resnet, name, n_stages)(x)
     assert out.shape[:2] == (1, n_channels(name, n_stages))
     assert_same(out, oracle.resnet(tensors, "", x, name, n_stages), tolerance=1e-4)
 
 
 def test_both_forms_of_names_are_the_same_network():
-    state = oracle.resnet_checkpoint(generator(), "resnet18", n_stages=3)
+    state = oracle.resnet_checkpoint(Draw(), "resnet18", n_stages=3)
     renamed = {".".join([WORDS[key.split(".")[0]], *key.split(".")[1:]]): tensor for key, tensor in state.items()}
     numbers, words = loaded(state, resnet, "resnet18", 3), loaded(renamed, resnet, "resnet18", 3, names="words")
     assert torch.equal(words(images(64, 96)), numbers(images(64, 96)))
@@ -81,12 +72,12 @@ def test_both_forms_of_names_are_the_same_network():
 
 
 @pytest.mark.parametrize("name", RESNETS)
-def test_resnet_has_the_published_tensors_and_channels(name):
+def test_resnet_has_the_published_number_of_values_blocks_and_channels(name):
     with torch.device("meta"):
         model = resnet(name)
         found = [resnet(name, n_stages)(torch.empty(1, 3, 64, 64)).shape[1] for n_stages in (1, 2, 3, 4)]
-    assert shapes(model.state_dict()) == shapes(oracle.resnet_checkpoint(generator(), name))
     assert sum(weight.numel() for weight in model.parameters()) == RESNETS[name]
+    assert tuple(len(stage) for stage in list(model)[4:]) == oracle.RESNETS[name][0]
     assert [n_channels(name, n_stages) for n_stages in (1, 2, 3, 4)] == found
     assert found == ([64, 128, 256, 512] if name in ("resnet18", "resnet34") else [256, 512, 1024, 2048])
 
@@ -96,21 +87,16 @@ def test_resnet_has_the_published_tensors_and_channels(name):
 STORED_GRID, OTHER_GRID = (70, 70), (42, 98)  # pixels: 5x5 patches, and 3x7
 
 
-def checkpoint(swiglu=False, norm=True, mask_token=False):
-    tensors = oracle.vit_checkpoint(generator(), swiglu=swiglu)
-    tensors |= {"mask_token": torch.ones(1, 128)} if mask_token else {}
-    return tensors if norm else {name: tensor for name, tensor in tensors.items() if not name.startswith("norm.")}
-
-
 def vit(tensors, **options):
     return loaded(tensors, VisionTransformer.sized, tensors, **options)
 
 
-@pytest.mark.parametrize("normalised", [True, False])
-@pytest.mark.parametrize("side", [STORED_GRID, OTHER_GRID])
-@pytest.mark.parametrize("swiglu", [False, True])
+@pytest.mark.parametrize(
+    ("swiglu", "side", "normalised"),
+    [(False, STORED_GRID, True), (True, STORED_GRID, False), (False, OTHER_GRID, False), (True, OTHER_GRID, True)],
+)
 def test_the_transformer_equals_the_slow_version(swiglu, side, normalised):
-    tensors, x = checkpoint(swiglu), images(*side)
+    tensors, x = oracle.vit_checkpoint(Draw(), swiglu=swiglu), images(*side)
     tokens = vit(tensors).tokens(x, normalised=normalised)
     assert tokens.patches.shape == (2, side[0] // 14, side[1] // 14, 128)
     slow = oracle.vit_tokens(tensors, "", x, final_norm=normalised)
@@ -119,17 +105,13 @@ def test_the_transformer_equals_the_slow_version(swiglu, side, normalised):
 
 @pytest.mark.parametrize("n_blocks", [1, 2])
 def test_the_value_facet_is_the_last_third_of_qkv_of_the_patches(n_blocks):
-    tensors, x = checkpoint(swiglu=True), images(*OTHER_GRID)
+    tensors, x = oracle.vit_checkpoint(Draw(), swiglu=True), images(*OTHER_GRID)
     model = loaded(first_blocks(tensors, n_blocks), VisionTransformer.sized, tensors, n_blocks=n_blocks)
     before = oracle.vit_tokens(tensors, "", x, n_blocks - 1, final_norm=False)
     slow = oracle.vit_qkv(tensors, "", before, n_blocks - 1)[2].transpose(1, 2).flatten(2)[:, 1:]
     values = model.values(x)
     assert values.shape == (2, 3, 7, 128)
     assert_same(values.flatten(1, 2), slow)
-    for name, parameter in model.named_parameters():
-        if name.startswith(("norm.", f"blocks.{n_blocks - 1}.")) and "norm1" not in name and "qkv" not in name:
-            parameter.fill_(math.nan)
-    assert torch.equal(model.values(x), values)
 
 
 def test_the_tenth_block_is_not_among_the_first_two():
@@ -145,33 +127,27 @@ def cubic(t):
     return -0.75 * t**3 + 3.75 * t**2 - 6 * t + 3 if t < 2 else 0.0
 
 
-def bicubic_matrix(n_from, n_to, offset):
-    """(n_to, n_from): samples beyond an end repeat the last one; `offset` enlarges the scale and not the number."""
+def bicubic_matrix(n_from, n_to):
+    """(n_to, n_from): samples beyond an end repeat the last one; DINOv2's 0.1 enlarges the scale and not the number."""
     matrix = np.zeros((n_to, n_from))
     for i in range(n_to):
-        at = (i + 0.5) * n_from / (n_to + offset) - 0.5
+        at = (i + 0.5) * n_from / (n_to + 0.1) - 0.5
         for j in range(math.floor(at) - 1, math.floor(at) + 3):
             matrix[i, min(max(j, 0), n_from - 1)] += cubic(at - j)
     return torch.from_numpy(matrix)
 
 
-@pytest.mark.parametrize(("rows", "columns"), [(3, 7), (2, 8), (5, 6), (16, 11)])
+@pytest.mark.parametrize(("rows", "columns"), [(3, 7), (5, 6), (16, 11)])
 def test_positions_are_stretched_with_dinov2s_offset(rows, columns):
-    tensors = checkpoint()
+    tensors = oracle.vit_checkpoint(Draw())
     found = vit(tensors)._positions(rows, columns)[0]
     grid = tensors["pos_embed"][0, 1:].double().reshape(5, 5, -1)
-    slow, other = (
-        torch.einsum("yi,xj,ijd->yxd", bicubic_matrix(5, rows, offset), bicubic_matrix(5, columns, offset), grid)
-        for offset in (0.1, 0.0)
-    )
+    slow = torch.einsum("yi,xj,ijd->yxd", bicubic_matrix(5, rows), bicubic_matrix(5, columns), grid)
     assert torch.equal(found[0], tensors["pos_embed"][0, 0])
     assert_same(found[1:], slow.flatten(0, 1))
-    assert (found[1:] - other.flatten(0, 1)).abs().max() > 1e-3
-    size = functional.interpolate(grid.permute(2, 0, 1)[None], (rows, columns), mode="bicubic")[0]
-    np.testing.assert_allclose(size.permute(1, 2, 0), other, atol=1e-12)
 
 
-@pytest.mark.parametrize("grid", [1, 16, 23, 27, 36, 38, 60])
+@pytest.mark.parametrize("grid", [1, 23, 36, 38, 60])
 def test_every_grid_gets_a_position_for_each_of_its_patches(grid):
     with torch.device("meta"):
         model = VisionTransformer.sized({}, "vits14", n_blocks=1)
@@ -179,11 +155,11 @@ def test_every_grid_gets_a_position_for_each_of_its_patches(grid):
     assert patches.shape == (1, grid, 2 * grid, 384)
 
 
-@pytest.mark.parametrize(("norm", "mask_token"), [(True, True), (True, False), (False, True), (False, False)])
-def test_a_checkpoint_loads_with_or_without_final_norm_and_mask_token(norm, mask_token):
-    tensors, x = checkpoint(norm=norm, mask_token=mask_token), images(*STORED_GRID)
-    found = vit(tensors, norm=norm).tokens(x, normalised=False).cls
-    assert torch.equal(found, vit(checkpoint()).tokens(x, normalised=False).cls)
+def test_a_checkpoint_loads_with_or_without_final_norm_and_mask_token():
+    tensors, x = oracle.vit_checkpoint(Draw()), images(*STORED_GRID)
+    bare = {name: tensor for name, tensor in tensors.items() if not name.startswith(("norm.", "mask_token"))}
+    found = vit(bare, norm=False).tokens(x, normalised=False).cls
+    assert torch.equal(found, vit(tensors).tokens(x, normalised=False).cls)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +190,7 @@ def test_a_published_size_is_read_off_its_checkpoint(name, n_weights):
     ],
 )
 def test_tensors_of_something_else_are_refused_by_name(key, shape):
-    tensors = {name: tensor for name, tensor in checkpoint().items() if name != key}
+    tensors = {name: t for name, t in oracle.vit_checkpoint(Draw()).items() if name not in (key, "mask_token")}
     tensors |= {} if shape is None else {key: torch.empty(shape)}
     with torch.device("meta"):
         model = VisionTransformer.sized(tensors)

@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import backbones_oracle as oracle
-import numpy as np
-import pytest
 import torch
 from described_images import drawn_images, pillow
 from PIL import Image as PillowImage
 from published_networks import PublishedNetwork, saved, with_checks
 
-TOLERANCE = 1e-4
+from vprbench.api.arrays import Image
+
 CHANNELS = 6
 SIZE = {"height": 96, "width": 160}  # 3x5 positions, of which the middle ones count in two quarters
 
 
-def drawn(kind: str = "resnet50", n_inputs: int = 2048) -> dict[str, torch.Tensor]:
-    generator = torch.Generator().manual_seed(4)
-    return oracle.resnet_checkpoint(generator, kind, "backbone.model.", numbered=False) | {
-        "aggregator.channel_pool.weight": torch.randn(CHANNELS, n_inputs, 1, 1, generator=generator) / 45,
-        "aggregator.channel_pool.bias": 0.3 * torch.randn(CHANNELS, generator=generator),
+def drawn(kind: str = "resnet50", n_inputs: int = 2048) -> oracle.Tensors:
+    draw = oracle.Draw(4)
+    return oracle.resnet_checkpoint(draw, kind, "backbone.model.", numbered=False) | {
+        "aggregator.channel_pool.weight": draw.normal(CHANNELS, n_inputs, 1, 1, scale=1 / 45),
+        "aggregator.channel_pool.bias": draw.normal(CHANNELS, scale=0.3),
     }
 
 
-def expected(
-    tensors: dict[str, torch.Tensor],
-    images: Sequence[np.ndarray],
-    *,
-    kind: PillowImage.Resampling = PillowImage.Resampling.BICUBIC,
-    parts_first: bool = False,
-) -> np.ndarray:
-    """Descriptors in float64; the options step into traps."""
-    t = {name: tensor.double() for name, tensor in tensors.items()}
-    descriptors = []
-    for image in images:
-        seen = pillow(image, 96, 160, kind)
-        features = oracle.resnet(tensors, "backbone.model.", oracle.imagenet(seen), "resnet50", numbered=False)[0]
-        maps = torch.einsum("oc,chw->ohw", t["aggregator.channel_pool.weight"].flatten(1), features)
-        maps = maps + t["aggregator.channel_pool.bias"][:, None, None]
-        quarters = [
-            maps[:, rows, across].mean((1, 2)) for rows in (slice(2), slice(1, 3)) for across in (slice(3), slice(2, 5))
-        ]
-        vector = torch.stack(quarters, 0 if parts_first else 1).flatten()
-        descriptors.append((vector / vector.norm()).numpy())
-    return np.array(descriptors)
+def expected(tensors: oracle.Tensors, image: Image) -> torch.Tensor:
+    t = oracle.under(tensors, "aggregator.channel_pool.")
+    seen = oracle.imagenet(pillow(image, 96, 160, PillowImage.Resampling.BICUBIC))
+    features = oracle.resnet(tensors, "backbone.model.", seen, "resnet50", numbered=False)[0]
+    maps = torch.einsum("oc,chw->ohw", t["weight"].flatten(1), features) + t["bias"][:, None, None]
+    quarters = [
+        maps[:, rows, across].mean((1, 2)) for rows in (slice(2), slice(1, 3)) for across in (slice(3), slice(2, 5))
+    ]
+    return torch.stack(quarters, 1).flatten()
 
 
 NETWORK = PublishedNetwork(
@@ -56,19 +42,20 @@ NETWORK = PublishedNetwork(
     4 * CHANNELS,
     expected,
     arguments={"channels": CHANNELS, **SIZE},
-    tolerance=TOLERANCE,
-    traps=[{"kind": PillowImage.Resampling.BILINEAR}, {"parts_first": True}],
-    missing=["aggregator.channel_pool.weight", "backbone.model.layer4.2.bn3.bias"],
-    unexpected=["backbone.model.fc.weight"],
-    contract={"channels": CHANNELS, "height": 32, "width": 32},
+    tolerance=1e-4,
+    wrong={
+        "aggregator.channel_pool.weight": None,
+        "backbone.model.layer4.2.bn3.bias": None,
+        "backbone.model.fc.weight": (3, 3),
+    },
+    contract={"channels": CHANNELS, "height": 16, "width": 16},
+    contract_patches={"vprbench.methods.conv_ap._BACKBONE": "resnet18"},
     draw_for_contract=lambda: drawn("resnet18", 512),
 )
 
 
 @with_checks(NETWORK)
-def test_it_is_the_published_network(check, folder: Path, request, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.node.callspec.id.endswith("contract"):  # the suite describes many images
-        monkeypatch.setattr("vprbench.methods.conv_ap._BACKBONE", "resnet18")
+def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
 
 

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-from backbones_oracle import Tensors, imagenet, salad, salad_checkpoint, vit_checkpoint, vit_tokens
+from backbones_oracle import Draw, Tensors, imagenet, prefixed, salad, salad_checkpoint, vit_checkpoint, vit_tokens
 from described_images import image
 from published_networks import PublishedNetwork, with_checks
 from safetensors.torch import save_file
-from torch import Generator, Tensor, randn
+from torch import Tensor
 from torch.nn import functional
 
 from vprbench.api.arrays import Image
 
-N_CLUSTERS, CLUSTER_DIM, TOKEN_DIM, N_DIMENSIONS = 7, 12, 10, 40
+N_INNER, N_DIMENSIONS = 7 * 12 + 10, 40
 
 
 def drawn() -> dict[str, Tensor]:
-    generator = Generator().manual_seed(3)
-    dino = vit_checkpoint(generator)
-    aggregator = salad_checkpoint(generator, 128, N_CLUSTERS, CLUSTER_DIM, TOKEN_DIM)
-    n_inner = N_CLUSTERS * CLUSTER_DIM + TOKEN_DIM
-    return {
-        **{f"backbone.{name}": tensor for name, tensor in dino.items()},
-        **{f"aggregator.agg.{name}": tensor for name, tensor in aggregator.items()},
-        "aggregator.linear.weight": randn(N_DIMENSIONS, n_inner, generator=generator),
-        "aggregator.linear.bias": 0.5 * randn(N_DIMENSIONS, generator=generator),
+    draw = Draw(3)
+    aggregator = prefixed("agg.", salad_checkpoint(draw, clusters=7, cluster_dim=12, token_dim=10))
+    aggregator |= {
+        "linear.weight": draw.normal(N_DIMENSIONS, N_INNER),
+        "linear.bias": draw.normal(N_DIMENSIONS, scale=0.5),
     }
+    return prefixed("backbone.", vit_checkpoint(draw)) | prefixed("aggregator.", aggregator)
 
 
 def saved(path: Path, tensors: Tensors) -> Path:
@@ -38,19 +31,12 @@ def saved(path: Path, tensors: Tensors) -> Path:
     return path
 
 
-def described(
-    tensors: Tensors, seen: Tensor, side: tuple[int, int] | None = None, final_norm: bool = True, unit: bool = True
-) -> npt.NDArray[Any]:
+def expected(tensors: Tensors, image: Image, side: tuple[int, int] | None = None) -> Tensor:
+    """An image is seen as antialiased floats at the nearest multiples of 14."""
+    seen = imagenet(image)
     seen = seen if side is None else functional.interpolate(seen, side, mode="bilinear", antialias=True)
-    tokens = vit_tokens(tensors, "backbone.", seen, final_norm=final_norm)[0]
-    inner = salad(tensors, "aggregator.agg.", tokens) * (1 if unit else 7)
-    weight, bias = (tensors[f"aggregator.linear.{part}"].double() for part in ("weight", "bias"))
-    vector = weight @ inner + bias
-    return (vector / vector.norm()).numpy()
-
-
-def expected(tensors: Tensors, images: Sequence[Image], **how: Any) -> npt.NDArray[Any]:
-    return np.stack([described(tensors, imagenet(seen), **how) for seen in images])
+    inner = salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", seen)[0])
+    return tensors["aggregator.linear.weight"].double() @ inner + tensors["aggregator.linear.bias"].double()
 
 
 NETWORK = PublishedNetwork(
@@ -60,23 +46,19 @@ NETWORK = PublishedNetwork(
     N_DIMENSIONS,
     expected,
     saved,
-    traps=[{"final_norm": False}, {"unit": False}],
-    missing=[
-        "aggregator.linear.weight",
-        "aggregator.linear.bias",
-        "aggregator.agg.dust_bin",
-        "aggregator.agg.score.3.weight",
-        "backbone.norm.weight",
-        "backbone.blocks.0.ls1.gamma",
-    ],
-    unexpected=["aggregator.score.0.weight", "backbone.model.cls_token"],
-    misshapen={"aggregator.linear.weight": (3, 5), "aggregator.agg.token_features.2.bias": (3, 5)},
-    hidden_prefixes=("backbone.",),
+    wrong={
+        "aggregator.linear.bias": None,
+        "aggregator.agg.dust_bin": None,
+        "backbone.norm.weight": None,
+        "aggregator.score.0.weight": (3, 3),
+        "aggregator.linear.weight": (3, 5),
+    },
     options={
-        f"antialiased floats of {rows}x{columns} patches": ({}, [image(*size)], {"side": (14 * rows, 14 * columns)})
-        for size, rows, columns in [((50, 90), 4, 6), ((64, 96), 5, 7), ((41, 43), 3, 3)]
+        f"{height}x{width} pixels": ({}, image(height, width), {"side": (14 * rows, 14 * columns)})
+        for height, width, rows, columns in [(50, 90, 4, 6), (64, 96, 5, 7), (41, 43, 3, 3)]
     },
     refused=[("6 patches", {}, (28, 42))],
+    contract={"height": 42, "width": 56},
 )
 
 

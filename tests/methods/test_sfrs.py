@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -12,51 +12,32 @@ import torch
 from described_images import drawn_images, pillow
 from published_networks import PublishedNetwork, with_checks
 
+from vprbench.api.arrays import Image
+
 MEAN = (0.48501960784313836, 0.4579568627450961, 0.4076039215686255)  # of RGB, 0 to 1, as its authors have it
-TOLERANCE = 1e-4
 CLUSTERS, COMPONENTS = 3, 8
 
 
-def drawn() -> dict[str, torch.Tensor]:
-    generator = torch.Generator().manual_seed(2)
-    tensors = oracle.vgg16_checkpoint(generator, "base_model.base.")
-    tensors["base_model.base.0.weight"] /= 60  # it sees levels
-    return tensors | {
-        "net_vlad.centroids": torch.randn(CLUSTERS, 512, generator=generator) / 512**0.5,
-        "net_vlad.conv.weight": 4 * torch.randn(CLUSTERS, 512, 1, 1, generator=generator),
-        "pca_layer.weight": torch.randn(COMPONENTS, CLUSTERS * 512, 1, 1, generator=generator),
-        "pca_layer.bias": 0.5 * torch.randn(COMPONENTS, generator=generator),
+def drawn(encoder: oracle.Tensors | None = None) -> oracle.Tensors:
+    draw = oracle.Draw(2)
+    tensors = dict(encoder or oracle.vgg16_checkpoint(draw))
+    tensors["0.weight"] = tensors["0.weight"] / 60  # it sees levels
+    return oracle.prefixed("base_model.base.", tensors) | {
+        "net_vlad.centroids": draw.normal(CLUSTERS, 512, scale=512**-0.5),
+        "net_vlad.conv.weight": draw.normal(CLUSTERS, 512, 1, 1, scale=4),
+        "pca_layer.weight": draw.normal(COMPONENTS, CLUSTERS * 512, 1, 1),
+        "pca_layer.bias": draw.normal(COMPONENTS, scale=0.5),
     }
 
 
 def expected(
-    tensors: dict[str, torch.Tensor],
-    images: Sequence[np.ndarray],
-    *,
-    deviation: float = 1 / 255,
-    cluster_fastest: bool = False,
-    residuals: bool = True,
-    resized: Callable[[np.ndarray], np.ndarray] = lambda image: image,
-    last: int = 28,
-) -> np.ndarray:
-    """Descriptors in float64; the options step into traps."""
-    t = {name: tensor.double() for name, tensor in tensors.items()}
-    descriptors = []
-    for image in images:
-        x = torch.from_numpy(resized(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
-        x = (x - torch.tensor(MEAN, dtype=torch.float64)[:, None, None]) / deviation
-        local = oracle.vgg16(tensors, "base_model.base.", x, last)[0].flatten(1).T
-        local = local / local.norm(dim=1, keepdim=True)
-        shares = torch.softmax(local @ t["net_vlad.conv.weight"].flatten(1).T, dim=1)
-        vlad = torch.zeros(CLUSTERS, 512, dtype=torch.float64)
-        for k in range(CLUSTERS):
-            centre = t["net_vlad.centroids"][k] if residuals else 0
-            vlad[k] = (shares[:, k, None] * (local - centre)).sum(0)
-            vlad[k] /= vlad[k].norm()
-        vector = (vlad.T if cluster_fastest else vlad).flatten()
-        whitened = t["pca_layer.weight"].flatten(1) @ (vector / vector.norm()) + t["pca_layer.bias"]
-        descriptors.append((whitened / whitened.norm()).numpy())
-    return np.array(descriptors)
+    tensors: oracle.Tensors, image: Image, resized: Callable[[Image], Image] = lambda image: image
+) -> torch.Tensor:
+    x = torch.from_numpy(resized(image).astype(np.float64)).permute(2, 0, 1)[None] / 255
+    x = (x - torch.tensor(MEAN, dtype=torch.float64)[:, None, None]) * 255
+    features = oracle.vgg16(tensors, "base_model.base.", x, 28)[0]
+    found = oracle.residuals(features, tensors["net_vlad.conv.weight"], tensors["net_vlad.centroids"])
+    return oracle.vlad(found.sum(0), tensors["pca_layer.weight"], tensors["pca_layer.bias"])
 
 
 NETWORK = PublishedNetwork(
@@ -66,18 +47,19 @@ NETWORK = PublishedNetwork(
     COMPONENTS,
     expected,
     arguments={"height": None, "width": None},
-    tolerance=TOLERANCE,
-    batch_tolerance=1e-5,
-    traps=[{"deviation": 0.226}, {"cluster_fastest": True}, {"residuals": False}, {"last": 29}],
-    missing=["base_model.base.28.bias", "net_vlad.centroids", "pca_layer.bias"],
+    tolerance=1e-4,
+    wrong={"base_model.base.28.bias": None, "net_vlad.centroids": None, "pca_layer.bias": None},
     options={
         "as Pillow resizes": (
             {"height": 48, "width": 64},
-            drawn_images((90, 130)),
+            drawn_images((90, 130))[0],
             {"resized": partial(pillow, height=48, width=64)},
         )
     },
+    refused=[("16 pixels", {}, (15, 40))],
     contract={"height": 16, "width": 16},
+    contract_patches={"vprbench.methods.netvlad.vgg16_features": oracle.one_convolution},
+    draw_for_contract=lambda: drawn(oracle.one_convolution_checkpoint()),
 )
 
 

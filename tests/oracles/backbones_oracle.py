@@ -8,10 +8,44 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 Tensors = Mapping[str, Tensor]
+
+
+class Draw:
+    """Random values of the parts of networks, under their names, so large that every part matters."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def normal(self, *shape: int, scale: float = 1.0, mean: float = 0.0) -> Tensor:
+        return mean + scale * torch.randn(shape, generator=self.generator)
+
+    def linear(self, name: str, n_in: int, n_out: int) -> dict[str, Tensor]:
+        return {
+            f"{name}.weight": self.normal(n_out, n_in, scale=n_in**-0.5),
+            f"{name}.bias": self.normal(n_out, scale=0.3),
+        }
+
+    def norm(self, name: str, dim: int) -> dict[str, Tensor]:
+        return {f"{name}.weight": self.normal(dim, scale=0.25, mean=1), f"{name}.bias": self.normal(dim, scale=0.25)}
+
+
+def under(tensors: Tensors, prefix: str) -> dict[str, Tensor]:
+    """The tensors under a prefix, in float64."""
+    return {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def prefixed(prefix: str, tensors: Tensors) -> dict[str, Tensor]:
+    return {f"{prefix}{name}": tensor for name, tensor in tensors.items()}
+
+
+def gem(x: Tensor, p: Tensor | float, axes: int | tuple[int, ...] = (2, 3)) -> Tensor:
+    """The generalised mean of Radenovic et al. 2019 over some axes."""
+    p = float(p)
+    return x.clamp(min=1e-6).pow(p).mean(axes).pow(1 / p)
 
 
 def imagenet(*images: npt.NDArray[np.uint8]) -> Tensor:
@@ -33,14 +67,14 @@ def vit_tokens(
 
     What `beside_mlp` makes of a block's tensors and of its MLP's input is added to the MLP's output.
     """
-    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+    t = under(tensors, prefix)
     patches = functional.conv2d(x.double(), t["patch_embed.proj.weight"], t["patch_embed.proj.bias"], stride=14)
     n, dim, rows, columns = patches.shape
     tokens = torch.cat([t["cls_token"].expand(n, 1, dim), patches.flatten(2).transpose(1, 2)], dim=1)
     tokens = tokens + _positions(t["pos_embed"], rows, columns)
     depth = 1 + max(int(name.split(".")[1]) for name in t if name.startswith("blocks."))
     for number in range(depth if n_blocks is None else n_blocks):
-        b = {name.removeprefix(f"blocks.{number}."): value for name, value in t.items()}
+        b = under(t, f"blocks.{number}.")
         q, k, v = vit_qkv(tensors, prefix, tokens, number)
         weights = torch.softmax(q @ k.transpose(-1, -2) / math.sqrt(64), dim=-1)
         mixed = (weights @ v).transpose(1, 2).flatten(2)
@@ -52,7 +86,7 @@ def vit_tokens(
 
 def vit_qkv(tensors: Tensors, prefix: str, tokens: Tensor, block: int) -> tuple[Tensor, Tensor, Tensor]:
     """Queries, keys and values of a block for the tokens that enter it, each (n, heads, n_tokens, 64)."""
-    t = {name.removeprefix(f"{prefix}blocks.{block}."): value.double() for name, value in tensors.items()}
+    t = under(tensors, f"{prefix}blocks.{block}.")
     inner = layer_norm(tokens, t["norm1.weight"], t["norm1.bias"])
     qkv = inner @ t["attn.qkv.weight"].T + t["attn.qkv.bias"]
     return tuple(part.unflatten(2, (-1, 64)).transpose(1, 2) for part in qkv.chunk(3, dim=2))
@@ -84,39 +118,31 @@ def _positions(pos_embed: Tensor, rows: int, columns: int) -> Tensor:
 
 
 def vit_checkpoint(
-    generator: torch.Generator, dim: int = 128, depth: int = 2, side: int = 5, swiglu: bool = False
+    draw: Draw, dim: int = 128, depth: int = 2, side: int = 5, swiglu: bool = False
 ) -> dict[str, Tensor]:
-    """Random values under DINOv2's names, but for mask_token, so large that every part of the network matters."""
-
-    def normal(*shape: int, scale: float = 1.0, mean: float = 0.0) -> Tensor:
-        return mean + scale * torch.randn(shape, generator=generator)
-
-    def linear(name: str, n_in: int, n_out: int) -> dict[str, Tensor]:
-        return {f"{name}.weight": normal(n_out, n_in, scale=n_in**-0.5), f"{name}.bias": normal(n_out, scale=0.3)}
-
-    def norm(name: str) -> dict[str, Tensor]:
-        return {f"{name}.weight": normal(dim, scale=0.2, mean=1.0), f"{name}.bias": normal(dim, scale=0.2)}
-
+    """Random values under DINOv2's names, with a mask token, which has no use."""
     tensors = {
-        "cls_token": normal(1, 1, dim),
-        "pos_embed": normal(1, side * side + 1, dim),
-        "patch_embed.proj.weight": normal(dim, 3, 14, 14, scale=588**-0.5),
-        "patch_embed.proj.bias": normal(dim, scale=0.3),
-        **norm("norm"),
+        "cls_token": draw.normal(1, 1, dim),
+        "pos_embed": draw.normal(1, side * side + 1, dim),
+        "mask_token": draw.normal(1, dim),
+        "patch_embed.proj.weight": draw.normal(dim, 3, 14, 14, scale=588**-0.5),
+        "patch_embed.proj.bias": draw.normal(dim, scale=0.3),
+        **draw.norm("norm", dim),
     }
+    hidden = dim * 8 // 3 // 8 * 8 if swiglu else 4 * dim
+    first, last = ("mlp.w12", "mlp.w3") if swiglu else ("mlp.fc1", "mlp.fc2")
     for number in range(depth):
-        block = {**norm("norm1"), **norm("norm2"), **linear("attn.qkv", dim, 3 * dim), **linear("attn.proj", dim, dim)}
-        hidden = dim * 8 // 3 // 8 * 8 if swiglu else 4 * dim
-        first, last = ("mlp.w12", "mlp.w3") if swiglu else ("mlp.fc1", "mlp.fc2")
-        block |= linear(first, dim, hidden * (2 if swiglu else 1)) | linear(last, hidden, dim)
-        block |= {f"{name}.gamma": normal(dim, scale=0.2, mean=0.7) for name in ("ls1", "ls2")}
-        tensors |= {f"blocks.{number}.{name}": value for name, value in block.items()}
+        block = draw.norm("norm1", dim) | draw.norm("norm2", dim)
+        block |= draw.linear("attn.qkv", dim, 3 * dim) | draw.linear("attn.proj", dim, dim)
+        block |= draw.linear(first, dim, hidden * (2 if swiglu else 1)) | draw.linear(last, hidden, dim)
+        block |= {f"{name}.gamma": draw.normal(dim, scale=0.2, mean=0.7) for name in ("ls1", "ls2")}
+        tensors |= prefixed(f"blocks.{number}.", block)
     return tensors
 
 
 def salad(tensors: Tensors, prefix: str, tokens: Tensor) -> Tensor:
     """SALAD's descriptor of one image's tokens (1 + n_patches, dim), CLS first: of the token, then l * clusters + k."""
-    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+    t = under(tensors, prefix)
 
     def network(name: str, second: int, x: Tensor) -> Tensor:
         inner = (x @ t[f"{name}.0.weight"].flatten(1).T + t[f"{name}.0.bias"]).clamp(min=0)
@@ -141,22 +167,20 @@ def salad(tensors: Tensors, prefix: str, tokens: Tensor) -> Tensor:
 
 
 def salad_checkpoint(
-    generator: torch.Generator, dim: int, clusters: int, cluster_dim: int, token_dim: int, hidden: int = 32
+    draw: Draw, clusters: int, cluster_dim: int, token_dim: int, dim: int = 128, hidden: int = 32
 ) -> dict[str, Tensor]:
     """Random values under the names of SALAD's aggregator; scores so far apart that Sinkhorn is not done after 3."""
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(shape, generator=generator)
-
     tensors = {"dust_bin": torch.tensor(1.5)}
     sizes = {"token_features": token_dim, "cluster_features": cluster_dim, "score": clusters}
     for name, n_out in sizes.items():
         second, sides = (2, ()) if name == "token_features" else (3, (1, 1))
         tensors |= {
-            f"{name}.0.weight": (2 / dim) ** 0.5 * normal(hidden, dim, *sides),
-            f"{name}.0.bias": 0.3 * normal(hidden),
-            f"{name}.{second}.weight": (3 if name == "score" else 1) * hidden**-0.5 * normal(n_out, hidden, *sides),
-            f"{name}.{second}.bias": 0.3 * normal(n_out),
+            f"{name}.0.weight": draw.normal(hidden, dim, *sides, scale=(2 / dim) ** 0.5),
+            f"{name}.0.bias": draw.normal(hidden, scale=0.3),
+            f"{name}.{second}.weight": draw.normal(
+                n_out, hidden, *sides, scale=(3 if name == "score" else 1) / hidden**0.5
+            ),
+            f"{name}.{second}.bias": draw.normal(n_out, scale=0.3),
         }
     return tensors
 
@@ -180,13 +204,39 @@ def vgg16(tensors: Tensors, prefix: str, x: Tensor, last: int = 30) -> Tensor:
     return x
 
 
-def vgg16_checkpoint(generator: torch.Generator, prefix: str = "") -> dict[str, Tensor]:
+def one_convolution(_: int) -> nn.Sequential:
+    """A network of one convolution, to stand in VGG16's place where a test asks many times."""
+    return nn.Sequential(nn.Conv2d(3, 512, 16, stride=16))
+
+
+def one_convolution_checkpoint(prefix: str = "") -> dict[str, Tensor]:
+    return {f"{prefix}0.weight": Draw().normal(512, 3, 16, 16, scale=1 / 16), f"{prefix}0.bias": torch.zeros(512)}
+
+
+def residuals(features: Tensor, assignment: Tensor, centroids: Tensor) -> Tensor:
+    """NetVLAD's residuals of features (channels, h, w) to centroids, by their shares, (h * w, clusters, channels)."""
+    local = functional.normalize(features.flatten(1), dim=0).T
+    shares = torch.softmax(local @ assignment.double().flatten(1).T, dim=1)
+    return shares[:, :, None] * (local[:, None] - centroids.double())
+
+
+def vlad(
+    sums: Tensor, projection: Tensor | None = None, bias: Tensor | None = None, fastest: str = "channel"
+) -> Tensor:
+    """The unit vector of sums of residuals (clusters, channels), whitened if there is a projection."""
+    columns = functional.normalize(sums, dim=1)
+    vector = functional.normalize((columns.T if fastest == "cluster" else columns).flatten(), dim=0)
+    if projection is None:
+        return vector
+    return functional.normalize(projection.double().flatten(1) @ vector + bias.double(), dim=0)
+
+
+def vgg16_checkpoint(draw: Draw, prefix: str = "") -> dict[str, Tensor]:
     """Random values under VGG16's names, under which activations stay near 1."""
     tensors, n_in = {}, 3
     for number, n_out in VGG16_CONVOLUTIONS.items():
-        scale = math.sqrt(2 / (9 * n_in))
-        tensors[f"{prefix}{number}.weight"] = scale * torch.randn(n_out, n_in, 3, 3, generator=generator)
-        tensors[f"{prefix}{number}.bias"] = 0.2 * torch.randn(n_out, generator=generator)
+        tensors[f"{prefix}{number}.weight"] = draw.normal(n_out, n_in, 3, 3, scale=math.sqrt(2 / (9 * n_in)))
+        tensors[f"{prefix}{number}.bias"] = draw.normal(n_out, scale=0.2)
         n_in = n_out
     return tensors
 
@@ -205,7 +255,7 @@ def resnet(tensors: Tensors, prefix: str, x: Tensor, kind: str, n_stages: int = 
     """A ResNet's last stage but for pooling and classifier; numbered: 0, 1, 4 to 7, else conv1, bn1, layer1 to 4."""
     blocks, groups, _ = RESNETS[kind]
     stem, norm, *stages = _resnet_names(numbered)
-    t = {name.removeprefix(prefix): value.double() for name, value in tensors.items() if name.startswith(prefix)}
+    t = under(tensors, prefix)
     x = functional.conv2d(x.double(), t[f"{stem}.weight"], stride=2, padding=3)
     x = functional.max_pool2d(_batch_norm(t, norm, x).clamp(min=0), 3, stride=2, padding=1)
     for stage in range(n_stages):
@@ -216,34 +266,30 @@ def resnet(tensors: Tensors, prefix: str, x: Tensor, kind: str, n_stages: int = 
 
 
 def resnet_checkpoint(
-    generator: torch.Generator, kind: str, prefix: str = "", n_stages: int = 4, numbered: bool = True
+    draw: Draw, kind: str, prefix: str = "", n_stages: int = 4, numbered: bool = True
 ) -> dict[str, Tensor]:
     """Random values under a ResNet's names, batch norms that do something, activations near 1."""
     blocks, groups, width = RESNETS[kind]
     basic = kind in ("resnet18", "resnet34")
     stem, norm, *stages = _resnet_names(numbered)
-    tensors = _convolution(generator, f"{prefix}{stem}", f"{prefix}{norm}", 3, 64, 7)
+    tensors = _convolution(draw, stem, norm, 3, 64, 7)
     n_in = 64
     for stage in range(n_stages):
         inner = groups * width * 2**stage
         n_out = inner if basic else 256 * 2**stage
-        sides = [(n_in, inner, 3, 1), (inner, n_out, 3, 1)]
-        if not basic:
-            sides = [(n_in, inner, 1, 1), (inner, inner, 3, groups), (inner, n_out, 1, 1)]
         for block in range(blocks[stage]):
-            at = f"{prefix}{stages[stage]}.{block}"
-            sides[0] = (n_in, *sides[0][1:])
+            at = f"{stages[stage]}.{block}"
+            sides = [(n_in, inner, 1, 1), (inner, inner, 3, groups), (inner, n_out, 1, 1)]
+            sides = [(n_in, inner, 3, 1), (inner, n_out, 3, 1)] if basic else sides
             for number, (n_from, n_to, side, n_groups) in enumerate(sides, 1):
                 scale = 0.4 if number == len(sides) else 1.0
-                tensors |= _convolution(
-                    generator, f"{at}.conv{number}", f"{at}.bn{number}", n_from, n_to, side, n_groups, scale
-                )
+                names = f"{at}.conv{number}", f"{at}.bn{number}"
+                tensors |= _convolution(draw, *names, n_from, n_to, side, n_groups, scale)
             if block == 0 and (stage or n_in != n_out):
-                tensors |= _convolution(
-                    generator, f"{at}.downsample.0", f"{at}.downsample.1", n_in, n_out, 1, scale=0.7
-                )
+                names = f"{at}.downsample.0", f"{at}.downsample.1"
+                tensors |= _convolution(draw, *names, n_in, n_out, 1, scale=0.7)
             n_in = n_out
-    return tensors
+    return prefixed(prefix, tensors)
 
 
 def _resnet_names(numbered: bool) -> tuple[str, ...]:
@@ -280,22 +326,15 @@ def _batch_norm(t: Tensors, at: str, x: Tensor) -> Tensor:
 
 
 def _convolution(
-    generator: torch.Generator,
-    at: str,
-    norm: str,
-    n_in: int,
-    n_out: int,
-    side: int,
-    groups: int = 1,
-    scale: float = 1.0,
+    draw: Draw, at: str, norm: str, n_in: int, n_out: int, side: int, groups: int = 1, scale: float = 1.0
 ) -> dict[str, Tensor]:
     """A convolution that doubles what it gets, and the batch norm behind it, which halves it again."""
-    fan_in = n_in // groups * side**2
+    shape = (n_out, n_in // groups, side, side)
     return {
-        f"{at}.weight": 2 / math.sqrt(fan_in) * torch.randn(n_out, n_in // groups, side, side, generator=generator),
-        f"{norm}.weight": scale * (1 + 0.2 * torch.randn(n_out, generator=generator)),
-        f"{norm}.bias": 0.2 * torch.randn(n_out, generator=generator),
-        f"{norm}.running_mean": 0.5 * torch.randn(n_out, generator=generator),
-        f"{norm}.running_var": 2 + torch.rand(n_out, generator=generator),
+        f"{at}.weight": draw.normal(*shape, scale=2 / math.sqrt(n_in // groups * side**2)),
+        f"{norm}.weight": scale * draw.normal(n_out, scale=0.2, mean=1),
+        f"{norm}.bias": draw.normal(n_out, scale=0.2),
+        f"{norm}.running_mean": draw.normal(n_out, scale=0.5),
+        f"{norm}.running_var": 2 + torch.rand(n_out, generator=draw.generator),
         f"{norm}.num_batches_tracked": torch.tensor(7),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from backbones_oracle import Tensors, layer_norm
+from backbones_oracle import Draw, Tensors, layer_norm, prefixed, under
 from torch import Tensor
 
 HEADS = 16
@@ -14,8 +14,7 @@ HEADS = 16
 def encoded_together(tensors: Tensors, parts: Tensor) -> Tensor:
     """What becomes of the parts (n_images, n_parts, dim) of images of which each sees all: norms after additions."""
     for number in range(2):
-        at = f"encoder.layers.{number}."
-        t = {name.removeprefix(at): value.double() for name, value in tensors.items() if name.startswith(at)}
+        t = under(tensors, f"encoder.layers.{number}.")
         seen = torch.empty_like(parts)
         for part in range(parts.shape[1]):  # a part sees the same part of all images
             seen[:, part] = _attention(t, parts[:, part])
@@ -27,30 +26,20 @@ def encoded_together(tensors: Tensors, parts: Tensor) -> Tensor:
     return parts
 
 
-def encoder_checkpoint(
-    generator: torch.Generator, dim: int, hidden: int, prefix: str = "encoder."
-) -> dict[str, Tensor]:
+def encoder_checkpoint(draw: Draw, dim: int, hidden: int) -> dict[str, Tensor]:
     """Random values, so large that images change one another."""
-
-    def normal(*shape: int, scale: float = 1.0) -> Tensor:
-        return scale * torch.randn(shape, generator=generator)
-
     tensors = {}
     for number in range(2):
-        at = f"encoder.layers.{number}."
-        tensors |= {
-            f"{at}self_attn.in_proj_weight": normal(3 * dim, dim, scale=2 * dim**-0.5),
-            f"{at}self_attn.in_proj_bias": normal(3 * dim, scale=0.3),
+        layer = {
+            "self_attn.in_proj_weight": draw.normal(3 * dim, dim, scale=2 * dim**-0.5),
+            "self_attn.in_proj_bias": draw.normal(3 * dim, scale=0.3),
+            **draw.linear("self_attn.out_proj", dim, dim),
+            **draw.linear("linear1", dim, hidden),
+            **draw.linear("linear2", hidden, dim),
+            **draw.norm("norm1", dim),
+            **draw.norm("norm2", dim),
         }
-        for name, (n_out, n_in) in {
-            "self_attn.out_proj": (dim, dim),
-            "linear1": (hidden, dim),
-            "linear2": (dim, hidden),
-        }.items():
-            tensors |= {f"{at}{name}.weight": normal(n_out, n_in, scale=n_in**-0.5)}
-            tensors |= {f"{at}{name}.bias": normal(n_out, scale=0.3)}
-        for name in ("norm1", "norm2"):
-            tensors |= {f"{at}{name}.weight": 1 + normal(dim, scale=0.2), f"{at}{name}.bias": normal(dim, scale=0.2)}
+        tensors |= prefixed(f"encoder.layers.{number}.", layer)
     return tensors
 
 
