@@ -12,18 +12,18 @@ from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.paper.figures.maps import MapCost
 from vprbench.paper.figures.maps import maps as drawn
+from vprbench.speed import maps
 from vprbench.speed.maps import keep, share_found, stored, text_of
 from vprbench.speed.searching import Case, searched
 from vprbench.speed.simulated import AREA, SEEN_AGAIN, WITHIN, Simulated
-
-MACHINE = {"queries": 5, "threads": 1, "machine": "a machine"}
 
 
 def row(index="binary", places=10_000, **changed):
     times = {"building_seconds": 2.0, "query_seconds": 0.001, "batch_seconds": 0.0005, "others": 0.0}
     memory = {"bytes_per_place": 8, "libraries_bytes": 30e6, "building_bytes": 40e6, "answering_bytes": 50e6}
     asked = {"dimensions": "64", "places": str(places), "index": index, "rerank": "0" if index == "exact" else "100"}
-    return {**asked, **times, **memory, "found_at_1": 0.5, "found_at_10": 0.25, **MACHINE, **changed}
+    about = {"found_at_1": 0.5, "found_at_10": 0.25, "queries": 5, "threads": 1, "machine": "a machine"}
+    return {**asked, **times, **memory, **about, **changed}
 
 
 def test_places_of_an_area_are_alike_and_queries_are_noisy_copies(tmp_path):
@@ -38,7 +38,7 @@ def test_places_of_an_area_are_alike_and_queries_are_noisy_copies(tmp_path):
     assert not np.array_equal(vectors, Simulated(tmp_path, 8 * AREA, 512, seed=2).written()[:])
 
 
-def test_descriptors_that_lie_there_stay_and_missing_ones_are_drawn_as_before(tmp_path):
+def test_descriptors_that_lie_there_stay_missing_ones_are_drawn_as_before_and_need_room(tmp_path, monkeypatch):
     simulated = Simulated(tmp_path, 3000, 4, seed=0)
     vectors = np.array(simulated.written()[:])
     first, second, *_ = sorted(simulated.folder.glob("*.npy"))
@@ -48,9 +48,6 @@ def test_descriptors_that_lie_there_stay_and_missing_ones_are_drawn_as_before(tm
     assert first.stat().st_mtime_ns == before
     simulated.remove()
     assert not simulated.folder.exists()
-
-
-def test_a_disk_without_room_is_told_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: namedtuple("Usage", "free")(10))
     with pytest.raises(BadInput, match=r"take 0\.0 GB, 0\.0 GB are free in .*: give folder="):
         Simulated(tmp_path, 3000, 4, seed=0).written()
@@ -116,31 +113,28 @@ def test_the_figure_draws_each_index_by_the_length_of_its_descriptors():
     assert query.lines[0].get_ydata().tolist() == [1, 1]  # milliseconds
 
 
-def test_the_command_measures_indexes_beside_exact_search_and_removes_the_descriptors(tmp_path, capsys):
-    options = ["quick=true", "places=[300]", "indexes=[binary]", "threads=1"]
-    folders = [f"results={tmp_path}", f"folder={tmp_path}/there"]
-    assert main(["bench-maps", *options, *folders]) == 0
+def test_the_command_measures_indexes_beside_exact_search_and_one_that_cannot_be_built_is_the_exit_code(
+    tmp_path, capsys, monkeypatch
+):
+    asked = ["bench-maps", "quick=true", "places=[100]", "threads=1", f"results={tmp_path}", f"folder={tmp_path}/there"]
+    assert main([*asked, "indexes=[binary,ivfpq]"]) == 1
     printed = capsys.readouterr().out
     assert "no number means anything" in printed
+    assert "needs at least 256 reference images" in printed
     assert (tmp_path / "maps-quick.md").read_text() in printed
     assert (tmp_path / "figures" / "maps-quick.png").exists()
     assert [*(tmp_path / "there").iterdir()] == []
-    exact, binary = stored(tmp_path / "maps-quick.csv")[::-1]
+    rows = {each["index"]: each for each in stored(tmp_path / "maps-quick.csv")}
+    assert rows.keys() == {"exact", "binary", "ivfpq"}
+    exact, binary = rows["exact"], rows["binary"]
     assert (exact["found_at_1"], exact["found_at_10"], exact["rerank"], binary["rerank"]) == (1, 1, 0, 20)
     for each in (exact, binary):
         assert 1e6 < each["libraries_bytes"] < each["answering_bytes"] < 1e9
         assert min(each["building_seconds"], each["query_seconds"], each["batch_seconds"]) > 0
 
+    def too_slow(*_):
+        raise BadInput("too slow")
 
-def test_an_index_that_cannot_be_built_is_a_row_and_the_exit_code(tmp_path, capsys):
-    options = [
-        "quick=true",
-        "places=[100]",
-        "indexes=[ivfpq]",
-        "threads=1",
-        f"results={tmp_path}",
-        f"folder={tmp_path}",
-    ]
-    assert main(["bench-maps", *options, "keep=true"]) == 1
-    assert "needs at least 256 reference images" in capsys.readouterr().out
-    assert (tmp_path / "vprbench-map-100x16-seed0").is_dir()
+    monkeypatch.setattr(maps, "searched", too_slow)
+    assert main([*asked, "indexes=[binary]", "keep=true"]) == 1
+    assert (tmp_path / "there" / "vprbench-map-100x16-seed0").is_dir()

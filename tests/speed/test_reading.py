@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,25 +36,6 @@ def paths(tmp_path: Path) -> list[Path]:
     return frame_files(quick_settings(), tmp_path)
 
 
-@pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path]]:
-    """Who reads which file, each in 10 ms."""
-    clock = Clock()
-    clock.replaces_those_of([measure, images], monkeypatch)
-    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
-    monkeypatch.setattr(frames.machine, "cores", lambda: [0, 1, 2])
-    found: list[tuple[str, Path]] = []
-    for module, who in ((frames, "bare"), (images, "ahead")):
-
-        def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
-            clock.spend(0.01)
-            found.append((who, path))
-            return read_image(path)
-
-        monkeypatch.setattr(module, "read_image", noted)
-    return found
-
-
 def test_as_many_files_as_were_asked_for_hold_as_many_different_frames(
     paths: list[Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -76,15 +56,24 @@ def test_a_frame_is_drawn_again_from_its_seed_and_needs_as_many_bytes_as_a_photo
 
 
 def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_turn(
-    paths: list[Path], read: list[tuple[str, Path]]
+    paths: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    clock, turns, read = Clock(), 8, {"bare": Counter[Path](), "ahead": Counter[Path]()}
+    clock.replaces_those_of([measure, images], monkeypatch)
+    monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
+    monkeypatch.setattr(frames.machine, "cores", lambda: [0, 1, 2])
+    for module, who in ((frames, "bare"), (images, "ahead")):
+
+        def noted(path: Path, who: str = who) -> npt.NDArray[np.uint8]:
+            clock.spend(0.01)
+            read[who][path] += 1
+            return read_image(path)
+
+        monkeypatch.setattr(module, "read_image", noted)
     cell = reading_cell(quick_settings(), paths)
-    assert [path for who, path in read if who == "ahead"] == paths
-    turns = 8
-    first = {paths[0]: 1}  # before the first turn
-    assert Counter(path for who, path in read if who == "bare") == Counter(
-        {path: turns * (1 + 3) + first.get(path, 0) for path in paths[:N_FILES]}
-    )
+    assert read["ahead"] == Counter(paths)
+    # one loop and three, and the first file before the first turn
+    assert read["bare"] == Counter(paths[:1]) + Counter(dict.fromkeys(paths[:N_FILES], turns * (1 + 3)))
     assert (cell.frames, cell.files, cell.cores, cell.height, cell.width) == (N_FRAMES, N_FILES, 3, 24, 40)
     for rates in (cell.one_loop, cell.loops_at_once, cell.ahead):
         assert rates == pytest.approx([100] * turns)  # on a clock that all threads share
@@ -92,29 +81,16 @@ def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_t
 
 
 def test_what_is_measured_apart_runs_in_another_process_and_its_errors_come_back() -> None:
-    assert in_own_process(os.getpid) != os.getpid()
     with pytest.raises(BadInput, match=r"none\.png does not exist"):
         in_own_process(read_image, Path("none.png"))
 
 
-READ = ReadingCell(
-    360,
-    640,
-    27_592,
-    300,
-    4,
-    [100.0, 120.0, 110.0],
-    [390.0, 400.0, 410.0],
-    [380.0, 480.0, 420.0],
-    300_000_000,
-    4 * 10**8,
-)
-
-
 def test_a_share_is_the_median_of_those_of_the_turns() -> None:
+    rates = [100.0, 120.0, 110.0], [390.0, 400.0, 410.0], [380.0, 480.0, 420.0]
+    cell = ReadingCell(360, 640, 27_592, 300, 4, *rates, 300_000_000, 4 * 10**8)
     # 380 / 400 = 0.95, 480 / 480 = 1, 420 / 440 = 0.954...; 380 / 390 = 0.974, 480 / 400 = 1.2, 420 / 410 = 1.024
-    row = [*READ.row().values()]
-    assert row == ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
+    row = ["640x360", "27,592", "4", "110", "400", "420", "0.955x", "1.02x", "300", "400"]
+    assert [*cell.row().values()] == row
 
 
 def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
