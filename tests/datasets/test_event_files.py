@@ -1,4 +1,4 @@
-"""Event recordings give the events that were written, whatever their format."""
+"""Event recordings give the events that were written, whatever their format, and what is none is refused by name."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from event_recordings import by_chance, joined, same, write_aedat2, write_aedat4, write_evt3
+from image_folders import answer
 
 from vprbench.datasets.readers import event_files
 from vprbench.datasets.readers.event_files import events_in
-from vprbench.errors import BadInput, NotThere
+from vprbench.errors import NotThere
 
 EVENTS = by_chance(500, seconds=40.0)
 
@@ -56,19 +57,13 @@ def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path: Path) -> None:
     assert same(joined(events_in(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
 
 
-def test_hdf5_without_events_is_refused(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "drive.h5", "w") as file:
-        file["events/t"] = EVENTS.t
-    with pytest.raises(BadInput, match=r"drive\.h5 holds no"):
-        list(events_in(tmp_path / "drive.h5"))
-
-
 def test_parquet_as_brisbane_event_vpr_has_it_is_read(tmp_path: Path) -> None:
     parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
     columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
     parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
     assert same(joined(events_in(tmp_path / "drive.parquet")), EVENTS)
+    parquet.write_table(arrow.table({"t": EVENTS.t, "x": EVENTS.x}), tmp_path / "drive.parquet")
+    assert "drive.parquet holds no" in answer(joined, events_in(tmp_path / "drive.parquet"))
 
 
 @pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
@@ -83,11 +78,8 @@ def test_aedat_4_is_read(tmp_path: Path) -> None:
     assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
-def test_evt3_is_read_though_its_clock_wraps(tmp_path: Path) -> None:
+def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events(tmp_path: Path) -> None:
     assert same(joined(events_in(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
-
-
-def test_vectors_of_evt3_are_events(tmp_path: Path) -> None:
     words = [0x8001, 0x6005, 0x0007, 0x3800 | 100, 0x4803, 0x5081]  # base 100, brighter: twelve, then eight pixels
     (tmp_path / "drive.raw").write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
     found = joined(events_in(tmp_path / "drive.raw"))
@@ -95,22 +87,30 @@ def test_vectors_of_evt3_are_events(tmp_path: Path) -> None:
     assert [*found.y, *found.t, *found.p] == [7] * 5 + [4096 + 5] * 5 + [True] * 5
 
 
-@pytest.mark.parametrize("name", ["drive.h5", "drive.aedat"])
-def test_what_is_no_recording_is_refused_by_name(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(b"neither of them")
-    if name.endswith("h5"):
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("drive.h5", b"neither of them", "drive.h5 cannot be read as .h5"),
+        ("drive.aedat", b"neither of them", "drive.aedat begins with"),
+        ("drive.raw", b"% evt 2.0\n% end\n", "drive.raw is no EVT 3.0"),
+        ("drive.txt", b"", ".aedat"),
+        ("gone.h5", None, "gone.h5"),
+    ],
+)
+def test_what_is_no_recording_is_refused_by_name(name: str, content: bytes | None, told: str, tmp_path: Path) -> None:
+    if name == "drive.h5":
         pytest.importorskip("h5py")
-    with pytest.raises(BadInput, match=name):
-        list(events_in(tmp_path / name))
+    if content is None:
+        assert told in answer(joined, events_in(tmp_path / name), kind=NotThere)
+    else:
+        (tmp_path / name).write_bytes(content)
+        assert told in answer(joined, events_in(tmp_path / name))
 
 
-def test_a_missing_file_an_unknown_suffix_and_a_missing_library_are_told(tmp_path: Path, monkeypatch) -> None:
-    with pytest.raises(NotThere, match=r"gone\.h5"):
-        list(events_in(tmp_path / "gone.h5"))
-    for name in ("drive.txt", "drive.h5"):
-        (tmp_path / name).touch()
-    with pytest.raises(BadInput, match=r"\.aedat"):
-        list(events_in(tmp_path / "drive.txt"))
+def test_hdf5_without_events_or_its_library_is_refused(tmp_path: Path, monkeypatch) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "drive.h5", "w") as file:
+        file["events/t"] = EVENTS.t
+    assert "drive.h5 holds no" in answer(joined, events_in(tmp_path / "drive.h5"))
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(BadInput, match=r"vprbench\[events\]"):
-        list(events_in(tmp_path / "drive.h5"))
+    assert "vprbench[events]" in answer(joined, events_in(tmp_path / "drive.h5"))

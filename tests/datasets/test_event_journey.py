@@ -56,14 +56,17 @@ def test_a_pixel_sends_an_event_whenever_the_logarithm_of_light_has_changed_by_t
 
 
 @pytest.mark.usefixtures("_wall")
-@pytest.mark.parametrize(("refractory_us", "expected"), [(47_000, 10), (60_000, 5), (100_000, 4)])
-def test_within_the_refractory_time_a_pixel_sends_nothing(refractory_us, expected):
-    assert (per_pixel(seen(**EXACT | {"refractory_us": refractory_us})) == expected).all()
-
-
-@pytest.mark.usefixtures("_wall")
-def test_the_level_is_kept_from_rendering_to_rendering():
-    assert (per_pixel(seen(**EXACT | {"steps": 9})) == 10).all()
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ({"refractory_us": 47_000}, 10),
+        ({"refractory_us": 60_000}, 5),
+        ({"refractory_us": 100_000}, 4),
+        ({"steps": 9}, 10),
+    ],
+)
+def test_within_the_refractory_time_a_pixel_sends_nothing_and_levels_are_kept_between_renderings(option, expected):
+    assert (per_pixel(seen(**EXACT | option)) == expected).all()
 
 
 @pytest.mark.usefixtures("_wall")

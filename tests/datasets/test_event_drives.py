@@ -1,0 +1,176 @@
+"""Recordings of event cameras, own and published: which frames they give, and where the camera was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from event_recordings import by_chance, write_aedat2
+from image_folders import REAL, answer, needs_real_frames, rights
+
+from vprbench.api import Events
+from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
+from vprbench.datasets.event_folders import event_folders
+from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
+from vprbench.errors import NotThere
+from vprbench.methods.sad import SAD
+
+METRES_A_DEGREE = 110_574  # of latitude, at the equator
+OPTIONS: dict[str, Any] = {"height": 20, "width": 30, "hot_factor": None}
+
+
+@pytest.fixture(autouse=True)
+def _frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / "frames"))
+
+
+@pytest.fixture
+def options(tmp_path: Path) -> dict[str, Any]:
+    """A drive of 10 s in the map, and one of 7 s."""
+    write_aedat2(tmp_path / "map.aedat", by_chance(4000, 1, seconds=10.0))
+    write_aedat2(tmp_path / "drive.aedat", by_chance(4000, 2, seconds=7.0))
+    return {"references": [str(tmp_path / "map.aedat")], "queries": str(tmp_path / "drive.aedat"), **OPTIONS}
+
+
+def track(file: Path, metres: Callable[[float], float], times: np.ndarray) -> None:
+    rows = [f"{time},{metres(time) / METRES_A_DEGREE!r},0" for time in times.tolist()]
+    file.with_suffix(".csv").write_text("\n".join(["time,lat,lon", *rows]) + "\n")
+
+
+def test_the_frames_of_the_same_number_show_the_same_place(options) -> None:
+    dataset = event_folders(**options, window_ms=500.0, tolerance=1)
+    assert (dataset.n_places, len(dataset.queries)) == (19, 13)
+    assert rights(dataset)[:2] == [[0, 1], [0, 1, 2]]
+    assert dataset.references[0].sum() > 0
+    assert dict(dataset.protocol) == {
+        **{"protocol": "event_folders", "references": ["map.aedat"], "queries": "drive.aedat", "hot_factor": None},
+        **{"ground_truth": "index", "window_us": 500_000, "tolerance_places": 1, "unmatched": "error"},
+    }
+    by_number = event_folders(**options, events_per_frame=400)
+    assert (by_number.n_places, [int(image[..., 0].sum()) for image in by_number.queries]) == (10, [400] * 10)
+
+
+def test_positions_beside_the_files_say_what_lies_within_metres(options, tmp_path: Path) -> None:
+    # The map is driven at 10 m/s from 5 s on, the other drive at 20 m/s; its positions begin at 6 s.
+    track(tmp_path / "map.aedat", lambda time: 10 * time, np.arange(5.0, 16.0))
+    track(tmp_path / "drive.aedat", lambda time: 20 * time - 60, np.arange(6.0, 13.0, 0.5))
+    dataset = event_folders(**options, ground_truth="gps", radius_metres=12.0, unmatched="keep")
+    t = [np.floor(5 + 1e-3) + np.arange(n) + 0.5 for n in (9, 6)]
+    mapped, asked = 10 * t[0], 20 * t[1][t[1] > 6] - 60
+    assert (dataset.n_places, len(dataset.queries)) == (9, 5)
+    assert rights(dataset) == [np.flatnonzero(abs(mapped - metres) <= 12).tolist() for metres in asked]
+    assert [len(recording.positions_us) for recording in dataset.recordings] == [11, 14]
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("time,lat,lon\n900,0,0\n999,0,0\n", "map.aedat run from 900.0 to"),
+        ("time,lat,lon\n9,0,0\n8,0,0\n", "map.csv holds times that do not ascend"),
+        ("time,lat,lon\n8,0,0\n9,inf,0\n", "map.csv holds times that do not ascend, or no numbers"),
+        ("time,lat,lon\n", "map.csv holds"),
+        ("time,lat,lon\n8,x,0\n", "map.csv: "),
+        ("a,b\n", "map.csv"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_by_name(options, tmp_path: Path, rows: str, told: str) -> None:
+    for name in ("map.csv", "drive.csv"):
+        (tmp_path / name).write_text(rows)
+    assert told in answer(event_folders, **options, ground_truth="gps")
+
+
+def test_recordings_that_are_missing_are_named(options, tmp_path: Path) -> None:
+    assert "dataset.references" in answer(event_folders, kind=NotThere)
+    assert "gone.h5" in answer(event_folders, kind=NotThere, **options | {"queries": "gone.h5"})
+    assert "fetch brisbane_event_vpr" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    write_aedat2(tmp_path / "dvs_vpr_2020-04-22-17-24-21.aedat", by_chance(40))
+    write_aedat2(tmp_path / "dvs_vpr_2020-04-21-17-03-03.aedat", by_chance(40))
+    assert "nmea" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
+    assert "sunset" in answer(brisbane_event_vpr, root=str(tmp_path), queries="sunset3")
+
+
+def write_hdf5(file: Path, events: Events, nanoseconds: int) -> None:
+    """Write events whose clock of nanoseconds since 1970 is at `nanoseconds` when that of `events` is at 0."""
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install vprbench[events]")
+    file.parent.mkdir(exist_ok=True)
+    with h5py.File(file, "w") as stored:
+        for name, column in (("t", events.t * 1000 + nanoseconds), ("x", events.x), ("y", events.y), ("p", events.p)):
+            stored[name] = column
+
+
+def sentence(kind: str, at: datetime, lat: float, fix: bool = True) -> str:
+    """Return a sentence of NMEA 0183 with its checksum, at 0 degrees of longitude."""
+    clock, degrees = f"{at:%H%M%S}.00", int(lat)
+    where = f"{degrees:02d}{60 * (lat - degrees):010.7f},N,00000.0000000,E"
+    if kind == "RMC":
+        text = f"GPRMC,{clock},{'A' if fix else 'V'},{where},0.0,0.0,{at:%d%m%y},,,A"
+    else:
+        text = f"GPGGA,{clock},{where},{int(fix)},08,1.0,10.0,M,0.0,M,,"
+    return f"${text}*{np.bitwise_xor.reduce(np.frombuffer(text.encode(), np.uint8)):02X}\r\n"
+
+
+def log(begin: datetime, seconds: int, metres_a_second: float, kinds: tuple[str, ...] = ("RMC",)) -> str:
+    """Return a log of a drive to the north that has no fix in its first two seconds, and a broken line."""
+    lines = ["$GPGSV,3,1,11,03,03,111,00*74\r\n", "$GPRMC,broken\r\n"]
+    for n in range(seconds):
+        at = datetime.fromtimestamp(begin.timestamp() + n, UTC)
+        lines += [sentence(kind, at, n * metres_a_second / METRES_A_DEGREE, fix=n >= 2) for kind in kinds]
+    return "".join(lines)
+
+
+@pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA"), ("GGA", "RMC")])
+def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+    # The log of the camera car has a date of its own; events begin at 5 s, the logs at 3 s before midnight.
+    midnight = datetime(2020, 1, 1, 23, 59, 57, tzinfo=UTC)
+    for name, date, begin, seconds, speed in (
+        ("sunset2", "2020-04-22-17-24-21", 1587540271.65, 12.0, 10),
+        ("sunset1", "2020-04-21-17-03-03", 1587452582.35, 8.0, 20),
+    ):
+        events = by_chance(4000, seed=speed, seconds=seconds)
+        write_hdf5(tmp_path / name / f"dvs_vpr_{date}.hdf5", events, round(begin * 1e9))
+        (tmp_path / f"2020-{name}_concat.nmea").write_text(log(midnight, 15, speed, kinds))
+    dataset = brisbane_event_vpr(root=str(tmp_path), **OPTIONS, radius_metres=13.0, unmatched="keep")
+    mapped, asked = 10 * (5.5 + np.arange(len(dataset.places))), 20 * (5.5 + np.arange(len(dataset.queries)))
+    assert (dataset.n_places, len(dataset.queries)) == (9, 7)  # until 14 s, where the log ends
+    assert rights(dataset) == [np.flatnonzero(abs(mapped - metres) <= 13).tolist() for metres in asked]
+    assert dataset.protocol["references"] == ["dvs_vpr_2020-04-22-17-24-21.hdf5"]
+
+
+def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path: Path) -> None:
+    begin = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
+    for name in ("map", "drive"):
+        write_hdf5(tmp_path / f"{name}.h5", by_chance(4000, seconds=9.0), round(begin.timestamp() * 1e9))
+        (tmp_path / f"{name}.nmea").write_text(log(begin, 20, 10))
+    files = {"references": [str(tmp_path / "map.h5")], "queries": str(tmp_path / "drive.h5")}
+    dataset = event_folders(**files, **OPTIONS, ground_truth="gps", radius_metres=1.0)
+    assert rights(dataset) == [[place] for place in range(8)]
+    (tmp_path / "map.nmea").write_text(sentence("RMC", begin, 0.0, fix=False))
+    assert "map.nmea" in answer(event_folders, **files, **OPTIONS, ground_truth="gps")
+
+
+def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path: Path) -> None:
+    write_aedat2(tmp_path / "bags_2021-08-19-08-25-42_denoised.aedat", by_chance(20_000, 1, 170.0))  # normal1
+    write_aedat2(tmp_path / "bags_2021-08-20-10-19-45_denoised.aedat", by_chance(20_000, 2, 70.0))  # fast2
+    dataset = qcr_event_vpr(root=str(tmp_path), **OPTIONS, queries="fast2")
+    # The first way begins 2 s after the first event, and both pass their fifth point after 58 and 23.7 s.
+    assert dataset.n_places == 163
+    at_fifth = 23  # the frame from 23 to 24 s, whose middle is 0.2 s before it: 0.2 * (31 - 58) / (12.7 - 23.7) = 0.5 s
+    middle = 58 - 0.2 * 27 / 11
+    right = [place for place in range(163) if abs(place + 0.5 - middle) <= 0.02 * 163]
+    assert rights(dataset)[at_fifth] == right
+    assert dataset.protocol["radius_percent"] == 2.0
+    assert "none" in answer(qcr_event_vpr, root=str(tmp_path), queries="none")
+
+
+@needs_real_frames
+def test_sad_finds_76_of_724_places_of_brisbane() -> None:
+    dataset = brisbane_events_7x7("brisbane", root=str(REAL / "brisbane_events_7x7"))
+    assert (dataset.n_places, len(dataset.queries), sum(map(len, dataset.positives))) == (641, 724, 822)
+    sad = SAD(preprocessing="grey", height=7, width=7).fit(dataset.references, dataset.places)
+    best = sad.query(dataset.queries).argmax(axis=1)
+    hits = sum(place in right for place, right in zip(best, dataset.positives, strict=True))
+    assert hits == 76  # 0.105 of 724, as the data's own description measured it
