@@ -28,7 +28,6 @@ def column(*options: str) -> PlannedColumn:
 
 
 NORDLAND = config("nordland")
-ROBOTCAR = config("oxford_robotcar")
 
 
 @pytest.mark.parametrize("name", ["synthetic", "street"])
@@ -43,27 +42,26 @@ def test_a_rendered_journey_is_another_one_than_every_reported_one_and_all_of_it
         assert not np.array_equal(other.references[frame], usual.references[frame])
 
 
+ON_REQUEST = replace(column("dataset=nordland", "dataset.protocol=vprsnn"), on_request=True)
+OTHER = column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset.query_places=500")
+SMALLER = ("dataset.places=450", "dataset.first_query_place=90", "dataset.query_places=360")
+
+
 @pytest.mark.parametrize(
-    "columns",
+    ("name", "columns", "places", "searched", "checked"),
     [
-        [column("dataset=nordland")],
-        [replace(column("dataset=nordland", "dataset.protocol=vprsnn"), on_request=True)],
-        [column("dataset=nordland_64x32", "dataset.first_query_place=0", "dataset.query_places=500")],
+        ("nordland", [column("dataset=nordland")], 500, range(500), range(500, 600)),
+        ("nordland", [ON_REQUEST, OTHER], 500, range(500), range(500, 600)),
+        ("nordland", [column("dataset=nordland", *SMALLER)], 150, range(450, 600), range(90)),
+        ("oxford_robotcar", [], 60, range(60), range(60, 90)),
     ],
-    ids=["its own", "on request", "of another dataset"],
+    ids=["its own", "on request, of another dataset", "a column with fewer places", "robotcar"],
 )
-def test_of_nordland_only_the_600_places_that_the_paper_does_not_query_are_searched(columns: list[Any]) -> None:
-    allowed = searchable("nordland", NORDLAND, 500, columns)
-    assert (allowed.searched, allowed.checked) == (range(500), range(500, 600))
-    assert allowed.dataset == {**NORDLAND, "first_query_place": 0, "query_places": 3300}
-
-
-def test_places_that_a_column_of_the_table_queries_are_left_out_too() -> None:
-    smaller = column(
-        "dataset=nordland", "dataset.places=450", "dataset.first_query_place=90", "dataset.query_places=360"
-    )
-    allowed = searchable("nordland", NORDLAND, 150, [smaller])
-    assert (allowed.searched, allowed.checked) == (range(450, 600), range(90))
+def test_places_that_the_paper_or_a_column_of_the_table_queries_are_left_out(
+    name: str, columns: list[Any], places: int, searched: range, checked: range
+) -> None:
+    whole = {"first_query_place": 0, "query_places": {"nordland": 3300, "oxford_robotcar": 450}[name]}
+    assert searchable(name, config(name), places, columns) == Searchable({**config(name), **whole}, searched, checked)
 
 
 def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_checked() -> None:
@@ -80,26 +78,18 @@ def test_no_place_of_nordland_that_this_projects_table_queries_is_searched_or_ch
     assert not {*allowed.searched} & {*allowed.checked}
 
 
-def test_of_robotcar_the_first_90_places_are_left() -> None:
-    assert searchable("oxford_robotcar", ROBOTCAR, 60, []) == Searchable(
-        {**ROBOTCAR, "first_query_place": 0, "query_places": 450}, range(60), range(60, 90)
-    )
-
-
 @pytest.mark.parametrize(
-    ("name", "dataset", "places", "complaint"),
+    ("name", "places", "complaint"),
     [
-        ("nordland_64x32", config("nordland_64x32"), 100, "query all of its 2761 places; search on dataset=synthetic"),
-        ("folders", config("folders"), 100, "dataset=folders: nothing says which of its places"),
-        ("oxford_robotcar", ROBOTCAR, 100, "places=100: of dataset=oxford_robotcar 90 places in a row"),
-        ("oxford_robotcar", ROBOTCAR, 85, "10 or more have to be left to check"),
+        ("nordland_64x32", 100, "query all of its 2761 places; search on dataset=synthetic"),
+        ("folders", 100, "dataset=folders: nothing says which of its places"),
+        ("oxford_robotcar", 100, "places=100: of dataset=oxford_robotcar 90 places in a row"),
+        ("oxford_robotcar", 85, "10 or more have to be left to check"),
     ],
 )
-def test_what_has_no_free_places_is_refused_with_the_reason(
-    name: str, dataset: dict[str, Any], places: int, complaint: str
-) -> None:
+def test_what_has_no_free_places_is_refused_with_the_reason(name: str, places: int, complaint: str) -> None:
     with pytest.raises(BadInput, match=complaint):
-        searchable(name, dataset, places, [])
+        searchable(name, config(name), places, [])
 
 
 def stored(dataset: dict[str, Any], *queried: int) -> Run:
@@ -128,17 +118,14 @@ def test_a_stored_run_that_queries_a_searched_or_checked_place_is_named(
     assert querying([run], allowed) == [f"nordland/little-{run.key}"] * named
 
 
-def test_a_stored_run_of_another_journey_is_not_named() -> None:
+def test_a_stored_run_of_another_journey_or_of_later_places_is_not_named() -> None:
     rendered = config("synthetic")
     allowed = searchable("synthetic", rendered, 20, [])
     runs = [stored({**rendered, "seed": seed}, 5) for seed in (0, allowed.dataset["seed"], 9)]
     assert querying(runs, allowed) == querying(runs[1:2], allowed) == [f"synthetic/little-{runs[1].key}"]
-
-
-def test_a_stored_run_that_leaves_first_places_out_is_known_by_the_numbers_of_the_others() -> None:
-    allowed = searchable("nordland", NORDLAND, 500, [])
+    nordland = searchable("nordland", NORDLAND, 500, [])
     run = replace(stored(NORDLAND, 3, 4), place_numbers=np.arange(600, 700))
-    assert (querying([run], allowed), len(querying([replace(run, place_numbers=None)], allowed))) == ([], 1)
+    assert (querying([run], nordland), len(querying([replace(run, place_numbers=None)], nordland))) == ([], 1)
 
 
 def two_traverses(tolerance: int = 0) -> Dataset:
@@ -157,16 +144,10 @@ def two_traverses(tolerance: int = 0) -> Dataset:
     )
 
 
-def first_numbers(dataset: Dataset) -> tuple[list[str], list[str]]:
-    return list(dataset.references.names), list(dataset.queries.names)
-
-
 def test_a_stretch_has_its_own_references_queries_and_numbers() -> None:
     part = cut(two_traverses(), range(2, 5))
-    assert first_numbers(part) == (
-        ["image 2", "image 3", "image 4", "image 8", "image 9", "image 10"],
-        ["image 2", "image 3", "image 4"],
-    )
+    assert [*part.references.names] == [f"image {number}" for number in (2, 3, 4, 8, 9, 10)]
+    assert [*part.queries.names] == ["image 2", "image 3", "image 4"]
     assert part.places.tolist() == [0, 1, 2, 0, 1, 2]
     assert [right.tolist() for right in part.positives] == [[0], [1], [2]]
     assert part.protocol == {"query": "dusk", "stretch": [2, 4]}
@@ -174,4 +155,4 @@ def test_a_stretch_has_its_own_references_queries_and_numbers() -> None:
 
 def test_a_query_with_a_right_place_in_another_stretch_belongs_to_neither() -> None:
     parts = [cut(two_traverses(tolerance=1), stretch) for stretch in (range(3), range(3, 6))]
-    assert [first_numbers(part)[1] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]
+    assert [[*part.queries.names] for part in parts] == [["image 0", "image 1"], ["image 4", "image 5"]]

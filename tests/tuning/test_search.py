@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import signal
+import pickle
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from checkout import ROOT
 from dying_attempt import Attempt
 from little import a_run
-from search_stub import HALTS, Here, Stub, recall
+from search_stub import Here, Stub, recall
 
 import vprbench
+from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
 from vprbench.plugins.options import chosen
@@ -27,7 +27,7 @@ from vprbench.run import machine
 from vprbench.run.store import Store
 from vprbench.tuning import objective, places, space
 from vprbench.tuning.objective import Task, Training
-from vprbench.tuning.search import QUICK, Found, Settings, explore, search
+from vprbench.tuning.search import QUICK, Settings, explore, search
 from vprbench.tuning.space import PAPER
 from vprbench.tuning.study import JOURNAL, Study, Trial, best_of, opened
 from vprbench.tuning.workers import Workers
@@ -110,26 +110,33 @@ def test_a_diverged_training_counts_as_recall_0_and_is_kept_with_its_reason(tmp_
 
 
 def test_a_killed_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    stub = ROOT / "tests" / "support" / "search_stub.py"
-    home = Path(vprbench.__file__).parents[1]
-    killed = tmp_path / "killed"
-    with subprocess.Popen(
-        [sys.executable, str(stub), str(killed), "9", "4"],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(home)},
-    ) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline().strip() == HALTS  # in the fourth trial
-        child.send_signal(signal.SIGKILL)
-        assert child.stdout.read() == ""  # ends when its worker has ended too
-    with opened(killed) as study:
+    workers: Any = Here(Stub(), killed_at=3)
+    with contextlib.suppress(KeyboardInterrupt), opened(tmp_path / "killed") as study:
+        explore(study, workers, 9, seed=0)
+    with opened(tmp_path / "killed") as study:
         before = study.trials()
-    assert [trial.recall_at_1 is not None for trial in before] == [True, True, True, False]
-    after = explored(killed, 9)
+    assert [(trial.recall_at_1 is not None, trial.failed) for trial in before] == [(True, None)] * 3 + [(False, "")]
+    after = explored(tmp_path / "killed", 9)
     assert after[:4] == before
     assert len(finished(after)) == 9
     assert tried(after) == tried(explored(tmp_path / "whole", 9))
+
+
+def test_a_process_of_the_search_ends_with_the_search() -> None:
+    program = """
+from dying_attempt import begin_and_wait
+from vprbench.tuning.workers import Workers
+if __name__ == "__main__":
+    with Workers(begin_and_wait, 1) as workers:
+        [*workers.answers([0], print)]
+"""
+    homes = os.pathsep.join(map(str, (ROOT / "tests" / "support", Path(vprbench.__file__).parents[1])))
+    given = {**os.environ, "PYTHONPATH": homes}
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, env=given) as child:
+        assert child.stdout is not None
+        assert "begun\n" in (child.stdout.readline(), child.stdout.readline())
+        child.kill()
+        assert child.stdout.read() == ""  # when the process that waits has ended too
 
 
 def test_whatever_part_of_the_journal_was_written_the_search_goes_on_from_it(tmp_path: Path) -> None:
@@ -147,21 +154,17 @@ def test_whatever_part_of_the_journal_was_written_the_search_goes_on_from_it(tmp
         assert len(finished(after)) == 3
 
 
-def test_a_journal_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path: Path) -> None:
+    with opened(tmp_path), pytest.raises(BadInput, match="in use by another search"), opened(tmp_path):
+        pass
     (tmp_path / JOURNAL).write_bytes(b"no json\n{}\n")
     with pytest.raises(BadInput, match=rf"{JOURNAL} cannot be read .* move it away"), opened(tmp_path):
         pass
 
 
-def test_the_same_search_cannot_run_twice_at_once(tmp_path: Path) -> None:
-    with opened(tmp_path), pytest.raises(BadInput, match="in use by another search"), opened(tmp_path):
-        pass
-
-
 def test_importance_names_the_parameters_that_matter(tmp_path: Path) -> None:
+    explored(tmp_path, 45)
     with opened(tmp_path) as study:
-        workers: Any = Here(Stub())
-        explore(study, workers, 45, 0)
         shares = study.importance()
         assert study.importance() == shares
     assert next(iter(shares)) == "rate_min"
@@ -185,34 +188,34 @@ def test_importance_looks_at_random_trials_alone_and_needs_a_recall_that_varies(
         assert study.importance() == {}
 
 
-@pytest.mark.parametrize("option", ["places=9", "trials=0", "jobs=0", "seed=-1"])
-def test_settings_under_which_nothing_is_searched_are_refused_by_name(option: str) -> None:
-    with pytest.raises(BadInput, match=f"^{option}: give at least"):
-        chosen(Settings, [option], QUICK)
+def test_settings_under_which_nothing_is_searched_are_refused_by_name() -> None:
+    for option in ("places=9", "trials=0", "jobs=0", "seed=-1"):
+        with pytest.raises(BadInput, match=f"^{option}: give at least"):
+            chosen(Settings, [option], QUICK)
 
 
-METHOD = {
-    **{name: value for name, value in yaml.safe_load(
-        registry.entries("method")["vprtempo"].path.read_text(encoding="utf-8")
-    ).items() if name not in ("seed", "device")},
-    "height": 12,
-    "width": 12,
-    "epochs": 1,
-}  # fmt: skip
-DATASET = yaml.safe_load(registry.entries("dataset")["synthetic"].path.read_text(encoding="utf-8"))
+METHOD = {**registry.entries("method")["vprtempo"].values(), "height": 12, "width": 12, "epochs": 1}
+for set_by_the_run in ("seed", "device", "tags"):
+    METHOD.pop(set_by_the_run, None)
+DATASET = registry.entries("dataset")["synthetic"].values()
+
+
+def kept(folder: Path, n_places: int, **arguments: Any) -> tuple[Dataset, Training]:
+    """Keep the searched stretch of a rendered journey; returns it, and what tries settings on it."""
+    allowed = places.searchable("synthetic", DATASET, n_places, [])
+    part = places.cut(registry.make_dataset(allowed.dataset), allowed.searched)
+    method = {**METHOD, "device": "cpu", **arguments}
+    objective.keep(folder / "searched", part, registry.make_method(method))
+    return part, pickle.loads(pickle.dumps(Training(folder, method)))  # as a process gets it
 
 
 def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path: Path) -> None:
-    allowed = places.searchable("synthetic", DATASET, 20, [])
-    part = places.cut(registry.make_dataset(allowed.dataset), allowed.searched)
-    arguments = {**METHOD, "seed": 4, "device": "cpu"}
-    objective.keep(tmp_path / "searched", part, registry.make_method(arguments))
+    part, attempt = kept(tmp_path, 20, seed=4)
     values = {**PAPER, "rate_min": 0.4}
-    attempt = Training(tmp_path, arguments)
     answers = []
     for asked, seed in ((None, 4), (9, 9)):  # the searched one, and one of the comparison
         given = attempt(Task("searched", values, asked))
-        alone = registry.make_method({**arguments, **values, "max_module": 20, "seed": seed})
+        alone = registry.make_method({**attempt.method, **values, "max_module": 20, "seed": seed})
         alone.fit(part.references, part.places)
         right = [scores.argmax() == place for place, scores in enumerate(alone.query(part.queries))]
         assert given.recall_at_1 == np.mean(right) > 0
@@ -222,30 +225,18 @@ def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images(tmp_path: P
 
 
 def test_a_training_that_diverges_answers_nothing_and_says_why(tmp_path: Path) -> None:
-    allowed = places.searchable("synthetic", DATASET, 12, [])
-    part = places.cut(registry.make_dataset(allowed.dataset), allowed.searched)
-    arguments = {**METHOD, "seed": 0, "device": "cpu", "homeostasis_gain": 1e30}
-    objective.keep(tmp_path / "searched", part, registry.make_method(arguments))
-    given = Training(tmp_path, arguments)(Task("searched", PAPER))
+    _, attempt = kept(tmp_path, 12, seed=0, homeostasis_gain=1e30)
+    given = attempt(Task("searched", PAPER))
     assert (given.recall_at_1, given.sure_hits.sum()) == (0.0, 0.0)
-    assert given.diverged is not None
-    assert given.diverged.startswith("training diverged")
+    assert (given.diverged or "").startswith("training diverged")
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("results")
-
-
-@pytest.fixture(scope="module")
-def found(results: Path) -> Iterator[Found]:
-    settings = Settings(places=12, trials=3, jobs=2, results=str(results))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(machine, "cores", lambda: [0, 1])
-        yield search(settings, METHOD, DATASET)
-
-
-def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches(found: Found) -> None:
+def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches_and_the_same_again_only_compares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("vprbench.tuning.search.Workers", Here)
+    monkeypatch.setattr(machine, "cores", lambda: [0, 1])
+    found = search(Settings(places=12, trials=3, jobs=2, results=str(tmp_path)), METHOD, DATASET)
     assert (len(found.trials), found.tried_now, found.jobs) == (3, 3, 2)
     assert {name: (each.n_places, each.n_queries) for name, each in found.compared.items()} == {
         "searched": (12, 12),
@@ -253,29 +244,14 @@ def test_a_real_search_compares_its_best_with_the_paper_on_both_stretches(found:
     }
     assert {each.seeds for each in found.compared.values()} == {(1, 2, 3, 4, 5)}
     assert [found.protocols[name]["stretch"] for name in ("searched", "checked")] == [[0, 11], [12, 23]]
+    again = search(Settings(places=12, trials=3, jobs=1, results=str(tmp_path)), METHOD, DATASET)
+    assert (again.tried_now, again.folder, again.trials) == (0, found.folder, found.trials)
+    assert again.compared == found.compared
 
-
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vprbench.tuning.search.Workers", Here)
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_the_same_real_search_again_only_compares(found: Found, results: Path) -> None:
-    again = search(Settings(places=12, trials=3, jobs=1, results=str(results)), METHOD, DATASET)
-    assert again.tried_now == 0
-    assert (again.folder, again.trials, again.compared) == (found.folder, found.trials, found.compared)
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_another_method_is_another_study_of_no_more_jobs_than_cores_that_names_runs_on_its_places(
-    found: Found, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
     caplog.set_level("INFO")
     monkeypatch.setattr(machine, "cores", lambda: [0])
-    there = a_run(
-        config={**a_run().config, "dataset": {**DATASET, "seed": 1, "places": 10}}, dataset="synthetic", method="sad"
-    )
+    queried = {**a_run().config, "dataset": {**DATASET, "seed": 1, "places": 10}}
+    there = a_run(config=queried, dataset="synthetic", method="sad")
     Store(tmp_path).save(there)
     other = search(Settings(places=12, trials=1, jobs=64, results=str(tmp_path)), {**METHOD, "rules": "v1"}, DATASET)
     assert other.folder.name != found.folder.name
