@@ -295,7 +295,7 @@ def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(
         claim.release()
 
     monkeypatch.setattr(find_or_make, "wait", fail)
-    with pytest.raises(FailedElsewhereError, match="little on journey failed .*: ValueError: no"):
+    with pytest.raises(FailedElsewhereError, match=r"little on journey failed .*: ValueError: no"):
         made(method, store)
     assert method.fits == []
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from checkout import ROOT
 from little import journey
 from PIL import Image as PillowImage
 
@@ -38,8 +39,7 @@ def test_a_shift_moves_pixels_left_or_right_and_repeats_the_border(strength: int
     left = np.concatenate([RANDOM[:, pixels:], np.repeat(RANDOM[:, -1:], pixels, axis=1)], axis=1)
     right = np.concatenate([np.repeat(RANDOM[:, :1], pixels, axis=1), RANDOM[:, :-pixels]], axis=1)
     shifted = [under(f"shift-{strength}", RANDOM, frame) for frame in FRAMES]
-    ways = [(bool((one == left).all()), bool((one == right).all())) for one in shifted]
-    assert {*ways} == {(True, False), (False, True)}
+    assert {((one == left).all(), (one == right).all()) for one in shifted} == {(True, False), (False, True)}
 
 
 @pytest.mark.parametrize(("strength", "degrees"), [(1, 2), (2, 5), (3, 10)])
@@ -56,34 +56,29 @@ def test_a_rotation_turns_about_the_middle_of_the_frame(strength: int, degrees: 
     assert found == {-degrees, degrees}
 
 
-@pytest.mark.parametrize(("strength", "stops"), [(1, 0.5), (2, 1), (3, 2)])
-def test_brightness_multiplies_levels_and_ends_at_white(strength: int, stops: float) -> None:
-    for level in (50, 180):
+@pytest.mark.parametrize(("strength", "stops", "deviation", "noise"), [(1, 0.5, 2, 5), (2, 1, 4, 10), (3, 2, 8, 20)])
+def test_brightness_multiplies_levels_blur_spreads_a_line_and_noise_has_its_deviation_and_no_mean(
+    strength: int, stops: float, deviation: float, noise: float
+) -> None:
+    for level in (50, 180):  # ends at white
         levels = {float(under(f"brightness-{strength}", grey(level), frame).mean()) for frame in FRAMES}
         assert levels == {round(level / 2**stops), min(255, round(level * 2**stops))}
-
-
-@pytest.mark.parametrize(("strength", "deviation"), [(1, 2.0), (2, 4.0), (3, 8.0)])  # pixels of 200
-def test_blur_spreads_a_line_by_its_share_of_the_width(strength: int, deviation: float) -> None:
     image = grey(0)
     image[:, 92:108] = 255
     profile = under(f"blur-{strength}", image)[60, :, 0]
-    where = np.arange(200) - 99.5
-    variance = (profile * where**2).sum() / profile.sum()
-    assert variance == pytest.approx((16**2 - 1) / 12 + deviation**2, rel=0.02)
-
-
-@pytest.mark.parametrize(("strength", "levels"), [(1, 5), (2, 10), (3, 20)])
-def test_noise_has_its_deviation_and_no_mean_and_no_two_frames_share_it(strength: int, levels: float) -> None:
+    variance = (profile * (np.arange(200) - 99.5) ** 2).sum() / profile.sum()
+    assert variance == pytest.approx((16**2 - 1) / 12 + deviation**2, rel=0.02)  # a share of the 200 pixels
     one, other = (under(f"noise-{strength}", grey(128), frame) - 128 for frame in FRAMES[:2])
-    assert one.std() == pytest.approx(levels, rel=0.02)
-    assert abs(one.mean()) < 4 * levels / one.size**0.5 + 0.1
+    assert one.std() == pytest.approx(noise, rel=0.02)
+    assert abs(one.mean()) < 4 * noise / one.size**0.5 + 0.1
     assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.02
     assert abs(np.corrcoef(one[:, :, 0].ravel(), one[:, :, 1].ravel())[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize(("strength", "share"), [(1, 0.10), (2, 0.25), (3, 0.50)])
-def test_occlusion_hides_a_grey_rectangle_of_its_share(strength: int, share: float) -> None:
+@pytest.mark.parametrize(("strength", "share", "factor"), [(1, 0.10, 2), (2, 0.25, 4), (3, 0.50, 8)])
+def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_means_of_areas_and_nothing_finer(
+    strength: int, share: float, factor: int
+) -> None:
     corners = set()
     for frame in FRAMES:
         hidden = under(f"occlusion-{strength}", grey(7), frame)[:, :, 0]
@@ -93,10 +88,6 @@ def test_occlusion_hides_a_grey_rectangle_of_its_share(strength: int, share: flo
         assert {*hidden[rows, columns]} == {128.0}
         corners.add((int(rows.min()), int(columns.min())))
     assert len(corners) > 6
-
-
-@pytest.mark.parametrize(("strength", "factor"), [(1, 2), (2, 4), (3, 8)])
-def test_resolution_keeps_means_of_areas_and_nothing_finer(strength: int, factor: int) -> None:
     blocks = RANDOM[:40, :56].reshape(40 // factor, factor, 56 // factor, factor, 3).mean((1, 3)).round()
     coarse = under(f"resolution-{strength}", np.ascontiguousarray(RANDOM[:, :56]))
     line = np.minimum(np.maximum((np.arange(56) + 0.5) / factor - 0.5, 0), 56 // factor - 1)
@@ -105,7 +96,7 @@ def test_resolution_keeps_means_of_areas_and_nothing_finer(strength: int, factor
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_strengths_of_a_kind_go_one_way_and_further(kind: str) -> None:
+def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_view(kind: str) -> None:
     smooth = np.repeat(np.linspace(20, 120, 60)[None, :, None], 40, axis=0).repeat(3, axis=2).astype(np.uint8)
     image = smooth if kind in ("shift", "rotation", "brightness", "noise") else RANDOM
     for frame in FRAMES[:4]:
@@ -114,35 +105,26 @@ def test_strengths_of_a_kind_go_one_way_and_further(kind: str) -> None:
         assert 0 < amounts[0] < amounts[1] < amounts[2]
         if kind in ("shift", "brightness"):
             assert len({np.sign(change.sum()) for change in changes}) == 1
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_frame_is_corrupted_alike_in_any_order_view_and_process(kind: str) -> None:
     queries = corrupted(journey(6, 4), f"{kind}-2").queries
     one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}
     views = [queries, queries.unnamed(), [*queries[:3], *queries[3:]], queries.in_memory()]
     assert all(np.array_equal(image, one_by_one[i]) for view in views for i, image in enumerate(view))
-    assert all(
-        np.array_equal(image, one_by_one[i])
-        for i, image in zip((5, 2), queries.unnamed()[np.array([5, 2])], strict=True)
-    )
-
-
-def drawn() -> str:
-    """Return a hash of a frame under every corruption."""
-    frames = [corrupted_frame(RANDOM, each, "a").tobytes() for each in corruptions(["all"])]
-    return hashlib.sha256(b"".join(frames)).hexdigest()
+    some = queries.unnamed()[np.array([5, 2])]
+    assert all(np.array_equal(image, one_by_one[i]) for i, image in zip((5, 2), some, strict=True))
 
 
 def test_another_process_draws_the_same_and_another_seed_or_frame_does_not() -> None:
-    code = "import test_corruption; print(test_corruption.drawn())"
-    asked = {"cwd": Path(__file__).parent, "env": {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}}
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, **asked)
-    assert told.stdout.strip() == drawn()
-    image = RANDOM
-    one = under("noise-2", image, "a")
-    assert not np.array_equal(one, under("noise-2-7", image, "a"))
-    assert not np.array_equal(one, under("noise-2", image, "b"))
+    code = (
+        "import numpy as np, sys; from vprbench.run.corrupted_frames import *; from vprbench.run.corruption import *;"
+        "image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8);"
+        "drawn = [corrupted_frame(image, each, 'a').tobytes() for each in corruptions(['all'])];"
+        "sys.stdout.buffer.write(b''.join(drawn))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, cwd=ROOT)
+    assert told.stdout == b"".join(corrupted_frame(RANDOM, each, "a").tobytes() for each in corruptions(["all"]))
+    one = under("noise-2", RANDOM, "a")
+    assert not np.array_equal(one, under("noise-2-7", RANDOM, "a"))
+    assert not np.array_equal(one, under("noise-2", RANDOM, "b"))
 
 
 def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched() -> None:
@@ -158,29 +140,23 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
     assert fingerprint(corrupted(journey(6, 4), "shift-2")) == fingerprint(spoilt)
 
 
-def of_array(frame: Image, tmp_path: Path) -> Images:
-    return Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20)
+@pytest.mark.parametrize("kind", ["array", "file", "stamp"])
+def test_hashes_of_changed_images_see_the_images_and_the_change(kind: str, tmp_path: Path) -> None:
+    def made(frame: Image) -> Images:
+        if kind == "array":
+            return Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20)
+        if kind == "file":
+            PillowImage.fromarray(frame).save(tmp_path / "a.png")
+            return Images.from_files([tmp_path / "a.png"])
+        mark = hashlib.sha256(frame.tobytes()).digest()
+        return Images(lambda i: frame, ["a"], stamp=lambda i: mark, content=lambda i: mark)
 
-
-def of_file(frame: Image, tmp_path: Path) -> Images:
-    PillowImage.fromarray(frame).save(tmp_path / "a.png")
-    return Images.from_files([tmp_path / "a.png"])
-
-
-def stamped(frame: Image, tmp_path: Path) -> Images:
-    mark = hashlib.sha256(frame.tobytes()).digest()
-    return Images(lambda i: frame, ["a"], stamp=lambda i: mark, content=lambda i: mark)
-
-
-@pytest.mark.parametrize("made", [of_array, of_file, stamped])
-def test_hashes_of_changed_images_see_the_images_and_the_change(made: object, tmp_path: Path) -> None:
-    def hashes(level: int, how: str) -> tuple[str, str]:
-        images = made(grey(level, 4, 4), tmp_path).changed(lambda image, name: image, how)  # type: ignore[operator]
+    def hashes(level: int, how: str = "") -> tuple[str, str]:
+        images: Any = made(grey(level, 4, 4))
+        images = images.changed(lambda image, name: image, how) if how else images
         return images.fingerprint(), images.content_hash()
 
-    found = [hashes(9, "a"), hashes(8, "a"), hashes(9, "b")]
-    plain = made(grey(9, 4, 4), tmp_path)  # type: ignore[operator]
-    found.append((plain.fingerprint(), plain.content_hash()))
+    found = [hashes(9, "a"), hashes(8, "a"), hashes(9, "b"), hashes(9)]
     assert [len({*column}) for column in zip(*found, strict=True)] == [4, 4]
     assert hashes(9, "a") == found[0]
 

@@ -1,4 +1,4 @@
-"""What a run records of its frames: worked out by hand, stored, printed, and seen by what else looks at files."""
+"""What a run records of its frames: worked out by hand, stored and printed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import io
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,7 @@ from vprbench.run import rows
 from vprbench.run.identity import DataRecord, data_record
 from vprbench.storage import hashes
 
-RECORD: dict[str, Any] = {
-    "names_sha256": "5f74d2dc7bb3" + "0" * 52,
-    "content_sha256": None,
-    "images": 14,
-    "bytes": None,
-}
+RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
 
 
 def sha256(content: bytes) -> str:
@@ -62,28 +56,12 @@ def record(references: list[Path], queries: list[Path]) -> DataRecord:
     return data_record(dataset_of(Images.from_files(references), Images.from_files(queries)))
 
 
-@pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Counter[str]]:
-    """How often each file was read, by folder and name, where none has changed for long."""
-    counts: Counter[str] = Counter()
-    digest = hashes.file_digest
-
-    def counted(file: Any, kind: str) -> Any:
-        counts["/".join(Path(os.fsdecode(file.name)).parts[-2:])] += 1
-        return digest(file, kind)
-
-    monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
-    monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)
-    monkeypatch.setattr(hashes, "file_digest", counted)
-    return counts
-
-
-# The record
-
-
-def test_the_record_of_files_is_as_worked_out_by_hand(winter: list[Path], summer: list[Path], tmp_path: Path) -> None:
+def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_order_change_their_part_of_it(
+    winter: list[Path], summer: list[Path], tmp_path: Path
+) -> None:
     contents = [b"bbb", b"aaa", b"ccc", b"aaaaa", b"ddddd"]
-    assert record(winter, summer) == {
+    before = record(winter, summer)
+    assert before == {
         "names_sha256": sha256(b"b.png\na.png\nc.png\na.png\nd.png"),
         "content_sha256": sha256(b"".join(hashlib.sha256(content).digest() for content in contents)),
         "images": 5,
@@ -91,12 +69,6 @@ def test_the_record_of_files_is_as_worked_out_by_hand(winter: list[Path], summer
     }
     no_unicode = write(Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xe9t\xe9.png")), b"abc")
     assert record([no_unicode], summer)["names_sha256"] == sha256(b"\xe9t\xe9.png\na.png\nd.png")
-
-
-def test_names_content_and_order_change_their_part_of_the_record_and_the_folder_none(
-    winter: list[Path], summer: list[Path]
-) -> None:
-    before = record(winter, summer)
     moved = winter[0].parent.rename(winter[0].parent.with_name("elsewhere"))
     winter = [moved / path.name for path in winter]
     assert record(winter, summer) == before
@@ -118,20 +90,24 @@ def test_frames_that_are_no_files_have_names_alone(winter: list[Path], summer: l
         references = Images.from_arrays([picture(i) for i in range(3)], references.names)
     if rendered != "references":
         queries = Images.from_arrays([picture(i) for i in range(2)], queries.names)
-    assert data_record(dataset_of(references, queries)) == {
-        "names_sha256": sha256(b"b.png\na.png\nc.png\na.png\nd.png"),
-        "content_sha256": None,
-        "images": 5,
-        "bytes": None,
-    }
-
-
-# Hashes of images
+    names = sha256(b"b.png\na.png\nc.png\na.png\nd.png")
+    found = data_record(dataset_of(references, queries))
+    assert found == {"names_sha256": names, "content_sha256": None, "images": 5, "bytes": None}
 
 
 def test_fingerprint_record_and_content_of_views_read_a_file_once(
-    winter: list[Path], summer: list[Path], read: Counter[str]
+    winter: list[Path], summer: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    read: Counter[str] = Counter()
+    digest = hashes.file_digest
+
+    def counted(file: Any, kind: str) -> Any:
+        read["/".join(Path(os.fsdecode(file.name)).parts[-2:])] += 1
+        return digest(file, kind)
+
+    monkeypatch.setenv("VPRBENCH_HASHES", str(tmp_path / "hashes"))
+    monkeypatch.setattr(hashes, "time_ns", lambda: 4 * 10**18)  # none has changed for long
+    monkeypatch.setattr(hashes, "file_digest", counted)
     dataset = dataset_of(Images.from_files(winter), Images.from_files([*summer, winter[2]]))
     for images in (dataset.references, dataset.queries, dataset.references[1:], dataset.queries[::-1]):
         images.fingerprint()
@@ -143,21 +119,13 @@ def test_fingerprint_record_and_content_of_views_read_a_file_once(
 @pytest.mark.parametrize("hashed", ["fingerprint", "content_hash"])
 def test_what_images_are_made_from_beside_their_files_changes_their_hash(winter: list[Path], hashed: str) -> None:
     def made(besides: bytes, files: list[Path] | None) -> str:
-        images = Images(
-            lambda _: pytest.fail("an image was read"),
-            "abc",
-            files=files,
-            stamp=lambda _: besides,
-            content=lambda _: besides,
-        )
+        unread: Any = lambda _: pytest.fail("an image was read")  # noqa: E731
+        images = Images(unread, "abc", files=files, stamp=lambda _: besides, content=lambda _: besides)
         return str(getattr(images[:], hashed)())
 
     assert made(b"lens 1", winter) == made(b"lens 1", winter)
     assert len({made(b"lens 1", winter), made(b"lens 2", winter), made(b"lens 1", winter[::-1])}) == 3
     assert made(b"lens 1", None) == made(b"lens 1", None) != made(b"lens 2", None)
-
-
-# The run
 
 
 def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them() -> None:
@@ -166,8 +134,7 @@ def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows
     text = rows.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
     names = ("protocol", "names_sha256", "content_sha256")
     assert [[line[name] for name in names] for line in csv.DictReader(io.StringIO(text))] == [
-        ["", "", ""],
-        ["", "", ""],
+        *[["", "", ""]] * 2,
         ["vprtempo", RECORD["names_sha256"], ""],
     ]
 
@@ -176,16 +143,13 @@ def test_a_run_of_files_prints_and_stores_their_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    paths = []
-    for folder in ("winter", "summer"):
-        for i in range(3):
-            paths.append(tmp_path / folder / f"{i}.png")
-            paths[-1].parent.mkdir(exist_ok=True)
-            PillowImage.fromarray(picture(i)).resize((16, 16)).save(paths[-1])
-    timing = ["timing.minimum_seconds=0", "timing.sample=3", "timing.minimum_queries=3", "timing.batch_sizes=[1]"]
-    frames = ["dataset=folders", "dataset.references=[winter]", "dataset.queries=summer"]
+    paths = [tmp_path / folder / f"{i}.png" for folder in ("winter", "summer") for i in range(3)]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        PillowImage.fromarray(picture(int(path.stem))).resize((16, 16)).save(path)
+    frames = ["dataset=folders", "dataset.references=[winter]", "dataset.queries=summer", "timing=none"]
     with quiet_surroundings():
-        assert main(["method=sad", *frames, *timing, "threads=1", "output=json"]) == 0
+        assert main(["method=sad", *frames, "threads=1", "output=json"]) == 0
     row = json.loads(capsys.readouterr().out)
     (stored,) = (tmp_path / "results").rglob("run.json")
     assert row["data"] == json.loads(stored.read_text("utf-8"))["data"]

@@ -1,17 +1,21 @@
-"""A second run on the same traverses encodes nothing but the timed sample, answers the same, and says so."""
+"""A second run on the same traverses encodes nothing but the timed sample, from what the first one kept on disk."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little import journey, number_in
+from little import journey, number_in, pictures
 from little_runs import kinds
 
 from vprbench.api.dataset import Dataset
@@ -20,11 +24,16 @@ from vprbench.api.images import Images
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
 from vprbench.run import descriptors, runner
+from vprbench.run.descriptors import Described
 from vprbench.run.identity import Request
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import Protocol, Stopwatch
+from vprbench.storage import shards
+
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 N_QUERIES, N_PLACES = 70, 80
+ALL = N_QUERIES + N_PLACES
 PROTOCOL = Protocol(minimum_seconds=0, minimum_queries=2, sample=2, warmup_queries=1, batch_sizes=[1])
 
 
@@ -65,23 +74,21 @@ def dataset() -> Dataset:
 
 
 def run(method: DescriptorMethod, dataset: Dataset, folder: Path | None, **changes: Any) -> Run:
-    arguments = {
-        "_target_": "Counting",
-        "turn": 0.03,
-        "index": "exact",
-        "device": "cpu",
-        **changes.pop("arguments", {}),
-    }
-    config = {"method": arguments, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
+    given = {"_target_": "Counting", "turn": 0.03, "index": "exact", "device": "cpu", **changes.pop("arguments", {})}
+    config = {"method": given, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
     return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
 
 
-def encoded_for_answers(method: Counting, run: Run) -> int:
+def encoded_for_answers(method: Counting) -> int:
     """The images that were encoded, without the first query and the timing: each lap, warm-up and audit show one."""
     without = Counting()
     without.fit_descriptors(np.eye(2, dtype=np.float32), np.arange(2))
     Stopwatch(PROTOCOL).measure(without, journey(N_QUERIES, 2, [[0]] * N_QUERIES).queries)
     return method.encoded - 1 - without.encoded
+
+
+def descriptions(run: Run) -> list[str]:
+    return [note.text for note in run.notes if note.kind == "described"]
 
 
 @pytest.mark.parametrize(("kind", "cached", "files"), [(Counting, True, 2), (Counting, False, 0), (Learning, True, 0)])
@@ -90,7 +97,7 @@ def test_the_first_run_encodes_every_image_once_and_keeps_what_is_worth_keeping(
 ) -> None:
     method = kind()
     found = run(method, dataset, tmp_path if cached else None)
-    assert encoded_for_answers(method, found) == N_QUERIES + N_PLACES
+    assert encoded_for_answers(method) == ALL
     assert found.fit_seconds is not None
     assert len(list(tmp_path.glob("*/*.npy"))) == files
     assert "described" not in kinds(found)
@@ -100,18 +107,15 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dat
     run(Counting(), dataset, tmp_path)
     method = Counting()
     found = run(method, dataset, tmp_path)
-    assert encoded_for_answers(method, found) == 0
+    assert encoded_for_answers(method) == 0
     assert found.fit_seconds is None
     assert found.load_seconds is not None
     plain = run(Counting(), dataset, None)
     assert plain.scores is not None
     assert np.array_equal(plain.scores, found.scores)
     assert (plain.outcome.above == 0).all()
-    (note,) = [note.text for note in found.notes if note.kind == "described"]
-    assert note == (
-        f"descriptors of {N_PLACES} references and {N_QUERIES} queries were kept from an earlier run: "
-        "nothing was encoded but the timed sample"
-    )
+    (note,) = descriptions(found)
+    assert note.startswith("descriptors of 80 references and 70 queries were kept from an earlier run: nothing was")
 
 
 def with_another_last_bit(dataset: Dataset) -> Dataset:
@@ -130,8 +134,8 @@ def renamed(dataset: Dataset) -> Dataset:
     ("method", "of", "changes", "encoded"),
     [
         (Counting(index="hnsw"), lambda dataset: dataset, {"arguments": {"index": "hnsw"}}, 0),
-        (Counting(), lambda dataset: dataset, {"arguments": {"turn": 0.02}}, N_QUERIES + N_PLACES),
-        (Counting(), lambda dataset: dataset, {"files": [["weights.pth", "ab" * 32]]}, N_QUERIES + N_PLACES),
+        (Counting(), lambda dataset: dataset, {"arguments": {"turn": 0.02}}, ALL),
+        (Counting(), lambda dataset: dataset, {"files": [["weights.pth", "ab" * 32]]}, ALL),
         (Counting(), with_another_last_bit, {}, N_PLACES),
         (Counting(), renamed, {}, 0),
         (Counting(), lambda _: journey(40, N_PLACES, [[i] for i in range(40)]), {}, 40),
@@ -147,37 +151,197 @@ def test_a_second_run_encodes_what_is_not_kept_under_its_arguments_weights_and_i
     encoded: int,
 ) -> None:
     run(Counting(), dataset, tmp_path)
-    found = run(method, of(dataset), tmp_path, **changes)
-    assert encoded_for_answers(method, found) == encoded
-    notes = [note.text for note in found.notes if note.kind == "described"]
-    assert len(notes) == (encoded < N_QUERIES + N_PLACES)
+    notes = descriptions(run(method, of(dataset), tmp_path, **changes))
+    assert encoded_for_answers(method) == encoded
+    assert len(notes) == (encoded < ALL)
     if encoded == 40:
-        assert notes[0].startswith(f"descriptors of {N_PLACES} references were kept from an earlier run: none of these")
+        assert notes[0].startswith("descriptors of 80 references were kept from an earlier run: none of these")
 
 
 def test_where_a_file_of_weights_lies_does_not_count(dataset: Dataset, tmp_path: Path) -> None:
-    for path, encoded in (("here", N_QUERIES + N_PLACES), ("there", 0)):
+    for path, encoded in (("here", ALL), ("there", 0)):
         method = Weighted(weights=Weights(file="w", licence="", trained_on="", path=path))
-        files = [[path, "ab" * 32]]
-        found = run(method, dataset, tmp_path, arguments={"weights": {"path": path}}, files=files)
-        assert encoded_for_answers(method, found) == encoded
+        run(method, dataset, tmp_path, arguments={"weights": {"path": path}}, files=[[path, "ab" * 32]])
+        assert encoded_for_answers(method) == encoded
+
+
+def test_other_code_and_another_device_encode_anew(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(Counting(), dataset, tmp_path)
+    for module, name in ((descriptors, "source_hash"), (descriptors.machine, "device_class")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, lambda _: "another")
+            method = Counting()
+            run(method, dataset, tmp_path)
+            assert encoded_for_answers(method) == ALL
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(
+    dataset: Dataset, tmp_path: Path, cached: bool
+) -> None:
+    method = Counting(index="ivfpq")
+    with pytest.raises(BadInput, match=r"ivfpq .* 256 .* 80 came"):
+        run(method, dataset, tmp_path if cached else None)
+    assert method.encoded == 0
+
+
+# On disk
+
+Array = npt.NDArray[np.float32]
+N = 10
+MANY = pictures([i % 100 for i in range(2000)])
+
+
+def some(images: Images, n_dimensions: int = 4) -> Array:
+    return np.arange(len(images) * n_dimensions, dtype=np.float32).reshape(len(images), n_dimensions)
+
+
+def describe(
+    folder: Path, encode: Callable[[Images], Array] = some, images: Images | None = None
+) -> tuple[Array, int, list[int]]:
+    """Return the descriptors of a traverse, how many were kept, and how many images were told to be done."""
+    done: list[int] = []
+    made, kept = Described(folder, {"method": "m"}).descriptors(images or pictures(range(N)), encode, done.append)
+    return made[:], kept, done
+
+
+def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path: Path) -> None:
+    made, kept, done = describe(tmp_path)
+    assert (kept, done) == (0, [N])
+    found, kept, done = describe(tmp_path)
+    assert (kept, done) == (N, [])
+    assert made.tolist() == found.tolist() == some(pictures(range(N))).tolist()
+    assert isinstance(found, np.memmap)
+    assert not found.flags.writeable
+    about = json.loads(next(tmp_path.glob("*/about.json")).read_text())
+    assert {name: about[name] for name in about if name != "images"} == {"method": "m", "shape": [N, 4], "bytes": 160}
+    assert sorted(path.suffix for path in tmp_path.glob("*/*")) == [".json", ".npy"]
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(descriptors, "source_hash"), (descriptors.machine, "device_class")], ids=["code", "device"]
+    "damage",
+    [
+        lambda path: path.write_bytes(path.read_bytes()[:-20]),
+        lambda path: path.write_bytes(b"<html>"),
+        lambda path: np.save(path, np.zeros((9, 4), np.float32)),
+        lambda path: np.save(path, np.zeros((N, 4))),
+        lambda path: np.save(path, np.array([{}] * N), allow_pickle=True),
+    ],
+    ids=["cut", "page", "other number", "other type", "pickle"],
 )
-def test_other_code_and_another_device_encode_anew(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str
+def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day_is_removed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: Callable[[Path], object]
 ) -> None:
-    run(Counting(), dataset, tmp_path)
-    monkeypatch.setattr(module, name, lambda _: "another")
-    method = Counting()
-    assert encoded_for_answers(method, run(method, dataset, tmp_path)) == N_QUERIES + N_PLACES
+    describe(tmp_path)
+    (path,) = tmp_path.glob("*/*.npy")
+    damage(path)
+    old, new = (path.parent / f".partial-{name}.npy" for name in ("old", "new"))
+    for partial in (old, new):
+        partial.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    again, kept, _ = describe(tmp_path)
+    assert (kept, path.name in caplog.text) == (0, True)
+    assert np.array_equal(again, some(pictures(range(N))))
+    assert (old.exists(), new.exists()) == (False, True)
 
 
-def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(dataset: Dataset, tmp_path: Path) -> None:
-    for folder in (None, tmp_path):
-        method = Counting(index="ivfpq")
-        with pytest.raises(BadInput, match=r"ivfpq .* 256 .* 80 came"):
-            run(method, dataset, folder)
-        assert method.encoded == 0
+def full(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("folder", ["file", "full"])
+def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    if folder == "file":
+        (tmp_path / folder).write_text("")
+    else:
+        monkeypatch.setattr(os, "posix_fallocate", full)  # before the first descriptor is written
+    made, kept, _ = describe(tmp_path / folder)
+    assert (made.tolist(), kept) == (some(pictures(range(N))).tolist(), 0)
+    assert "no descriptors are kept" in caplog.text
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "file"]
+
+
+def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memory_block_by_block(
+    tmp_path: Path,
+) -> None:
+    taken: list[int] = []
+
+    def wide(images: Images) -> Array:
+        taken.append(sum(512 * path.stat().st_blocks for path in tmp_path.glob("*/*")))
+        if len(taken) == 2:
+            raise ZeroDivisionError
+        return np.ones((len(images), 10_000), np.float32)
+
+    with pytest.raises(ZeroDivisionError):
+        describe(tmp_path, wide, MANY)
+    assert not list(tmp_path.glob("*/*"))
+    MANY.content_hash()
+    tracemalloc.start()
+    try:
+        Described(tmp_path, {}).descriptors(MANY, wide, lambda done: None)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taken[4] >= 1024 * 10_000 * 4  # the room of a shard is taken before it is filled
+    assert peak < 2000 * 10_000 * 4 / 3
+
+
+def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_is_done_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shards, "LARGE_BYTES", 1000)
+    described: list[int] = []
+
+    def until_it_is_full(images: Images) -> Array:
+        described.append(len(images))
+        if sum(described) > 1024:
+            monkeypatch.setattr(os, "posix_fallocate", full)
+        return some(images)
+
+    with pytest.raises(BadInput, match=r"No space left"):
+        describe(tmp_path, until_it_is_full, MANY)
+    monkeypatch.undo()
+    made, kept, done = describe(tmp_path, some, MANY)
+    assert (len(made), kept, done[-1]) == (2000, 1024, 976)
+
+
+def test_a_killed_encoding_goes_on_with_the_shard_that_it_had_not_finished(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == "1088\n"  # one shard of 1024 images, and 64 of the next
+        killed.kill()
+    encoded: list[int] = []
+
+    def counted(images: Images) -> Array:
+        encoded.extend(number_in(image) for image in images)
+        return some(images)
+
+    made, kept, _ = describe(tmp_path, counted, MANY)
+    assert (kept, encoded) == (1024, [i % 100 for i in range(1024, 2000)])
+    assert np.array_equal(made, np.concatenate([some(MANY[first : first + 64]) for first in range(0, 2000, 64)]))
+    assert describe(tmp_path, counted, MANY)[1] == 2000
+
+
+#: Encodes 17 blocks of 64 images, says how many are done, and waits to be killed.
+KILLED = f"""
+import sys, time
+from pathlib import Path
+sys.path[:0] = {[str(Path(__file__).parent), *sys.path]}
+from test_descriptors import MANY, Described, some
+
+done = 0
+def encode(images):
+    global done
+    if done == 1088:
+        print(done, flush=True)
+        time.sleep(600)
+    done += len(images)
+    return some(images)
+
+Described(Path(sys.argv[1]), {{"method": "m"}}).descriptors(MANY, encode, lambda done: None)
+"""

@@ -51,6 +51,11 @@ class Choosing(Lookup):
 
     given: list[HeldOut] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
+    threshold: float | None = None
+
+    @property
+    def calibrates(self) -> bool:
+        return self.threshold is None
 
     def fit(self, references: Images, places: Places) -> Self:
         self.calls.append("fit")
@@ -66,18 +71,8 @@ class Choosing(Lookup):
         return super().encode(images)
 
 
-# What held-out places are
-
-
-def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query_and_its_run_says_so() -> None:
-    method = Choosing(table(6, 4))
-    stages: list[str] = []
-    with progress.listening(lambda stage, _: stages.append(stage)):
-        run = run_of(method, with_held_out())
-    assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
-    assert method.calls[:3] == ["fit", "calibrate", "encode"]
-    assert method.calls.count("calibrate") == 1
-    assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
+def key(method: Method, held: HeldOut | None) -> str:
+    return asked_for(method, replace(journey(6, 4), held_out=held)).key()
 
 
 @pytest.mark.parametrize(
@@ -90,8 +85,17 @@ def test_a_method_is_calibrated_once_after_fit_and_before_the_first_query_and_it
     ],
     ids=["references", "places", "queries", "ground truth"],
 )
-def test_other_held_out_places_have_another_fingerprint(changes: dict[str, Any]) -> None:
+def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_chooses_by_them(
+    changes: dict[str, Any],
+) -> None:
     assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
+    different = [None, held_out(), held_out(**changes)]
+    for method, n_keys in (
+        (Choosing(table(6, 4)), 3),
+        (Choosing(table(6, 4), threshold=1), 1),
+        (Lookup(table(6, 4)), 1),
+    ):
+        assert len({key(method, held) for held in different}) == n_keys
 
 
 @pytest.mark.parametrize(
@@ -109,60 +113,41 @@ def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes: dict[st
         held_out(**changes)
 
 
-# What a run does with them
-
-
-def test_a_method_sees_the_held_out_images_without_their_names_their_places_and_what_is_right() -> None:
+def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_without_their_names() -> None:
     method = Choosing(table(6, 4))
     given = held_out()
     named = [
         Images.from_arrays(list(part), [f"place-{i}" for i in range(len(part))])
         for part in (given.references, given.queries)
     ]
-    run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
+    stages: list[str] = []
+    with progress.listening(lambda stage, _: stages.append(stage)):
+        run = run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
+    assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
+    assert method.calls[:3] == ["fit", "calibrate", "encode"]
+    assert Note("calibrated", "calibrated on 3 held-out queries of 3 places") in run.notes
     (seen,) = method.given
-    assert numbers_in(seen.references) == [50, 51, 52, 60, 61, 62]
-    assert numbers_in(seen.queries) == [72, 71, 70]
+    assert (numbers_in(seen.references), numbers_in(seen.queries)) == ([50, 51, 52, 60, 61, 62], [72, 71, 70])
     assert (seen.places.tolist(), seen.right.tolist(), seen.in_map) == ([0, 1, 2, 0, 1, 2], [2, 1, 0], False)
     assert seen.references.names == tuple(f"image {i}" for i in range(6))
     assert seen.queries.names == ("image 0", "image 1", "image 2")
-
-
-@pytest.mark.parametrize("part", ["places", "right"])
-def test_held_out_ground_truth_cannot_be_written(part: str) -> None:
-    class Writing(Choosing):
-        def calibrate(self, held_out: HeldOut) -> Self:
-            getattr(held_out, part)[0] = 1
-            return self
-
-    with pytest.raises(ValueError, match="read-only"):
-        run_of(Writing(table(6, 4)), with_held_out())
+    for part in (seen.places, seen.right):
+        with pytest.raises(ValueError, match="read-only"):
+            part[0] = 1
 
 
 def test_a_method_that_was_given_its_settings_or_no_places_or_chooses_nothing_is_not_calibrated() -> None:
-    for plain, dataset in ((Choosing(table(6, 4)), journey(6, 4)), (Lookup(table(6, 4)), with_held_out())):
-        assert "calibrated" not in kinds(run_of(plain, dataset))
-        assert getattr(plain, "given", []) == []
-
-    @dataclass
-    class Settled(Choosing):
-        threshold: float | None = None
-
-        @property
-        def calibrates(self) -> bool:
-            return self.threshold is None
-
-    calls = []
-    for threshold in (None, 0.5):
-        method = Settled(table(6, 4), threshold=threshold)
-        run = run_of(method, with_held_out())
-        calls.append((method.calls.count("calibrate"), "calibrated" in kinds(run)))
-    assert calls == [(1, True), (0, False)]
-    assert key(Settled(table(6, 4), threshold=0.5), held_out()) == key(Settled(table(6, 4), threshold=0.5), None)
+    for method, dataset in (
+        (Choosing(table(6, 4)), journey(6, 4)),
+        (Lookup(table(6, 4)), with_held_out()),
+        (Choosing(table(6, 4), threshold=0.5), with_held_out()),
+    ):
+        assert "calibrated" not in kinds(run_of(method, dataset))
+        assert getattr(method, "given", []) == []
 
 
 @dataclass
-class Reading(Choosing):
+class Reading(Lookup):
     """Looks at each reference in `fit` and at each held-out image in `calibrate`, which computes for 2 s more."""
 
     clock: Clock = field(kw_only=True)
@@ -189,16 +174,6 @@ def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computi
     run = run_of(Reading(table(6, 4), clock=clock), replace(dataset, held_out=views))
     assert run.fit_seconds == pytest.approx(4 * 10 + 2 * 10 + 3)
     assert run.fit_compute_seconds == pytest.approx(3)  # the waiting counts once
-
-
-def key(method: Method, held: HeldOut | None) -> str:
-    return asked_for(method, replace(journey(6, 4), held_out=held)).key()
-
-
-def test_held_out_places_are_part_of_the_key_of_a_method_that_chooses_by_them_alone() -> None:
-    different = [None, held_out(), held_out(right=np.array([2, 0, 1]))]
-    assert len({key(Choosing(table(6, 4)), held) for held in different}) == 3
-    assert len({key(Lookup(table(6, 4)), held) for held in different}) == 1
 
 
 # Stored networks
