@@ -2,73 +2,21 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vprbench.api import checkpoints
 
-if TYPE_CHECKING:
-    import pytest
-    from stopped_clock import Clock
-
 WHAT = {"method": "walks", "seed": 3}
 MODULES = 5
-FOUR = {"w": np.arange(4.0)}
-
-
-class Interrupted(Exception):
-    """In place of whatever ends a training."""
-
-
-@contextmanager
-def interrupted(by: type[BaseException] = Interrupted) -> Iterator[None]:
-    """Go on after the error that the block has to end with."""
-    try:
-        yield
-    except by:
-        return
-    raise AssertionError("nothing interrupted the block")
-
-
-def interrupt(root: Path, what: dict[str, Any] = WHAT, **parts: checkpoints.Arrays) -> Path:
-    """Leave a training with some parts; returns its folder."""
-    before = set(root.iterdir()) if root.exists() else set()
-    with interrupted(), checkpoints.training(what, root) as kept:
-        for name, arrays in parts.items():
-            kept.put(name, arrays)
-        raise Interrupted
-    (home,) = set(root.iterdir()) - before
-    return home
-
-
-def spend(root: Path, clock: Clock, *steps: tuple[str, float], then: float = 0.0) -> float:
-    """Spend seconds on parts, be interrupted after some more; returns what had been spent when this began."""
-    with interrupted(), checkpoints.training(WHAT, root, clock.seconds) as kept:
-        for path in root.glob("*/*.safetensors"):
-            kept.get(path.stem)
-        before = kept.seconds
-        for name, seconds in steps:
-            kept.get(name)
-            clock.spend(seconds)
-            kept.put(name, FOUR)
-        clock.spend(then)
-        raise Interrupted
-    return before
-
-
-def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    """The warnings so far."""
-    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
 
 def module(number: int) -> dict[str, npt.NDArray[Any]]:
