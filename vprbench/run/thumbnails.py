@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import logging
 import zipfile
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.storage.atomic import remove_leftovers, replace_bytes
+from vprbench.storage.cores import core_count
 
 logger = logging.getLogger(__name__)
 
@@ -135,15 +137,15 @@ def _content(
     examples = [answerable[i] for i in spread]
     right = [int(dataset.positives[query][len(dataset.positives[query]) // 2]) for query in examples]
     look = _look([dataset.queries, references])
-    total = len(queries) + len(places)
     small = {
         "queries": [*(found.queries if found else [b""] * len(dataset.queries))],
         "references": [*(found.references if found else [b""] * len(references))],
     }
-    for number, query in enumerate(queries):
-        small["queries"][query] = _small(dataset.queries[query], look, number, total)
-    for number, place in enumerate(places, len(queries)):
-        small["references"][place] = _small(references[place], look, number, total)
+    frames = [*((dataset.queries, query) for query in queries), *((references, place) for place in places)]
+    thumbnails = _small(frames, look)
+    for name, indices in (("queries", queries), ("references", places)):
+        for index in indices:
+            small[name][index] = next(thumbnails)
     return {
         "fingerprint": np.array(fingerprint),
         "query_names": np.array(dataset.queries.names),
@@ -170,11 +172,21 @@ def _look(traverses: Sequence[Images]) -> tuple[int, int]:
     return side, quality
 
 
-def _small(image: Image, look: tuple[int, int], done: int, total: int) -> bytes:
-    """Return the thumbnail of an image, the next one after so many of `total`."""
-    progress.report("keeping small frames", done / total)
+def _small(frames: Sequence[tuple[Images, int]], look: tuple[int, int]) -> Iterator[bytes]:
+    """Yield the thumbnails of frames, given as images and the index of one; as many threads make them as are cores."""
     side, quality = look
-    return _webp(_shrunk(image, side), quality=quality)
+
+    def one(frame: tuple[Images, int]) -> bytes:
+        images, index = frame
+        return _webp(_shrunk(images[index], side), quality=quality)
+
+    threads = ThreadPoolExecutor(core_count())
+    try:
+        for done, thumbnail in enumerate(threads.map(one, frames)):
+            progress.report("keeping small frames", done / len(frames))
+            yield thumbnail
+    finally:
+        threads.shutdown(cancel_futures=True)
 
 
 def _lossless(image: Image) -> bytes:
