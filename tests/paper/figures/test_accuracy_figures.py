@@ -1,3 +1,5 @@
+"""Curves of accuracy hold the numbers worked by hand, with bands as wide as chance makes them."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -10,13 +12,16 @@ from figure_runs import five_rows, run, series
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from vprbench.errors import BadInput
 from vprbench.metrics.intervals import share_interval
-from vprbench.metrics.ranking import outcome
+from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
+from vprbench.paper.figures.sequences import recall_at_length
 from vprbench.paper.figures.style import Drawn
 from vprbench.run.record import Run
+from vprbench.run.sequences import views
 
-ALL = (precision_recall, recall_at_n, recall_at_tolerance)
+RECALLS = (recall_at_n, recall_at_tolerance)
 
 
 def panel(drawn: Drawn) -> Axes:
@@ -35,22 +40,25 @@ def points(line: Line2D) -> list[tuple[float, float]]:
 
 def band(drawn: Drawn, number: int = 0) -> dict[float, tuple[float, float]]:
     """The lowest and highest edge of a band, by x."""
-    vertices = panel(drawn).collections[number].get_paths()[0].vertices
     edges: dict[float, list[float]] = {}
-    for x, y in np.asarray(vertices).tolist():
+    for x, y in np.asarray(panel(drawn).collections[number].get_paths()[0].vertices).tolist():
         edges.setdefault(x, []).append(y)
     return {x: (min(ys), max(ys)) for x, ys in edges.items()}
 
 
-def answers(best: list[float], right: list[bool], **changes: Any) -> Run:
+def answers(best: list[float], right: list[bool]) -> Run:
     """A run over ten places whose best match of each query scores so much and is right or not."""
     scores = np.zeros((len(best), 10), np.float32)
     for query, (score, hit) in enumerate(zip(best, right, strict=True)):
         scores[query, 0 if hit else 5] = score
-    positives = tuple(np.array([0]) for _ in best)
-    order = np.argsort(-scores, axis=1, kind="stable")
-    changes = {"positives": positives, "outcome": outcome(scores, positives), "scores": scores} | changes
-    return little.a_run(top_places=order, top_scores=np.take_along_axis(scores, order, 1), **changes)
+    return answering(scores, [[0]] * len(best))
+
+
+def answering(scores: Any, right: list[list[int]]) -> Run:
+    positives = tuple(np.array(places, np.int64) for places in right)
+    places, values = ranked_places(scores, 10)
+    kept = {"top_places": places, "top_scores": values, "outcome": outcome(scores, positives)}
+    return little.a_run(positives=positives, scores=scores, **kept)
 
 
 # little.a_run() answers right, right, wrong, wrong with falling scores; its right places stand 1st, 1st, 3rd and 8th of
@@ -70,8 +78,7 @@ def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach() -> None:
     drawn = precision_recall([series("VPRTempo", first, second)])
     (mean,) = named_lines(drawn)
     assert points(mean) == [(0, 1), (0.25, pytest.approx(3 / 4)), (0.5, pytest.approx(5 / 6))]
-    thin = [line for line in panel(drawn).lines if line is not mean]
-    assert [points(line)[-1] for line in thin] == [(0.75, 0.75), (0.5, 0.5)]
+    assert [points(line)[-1] for line in panel(drawn).lines if line is not mean] == [(0.75, 0.75), (0.5, 0.5)]
     # AP (1 + 1 + 3/4) / 4 = 0.6875 and (1/2 + 2/3) / 4 = 0.2917: mean 0.4896, standard deviation 0.2799
     assert mean.get_label() == "VPRTempo, AP 0.490 ± 0.280"
     assert len(panel(drawn).collections) == 0  # no band of queries
@@ -80,8 +87,7 @@ def test_the_curve_of_several_seeds_is_their_mean_as_far_as_all_reach() -> None:
 def test_the_band_of_one_run_holds_its_curve_and_ends_before_it() -> None:
     """The share of right answers is 60 % of 400 queries: some resamples have fewer."""
     drawn = precision_recall([series("SAD", run("sad", share=0.6, n_queries=400))])
-    (line,) = named_lines(drawn)
-    recall, precision = np.array(points(line)).T
+    recall, precision = np.array(points(named_lines(drawn)[0])).T
     edges = band(drawn)
     assert 0.5 < max(edges) < recall[-1] == pytest.approx(0.6)
     for x, (low, high) in edges.items():
@@ -90,30 +96,27 @@ def test_the_band_of_one_run_holds_its_curve_and_ends_before_it() -> None:
     assert (max(without_an_error), {*without_an_error.values()}) == (1, {(1, 1)})
 
 
-@pytest.mark.parametrize("n_queries", [800, 3200])
-def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiting_times(n_queries: int) -> None:
+def test_the_band_of_independent_queries_is_as_wide_as_95_percent_of_their_waiting_times() -> None:
     """At every score one answer in two is right.
 
     Then 2 r n answers, plus or minus the root of 2 r n, have to be given until r n are right (negative binomial), and
     precision varies by 0.5 / root(2 r n).
     """
-    random = np.random.default_rng(0)
-    made = answers(random.random(n_queries).tolist(), (random.random(n_queries) < 0.5).tolist())
+    random, n = np.random.default_rng(0), 800
+    made = answers(random.random(n).tolist(), (random.random(n) < 0.5).tolist())
     edges = band(precision_recall([series("SAD", made)]))
-    ratios = [(high - low) / (0.5 / (2 * x * n_queries) ** 0.5) for x, (low, high) in edges.items() if 0.1 < x < 0.4]
+    ratios = [(high - low) / (0.5 / (2 * x * n) ** 0.5) for x, (low, high) in edges.items() if 0.1 < x < 0.4]
     assert np.mean(ratios) == pytest.approx(2 * 1.96, rel=0.12)
 
 
 def test_too_few_answerable_queries_for_a_band_still_give_the_curve() -> None:
     made = answers([0.9 - 0.001 * i for i in range(100)], [True] + [False] * 99)
     positives = (made.positives[0], *(np.empty(0, np.int64),) * 99)
-    assert made.scores is not None
-    made = replace(made, positives=positives, outcome=outcome(made.scores, positives))
-    drawn = precision_recall([series("SAD", made)])
-    assert points(named_lines(drawn)[0])[1] == (1, 1)
+    made = replace(made, positives=positives, outcome=outcome(np.asarray(made.scores), positives))
+    assert points(named_lines(precision_recall([series("SAD", made)]))[0])[1] == (1, 1)
 
 
-def test_recall_at_n_is_that_worked_by_hand_in_percent_with_wilsons_interval() -> None:
+def test_recalls_are_those_worked_by_hand_in_percent_with_wilsons_interval() -> None:
     drawn = recall_at_n([series("SAD", little.a_run())])
     (line,) = named_lines(drawn)
     assert points(line) == list(zip(range(1, 11), [50, 50, 75, 75, 75, 75, 75, 100, 100, 100], strict=True))
@@ -124,7 +127,7 @@ def test_recall_at_n_is_that_worked_by_hand_in_percent_with_wilsons_interval() -
     assert points(line) == list(zip(range(11), [50] * 4 + [75] * 3 + [100] * 4, strict=True))
 
 
-@pytest.mark.parametrize("draw", [recall_at_n, recall_at_tolerance])
+@pytest.mark.parametrize("draw", RECALLS)
 def test_where_neighbouring_queries_are_alike_the_band_is_that_of_blocks(draw: Any) -> None:
     hits = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
     drawn = draw([series("SAD", answers([0.5] * 200, (hits == 1).tolist()))])
@@ -136,17 +139,14 @@ def test_where_neighbouring_queries_are_alike_the_band_is_that_of_blocks(draw: A
 
 def test_recall_at_n_goes_from_1_to_25_and_counts_ties_by_their_expected_value() -> None:
     """All 50 places tie and one is right, so that it is among the N best with a chance of N / 50."""
-    flat = np.zeros((8, 50), np.float32)
-    positives = tuple(np.array([query]) for query in range(8))
-    made = run("sad", n_queries=8, outcome=outcome(flat, positives))
+    made = answering(np.zeros((8, 50), np.float32), [[query] for query in range(8)])
     (line,) = named_lines(recall_at_n([series("SAD", made)]))
     assert points(line) == [(n, pytest.approx(2 * n)) for n in range(1, 26)]
 
 
-@pytest.mark.parametrize("draw", [recall_at_n, recall_at_tolerance])
+@pytest.mark.parametrize("draw", RECALLS)
 def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the_mean_hits(draw: Any) -> None:
-    shares = (0.25, 0.55, 0.7)
-    drawn = draw([series("VPRTempo", *(run(share=share, seed=seed) for seed, share in enumerate(shares)))])
+    drawn = draw([series("VPRTempo", *(run(share=share, seed=i) for i, share in enumerate((0.25, 0.55, 0.7))))])
     (mean,) = named_lines(drawn)
     x, y = points(mean)[0]
     assert y == pytest.approx(50)
@@ -154,20 +154,42 @@ def test_several_seeds_are_thin_lines_around_their_mean_with_the_interval_of_the
     assert [points(line)[0][1] for line in panel(drawn).lines if line is not mean] == pytest.approx([25, 55, 70])
 
 
-@pytest.mark.parametrize("draw", ALL)
-def test_rows_differ_in_more_than_colour_and_stand_in_the_legend_in_their_order(draw: Any) -> None:
-    drawn = draw(five_rows())
+@pytest.mark.parametrize("draw", [precision_recall, *RECALLS])
+def test_rows_differ_in_more_than_colour_stand_in_their_order_and_lie_within_the_axes(draw: Any) -> None:
+    drawn = draw(five_rows(n_places=20))
     (legend,) = drawn.figure.legends
     written = [text.get_text().split(",")[0] for text in legend.get_texts()]
     assert written == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
     assert len({(line.get_marker(), str(line._unscaled_dash_pattern)) for line in named_lines(drawn)}) == 5
-
-
-@pytest.mark.parametrize("draw", ALL)
-def test_every_point_and_band_lies_within_the_axes(draw: Any) -> None:
     drawn = draw([series("SAD", run("sad", share=0.02)), series("GCL", run("gcl", share=1.0))])
     low, high = panel(drawn).get_ylim()
-    for line in named_lines(drawn):
-        assert all(low <= y <= high for _, y in points(line))
-    for number in range(2):
-        assert all(low <= y <= high for edges in band(drawn, number).values() for y in edges)
+    drawn_at = [y for line in named_lines(drawn) for _, y in points(line)]
+    drawn_at += [y for number in range(2) for edges in band(drawn, number).values() for y in edges]
+    assert low <= min(drawn_at) <= max(drawn_at) <= high
+
+
+def test_sequences_have_their_recall_at_each_length_and_the_caption_counts_the_queries() -> None:
+    n, random = 30, np.random.default_rng(0)
+    runs = [
+        answering(random.normal(size=(n, n)).astype(np.float32) + np.eye(n, dtype=np.float32), [[i] for i in range(n)])
+        for _ in range(3)
+    ]
+    rows = {"first": runs[:2], "second": runs[2:]}
+    seen = dict(zip((1, 2, 5), views([1, 2, 5]), strict=True))
+    drawn = recall_at_length(
+        [[series(name, *map(view, of_row)) for name, of_row in rows.items()] for view in reversed(seen.values())]
+    )
+    lines = {str(line.get_label()): line for line in panel(drawn).lines}
+    for name, of_row in rows.items():
+        for (x, y), length in zip(points(lines[name]), seen, strict=True):
+            right = [  # by hand: the window's last query, of sums along the diagonal
+                int(np.argmax([sum(run.scores[q - k, p - k] for k in range(length)) for p in range(length - 1, n)]))
+                == q - length + 1
+                for run in of_row
+                for q in range(length - 1, n)
+            ]
+            assert (x, y) == (length, pytest.approx(100 * np.mean(right)))
+    assert "there are 30 at 1, 29 at 2, 26 at 5" in drawn.caption
+    assert "ends with the query" in drawn.caption
+    with pytest.raises(BadInput, match="two lengths"):
+        recall_at_length([[series("first", views(2)[0](runs[0]))]])

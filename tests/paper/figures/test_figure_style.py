@@ -1,3 +1,5 @@
+"""Figures read in grey, have the asked width, and are the same bytes for the same data wherever they are drawn."""
+
 from __future__ import annotations
 
 import itertools
@@ -18,14 +20,12 @@ from vprbench.paper.figures.style import SINGLE_MM, Drawn, looks, new, png, styl
 from vprbench.paper.templates import listed
 
 PAPER = ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
-OTHERS = [f"method {i}" for i in range(10)]
 
 
 def lightness(colour: str) -> float:
     """Return CIE L*, 0 to 100, of an sRGB colour."""
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)]
-    luminance = float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
-    return 116 * float(np.cbrt(luminance)) - 16
+    return 116 * float(np.cbrt(np.dot(linear, [0.2126, 0.7152, 0.0722]))) - 16
 
 
 @styled
@@ -38,53 +38,44 @@ def drawing() -> Drawn:
     return Drawn(figure, "Three points of a made-up method, with “quotes”.")
 
 
-def test_any_two_methods_of_a_figure_differ_in_grey() -> None:
-    every = [*looks(PAPER + OTHERS).values()]
+def test_any_two_methods_of_a_figure_differ_in_grey_and_those_of_the_paper_look_the_same_everywhere() -> None:
+    every = [*looks(PAPER + [f"method {i}" for i in range(10)]).values()]
     assert max(lightness(look.colour) for look in every) < 80  # stands out from white paper
     for one, other in itertools.combinations(every, 2):
         lines = (one.marker, one.dash), (other.marker, other.dash)
         assert abs(lightness(one.colour) - lightness(other.colour)) > 12 or lines[0] != lines[1]
     rows = every[: len(PAPER)]
+    assert min(abs(lightness(a.colour) - lightness(b.colour)) for a, b in itertools.pairwise(rows)) > 12
+    many = [*looks([f"method {i}" for i in range(360)]).values()]
+    assert len({(look.colour, look.marker, look.dash) for look in many}) == 360
     for part in ("marker", "dash", "hatch"):
         assert len({getattr(look, part) for look in rows}) == len(PAPER)
-    assert min(abs(lightness(a.colour) - lightness(b.colour)) for a, b in itertools.pairwise(rows)) > 12
-
-
-def test_a_row_of_the_paper_looks_the_same_whatever_else_is_drawn() -> None:
+    for part in ("colour", "marker", "dash", "hatch"):
+        assert len({getattr(look, part) for look in many[:8]}) == 8
     assert looks(["mixvpr", "VPRTempo"])["VPRTempo"] == looks(PAPER)["VPRTempo"]
     assert looks([*PAPER, "cosplace", "mixvpr"])["mixvpr"] == looks(["cosplace", "mixvpr"])["mixvpr"]
 
 
-def test_360_other_methods_all_look_different_and_eight_of_them_in_every_part() -> None:
-    many = [*looks([f"method {i}" for i in range(360)]).values()]
-    assert len({(look.colour, look.marker, look.dash) for look in many}) == 360
-    for part in ("colour", "marker", "dash", "hatch"):
-        assert len({getattr(look, part) for look in many[:8]}) == 8
-
-
-def test_a_figure_has_the_asked_width_in_both_formats_whatever_it_holds(tmp_path: Path) -> None:
+def test_a_figure_has_the_asked_width_in_both_formats_and_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     paths = write(drawing(), tmp_path / "new" / "folder", "three")
     assert sorted((tmp_path / "new" / "folder").iterdir()) == list(paths)
-    assert b"Date" not in paths[0].read_bytes()
-    assert b"tIME" not in paths[1].read_bytes()
-    with Image.open(paths[1]) as picture:
-        assert picture.width == pytest.approx(88 / 25.4 * 300, abs=1)
-        assert picture.info["Description"] == drawing().caption
-    box = paths[0].read_bytes().split(b"/MediaBox [")[1].split(b"]")[0].split()
+    pdf, picture = (path.read_bytes() for path in paths)
+    assert b"Date" not in pdf
+    assert b"tIME" not in picture
+    with Image.open(paths[1]) as image:
+        assert image.width == pytest.approx(88 / 25.4 * 300, abs=1)
+        assert image.info["Description"] == drawing().caption
+    box = pdf.split(b"/MediaBox [")[1].split(b"]")[0].split()
     assert float(box[2]) == pytest.approx(88 / 25.4 * 72, abs=1)
-
-
-def test_the_same_drawing_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from test_figure_style import drawing\n"
         "from vprbench.paper.figures.style import write; write(drawing(), Path(sys.argv[1]), 'three')"
     )
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    for seed in ("1", "2"):
-        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": path}
-        subprocess.run([sys.executable, "-c", script, str(tmp_path / seed)], check=True, env=environment)
-    for name in ("three.pdf", "three.png"):
-        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)], check=True, env={**environment, "PYTHONHASHSEED": "2"}
+    )
+    assert [(tmp_path / path.name).read_bytes() for path in paths] == [pdf, picture]
 
 
 def test_a_reader_s_own_settings_of_matplotlib_change_nothing() -> None:
@@ -103,15 +94,12 @@ def test_a_file_that_cannot_be_replaced_is_named_and_leaves_nothing_behind(tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "three.pdf"]
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(15120, "15,120"), (353, "353"), (99.96, "100"), (0.5, "0.5"), (1.666, "1.67"), (0.00123, "0.00123"), (20, "20")],
-)
-def test_numbers_are_written_to_three_digits_without_powers_of_ten(value: float, text: str) -> None:
-    assert plain(value) == text
+def test_numbers_are_written_to_three_digits_without_powers_of_ten() -> None:
+    numbers = {15120: "15,120", 353: "353", 99.96: "100", 0.5: "0.5", 1.666: "1.67", 0.00123: "0.00123", 20: "20"}
+    assert {value: plain(value) for value in numbers} == numbers
 
 
-@pytest.mark.parametrize("values", [[0.01, 1e3], [0.01, 1e5], [0.01, 3e6], [3.0, 3.1], [1.0, 27000.0], [0.02, 0.9]])
+@pytest.mark.parametrize("values", [[0.01, 1e3], [0.01, 3e6], [3.0, 3.1], [1.0, 27000.0], [0.02, 0.9]])
 def test_a_logarithmic_axis_holds_its_values_and_names_at_least_two_numbers(values: list[float]) -> None:
     """Names of numbers never touch."""
     figure, (axes,) = new(SINGLE_MM, 60)

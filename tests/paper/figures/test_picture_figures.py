@@ -1,17 +1,25 @@
+"""Frames, matrices and spikes are drawn as they were stored, none of them lost."""
+
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import little
 import numpy as np
 import numpy.typing as npt
 import preprocess_oracle
 import pytest
-from figure_runs import run, scores_with_recall
+from figure_runs import run, scores_with_recall, series
 from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
 
 from vprbench.api.arrays import Image
 from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.pictures import frames, similarity
+from vprbench.paper.figures.spikes import spike_statistics
 from vprbench.paper.figures.style import Drawn, pdf
+from vprbench.paper.selection import Series
 from vprbench.run.record import Run
 from vprbench.run.thumbnails import Example, Thumbnails
 
@@ -24,21 +32,47 @@ def picture(seed: int, height: int = 45, width: int = 80) -> Image:
 
 
 def kept(*examples: Example) -> Thumbnails:
-    return Thumbnails(
-        query_names=tuple(f"summer/{i}.png" for i in range(10)),
-        reference_names=tuple(f"spring/{i}.png" for i in range(20)),
-        examples=examples,
-        queries=(b"",) * 10,
-        references=(b"",) * 20,
-    )
-
-
-TWO = kept(Example(0, 5, picture(1), picture(2)), Example(3, 8, picture(3), picture(4)))
+    queries, references = (tuple(f"{name}/{i}.png" for i in range(n)) for name, n in (("summer", 10), ("spring", 20)))
+    return Thumbnails(queries, references, examples, (b"",) * 10, (b"",) * 20)
 
 
 def shown(axes: Axes) -> npt.NDArray[np.float64]:
     (image,) = axes.images
     return np.asarray(image.get_array())
+
+
+def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised() -> None:
+    two = kept(Example(0, 5, picture(1), picture(2)), Example(3, 8, picture(3), picture(4)))
+    axes = frames(two, "Railway").figure.axes
+    assert len(axes) == 8
+    for row, example in enumerate(two.examples):
+        images = example.reference_image, example.query_image
+        for panel, normalised, image in zip(axes[4 * row :], axes[4 * row + 2 :], images, strict=False):
+            assert np.array_equal(shown(panel), image)
+            grey = preprocess_oracle.gamma_c(preprocess_oracle.grey_c(image))
+            slow = preprocess_oracle.patch_normalise(preprocess_oracle.resize_bilinear(grey, 28, 28), 7, 1)
+            np.testing.assert_allclose(shown(normalised), slow, atol=1)  # float32 moves a truncated level
+            assert normalised.images[0].get_clim() == (0, 255)
+    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in axes[:4]]
+    assert titles == ["Reference", "Query", "Reference, normalised", "Query, normalised"]
+    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
+
+
+@pytest.mark.parametrize(("height", "width"), [(360, 640), (320, 180), (100, 640)])
+def test_frames_of_any_shape_fit_the_page_and_have_one_height(height: int, width: int) -> None:
+    example = Example(0, 5, picture(1, height, width), picture(2, height, width))
+    figure = frames(kept(example, example), "Railway").figure
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() * 25.4 <= 180.001
+    boxes = [panel.get_position() for panel in figure.axes]
+    assert min(box.height * figure.get_figheight() * 25.4 for box in boxes) > 10  # mm
+    for panel, box in zip(figure.axes, boxes, strict=True):
+        rows, columns = shown(panel).shape[:2]
+        drawn = box.width * figure.get_figwidth() / (box.height * figure.get_figheight())
+        assert drawn == pytest.approx(columns / rows, rel=0.02)
+
+
+# Similarity
 
 
 def matrices(drawn: Drawn) -> tuple[Axes, Axes]:
@@ -53,58 +87,18 @@ def with_scores(scores: npt.ArrayLike, *right: list[int]) -> Run:
     return little.a_run(scores=matrix, positives=positives, outcome=outcome(matrix, positives))
 
 
-def test_a_row_shows_the_right_place_and_the_query_as_they_are() -> None:
-    axes = frames(TWO, "Railway").figure.axes
-    assert len(axes) == 8
-    for row, example in enumerate(TWO.examples):
-        assert np.array_equal(shown(axes[4 * row]), example.reference_image)
-        assert np.array_equal(shown(axes[4 * row + 1]), example.query_image)
-    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in axes[:4]]
-    assert titles == ["Reference", "Query", "Reference, normalised", "Query, normalised"]
-    assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
-
-
-def test_beside_them_stand_their_patch_normalised_versions() -> None:
-    axes = frames(TWO, "Railway").figure.axes
-    for panel, image in zip(axes[2:4], (TWO.examples[0].reference_image, TWO.examples[0].query_image), strict=True):
-        grey = preprocess_oracle.gamma_c(preprocess_oracle.grey_c(image))
-        slow = preprocess_oracle.patch_normalise(preprocess_oracle.resize_bilinear(grey, 28, 28), 7, 1)
-        assert shown(panel).shape == (28, 28)
-        np.testing.assert_allclose(shown(panel), slow, atol=1)  # float32 against float64 moves a truncated level
-        assert panel.images[0].get_clim() == (0, 255)
-
-
-@pytest.mark.parametrize(("height", "width"), [(32, 64), (360, 640), (320, 180), (100, 640)])
-def test_frames_of_any_shape_fit_the_page_and_have_one_height(height: int, width: int) -> None:
-    example = Example(0, 5, picture(1, height, width), picture(2, height, width))
-    figure = frames(kept(example, example), "Railway").figure
-    figure.draw_without_rendering()
-    assert figure.get_figwidth() * 25.4 <= 180.001
-    boxes = [panel.get_position() for panel in figure.axes]
-    heights = [box.height * figure.get_figheight() * 25.4 for box in boxes]
-    assert min(heights) > 10  # mm
-    for panel, box in zip(figure.axes, boxes, strict=True):
-        rows, columns = shown(panel).shape[:2]
-        drawn = box.width * figure.get_figwidth() / (box.height * figure.get_figheight())
-        assert drawn == pytest.approx(columns / rows, rel=0.02)
-
-
-def test_the_ground_truth_has_a_dark_cell_for_each_right_place_and_none_else() -> None:
-    truth, scores = matrices(similarity(with_scores(np.eye(3, 5), [1], [0, 4], []), "VPRTempo, five networks"))
-    assert shown(truth).tolist() == [[0, 1, 0, 0, 0], [1, 0, 0, 0, 1], [0, 0, 0, 0, 0]]
-    assert (truth.get_xlabel(), truth.get_ylabel()) == ("Place", "Query")
-    assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
-
-
-def test_the_scores_of_each_query_run_from_0_to_1() -> None:
+def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1() -> None:
     """A place that is no candidate is drawn as the worst."""
     no = -np.inf
     given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
-    made = with_scores(given, [0], [1], [2], [0], [1])
-    _, scores = matrices(similarity(made))
+    made = with_scores(given, [1], [0, 3], [], [0], [1])
+    truth, scores = matrices(similarity(made, "VPRTempo, five networks"))
+    assert shown(truth).tolist() == [[0, 1, 0, 0], [1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]]
     stretched = [[0, 0.5, 1, 0.25], [0, 0.25, 1, 0], [0, 0, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 0]]
     np.testing.assert_allclose(shown(scores), stretched)
     np.testing.assert_array_equal(made.scores, given)
+    assert (truth.get_xlabel(), truth.get_ylabel()) == ("Place", "Query")
+    assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
 
 
 def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_numbers() -> None:
@@ -113,14 +107,14 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
     truth, scores = matrices(similarity(made))
     assert made.scores is not None
     low, high = made.scores.min(1, keepdims=True), made.scores.max(1, keepdims=True)
-    stretched = (made.scores - low) / (high - low)
-    assert shown(scores).shape == shown(truth).shape == (7, 334)
-    for row in range(7):
-        for column in range(334):
-            block = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
-            assert shown(scores)[row, column] == pytest.approx(stretched[block].max())
-            queries = range(3 * row, min(3 * row + 3, 20))
-            assert shown(truth)[row, column] == any(query // 3 == column for query in queries)
+    padded = np.zeros((21, 1002))
+    padded[:20, :1000] = (made.scores - low) / (high - low)
+    np.testing.assert_allclose(shown(scores), padded.reshape(7, 3, 334, 3).max((1, 3)))
+    right = [
+        [any(q // 3 == column for q in range(3 * row, min(3 * row + 3, 20))) for column in range(334)]
+        for row in range(7)
+    ]
+    assert shown(truth).tolist() == right
     for panel in (truth, scores):
         assert panel.images[0].get_extent() == [-0.5, 1001.5, 20.5, -0.5]  # 334 x 3 places, 7 x 3 queries
         assert panel.get_xlim() == (-0.5, 999.5)
@@ -146,3 +140,77 @@ def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries: i
         box = panel.get_position()
         assert 20 < box.height * figure.get_figheight() * 25.4 < 90
         assert 20 < box.width * figure.get_figwidth() * 25.4 < 90
+
+
+# Spikes
+
+
+def spiking(name: str, *seeds: Sequence[dict[str, Any]]) -> Series:
+    """Return a row with a run for each seed, of the layers of its network."""
+    kept = [{"queries": len(layers[0]["spikes_per_query"]), "layers": list(layers)} for layers in seeds]
+    return series(name, *(little.a_run(spikes=spikes) for spikes in kept), spiking=True)
+
+
+def layer(name: str, spikes: Sequence[float], active_share: float = 0.5, neurons: int = 100) -> dict[str, Any]:
+    return little.a_layer(name, neurons, list(spikes), active_share, None)
+
+
+def panels(*rows: Series) -> list[Axes]:
+    return spike_statistics(rows).figure.axes
+
+
+def medians(axes: Axes) -> list[float]:
+    """The heights of black lines: a box has one, at its median."""
+    return [float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == "black"]
+
+
+def bars(axes: Axes) -> list[float]:
+    return [patch.get_height() for patch in axes.patches if isinstance(patch, Rectangle)]
+
+
+TEMPO = spiking("VPRTempo", [layer("input", [700, 710, 690], 1.0, 784), layer("output", [20, 30, 25], 0.25, 300)])
+
+
+def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_active_neurons() -> None:
+    first, output, active = panels(TEMPO)
+    assert (medians(first), medians(output), bars(active)) == ([700], [25], [100, 25])
+    assert [tick.get_text() for tick in active.get_xticklabels()] == ["input", "output"]
+    axes, active = panels(spiking("VPRTempo", [layer("output", [0, 0, 0], 0.0)]))
+    assert (medians(axes), bars(active)) == ([0], [0])  # a silent layer is drawn
+
+
+def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries() -> None:
+    axes, _ = panels(spiking("VPRTempo", [layer("output", range(100, 201))]))
+    (box,) = axes.patches
+    heights = box.get_path().vertices[:, 1]
+    assert (heights[:4].min(), heights[:4].max()) == (125, 175)
+    ends = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
+    assert (ends.min(), ends.max()) == (105, 195)
+
+
+def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_dot_each() -> None:
+    seeds = [layer("output", [10, 10], 0.2)], [layer("output", [14, 16], 0.4)]
+    axes, active = panels(spiking("VPRTempo", *seeds))
+    assert medians(axes) == [12]  # of 10, 10, 14, 16
+    assert bars(active) == pytest.approx([30])
+    (dots,) = active.lines
+    assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
+
+
+def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch() -> None:
+    other = spiking("VPRSNN", [layer("inhibitory", [5, 6, 7]), layer("output", [50, 60, 70], 0.75)])
+    drawn = spike_statistics([series("SAD", little.a_run(spikes=None)), other, TEMPO])
+    *layers, active = drawn.figure.axes
+    titles = [axes.get_title(loc="left") for axes in layers]
+    assert titles == ["inhibitory,\n100 neurons", "output", "input,\n784 neurons"]  # the number that all rows have
+    assert [medians(axes) for axes in layers] == [[6], [60, 25], [700]]
+    assert sorted(bars(active)) == [25, 50, 75, 100]
+    assert [text.get_text() for text in drawn.figure.legends[0].get_texts()] == ["VPRSNN", "VPRTempo"]
+    assert len({patch.get_hatch() for patch in layers[1].patches}) == 2
+
+
+@pytest.mark.parametrize(("spikes", "scale"), [([0, 0, 5000], "symlog"), ([10, 20, 40], "linear"), ([0, 29], "linear")])
+def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence(spikes: Any, scale: str) -> None:
+    axes, _ = panels(spiking("VPRSNN", [layer("output", spikes)]))
+    assert axes.get_yscale() == scale
+    assert axes.get_ylim()[0] == 0 or scale == "linear"

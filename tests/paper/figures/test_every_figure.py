@@ -1,0 +1,217 @@
+"""What every figure keeps: captions, whole ones are stored; room for its texts; and what it refuses to draw.
+
+The stored captions are written anew, to be read before they are committed, where VPRBENCH_STORE_DOCUMENTS is set.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import combinations, cycle
+from pathlib import Path
+from typing import Any
+
+import little
+import numpy as np
+import pytest
+from checkout import ROOT
+from figure_runs import five_rows, run, series, sized
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from vprbench.errors import BadInput
+from vprbench.metrics.ranking import outcome
+from vprbench.metrics.registry import METRICS
+from vprbench.paper.figures.accuracy import precision_recall, recall_at_n, recall_at_tolerance
+from vprbench.paper.figures.growth import growth
+from vprbench.paper.figures.metrics import of_rows
+from vprbench.paper.figures.pictures import frames, similarity
+from vprbench.paper.figures.speed import query_rate, training_time
+from vprbench.paper.figures.spikes import spike_statistics
+from vprbench.paper.figures.style import Drawn
+from vprbench.paper.figures.tradeoff import against_memory, against_rate
+from vprbench.paper.growth import GrowthSamples, samples
+from vprbench.paper.plan import Row, read_plan
+from vprbench.paper.selection import Series
+from vprbench.run.note import Note
+from vprbench.run.thumbnails import Example, Thumbnails
+
+STORED = Path(__file__).parent / "stored" / "captions.md"
+PLAN = read_plan(ROOT / "conf" / "table.yaml")
+ROWS = list(PLAN.rows.values())
+NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
+UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
+LONG = "VPRTempo (5 networks, tuned, calibrated)"
+NAMES = (*PLAN.rows, LONG, "CosPlace", "Patch-NetVLAD (rescored)", "mixvpr", "hog")
+PLANNED = [PLAN.rows.get(name, Row(name, name.lower())) for name in NAMES]
+SIZES = (100, 300, 1000, 3000, 9000, 27000)
+NOISY = (Note("noisy", "two carts passed"),)
+ACCURACY = (precision_recall, recall_at_n, recall_at_tolerance, against_rate, against_memory)
+
+
+def ten_rows(device: str = "cpu") -> list[Series]:
+    """Return ten rows of two seeds whose numbers lie near one another, or decades apart."""
+
+    def one(i: int, seed: int) -> Any:
+        times = {"fit_seconds": 10.0 * 7 ** (i % 5) * (1 + seed), "fit_compute_seconds": 8.0 * 7 ** (i % 5)}
+        costs = {"peak_memory_bytes": 300_000_000 * (1 + i % 4), "bytes_per_place": None if i % 2 else 1024 * (i + 1)}
+        more = {"seed": seed, "device": device, "encode_seconds": 0.001 * 3 ** (i % 6), **times, **costs}
+        return run(NAMES[i].lower(), 0.3 + 0.05 * i, 8, 12, **more)
+
+    return [series(name, one(i, 0), one(i, 1)) for i, name in enumerate(NAMES)]
+
+
+def troubled() -> list[Series]:
+    """Return a tuned row, one on a GPU, and one on a busy machine with ties beyond what is stored."""
+    tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
+    tied = run("gcl", 0.3, notes=NOISY)
+    tied = replace(tied, outcome=replace(tied.outcome, top_tied=np.full(40, 30)))
+    rows = [series("Mine", tuned), series("SAD", run("sad", device="cuda")), series("GCL", tied)]
+    return [replace(row, runs=tuple(replace(r, protocol={"tolerance_places": 2}) for r in row.runs)) for row in rows]
+
+
+def unanswered() -> Series:
+    """Return two seeds of which one query has no right place."""
+    runs = [little.a_run(config={**little.a_run().config, "seed": seed}) for seed in (0, 1)]
+    positives = (*runs[0].positives[:3], np.empty(0, np.int64))
+    scores = np.asarray(runs[0].scores)
+    return series("VPRTempo", *(replace(r, positives=positives, outcome=outcome(scores, positives)) for r in runs))
+
+
+def grown(name: str, training: Callable[[int], float | None], query: Callable[[int], float], *more: Any) -> Any:
+    made = []
+    for n, wobble in zip(SIZES, (1.01, 0.99) * 3, strict=True):
+        fit = training(n)
+        made.append(sized(n, None if fit is None else fit * wobble, query(n) * wobble, encode_seconds=0.002))
+    return samples(Row(name, name.lower(), None if name == "CosPlace" else "match"), [*made, *more], ())
+
+
+def of_growth() -> Iterator[tuple[str, list[GrowthSamples]]]:
+    claimed = grown("VPRTempo", lambda n: 0.4 + 0.004 * n, lambda n: 0.001 * float(np.log(n)))
+    yield "as claimed", [claimed]
+    old = sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
+    seeds = [replace(sized(n, 0.01 * n, 0.001, seed=1), notes=NOISY) for n in (300, 9000)]
+    constant = grown("VPRTempo", lambda n: 2.0, lambda n: 1e-6 * n, old, *seeds)
+    yield "not as claimed, among others", [constant, grown("CosPlace", lambda n: None, lambda n: 1e-6 * n)]
+    wobbling = [
+        sized(n, 1.0, 0.001 * (1 + 0.001 * n) * (1.02, 0.98)[i % 2]) for i, n in enumerate(range(1000, 1500, 50))
+    ]
+    yield "undecided", [samples(Row("VPRTempo", "vprtempo", "match"), wobbling, ())]
+    yield "too few", [samples(Row("VPRTempo", "vprtempo", "match"), claimed.runs[:3], ())]
+    yield "of eight rows", [replace(claimed, name=name) for name in NAMES[:8]]
+
+
+def spiking(name: str, n_queries: int, *layers: tuple[str, int]) -> Series:
+    random = np.random.default_rng(0)
+    made = [little.a_layer(layer, n, list(random.poisson(n / 2, n_queries)), 0.4, None) for layer, n in layers]
+    return series(name, *(little.a_run(spikes={"queries": n_queries, "layers": made}) for _ in range(2)))
+
+
+def thumbnails(height: int, width: int) -> Thumbnails:
+    frame, names = np.zeros((height, width, 3), np.uint8), tuple(f"{i}.png" for i in range(9))
+    return Thumbnails(names, names, tuple(Example(i, i + 1, frame, frame) for i in range(4)), (b"",) * 9, (b"",) * 9)
+
+
+def every_kind() -> Iterator[tuple[str, Drawn]]:
+    ten, on_gpu, five = ten_rows(), ten_rows("cuda"), five_rows(n_places=50)
+    for draw in ACCURACY:
+        rows = {"ten rows": ten, "one seed": five[:1], "troubled rows": troubled(), "two seeds": [unanswered()]}
+        for kind, given in rows.items():
+            yield f"{draw.__name__} of {kind}", draw(given)
+    words = dict.fromkeys(((name, "query_cpu") for name in NAMES), "not applicable")
+    for bars in (training_time, query_rate):
+        yield f"{bars.__name__} on two devices", bars(ten, on_gpu, PLANNED, NORDLAND, {})
+        yield f"{bars.__name__} of one row", bars(ten[:1], (), PLANNED, PLAN.columns["railway_vprsnn"], words)
+        yield f"{bars.__name__} of what stands in", bars(five[-1:], (), ROWS, STREET, {})
+        yield f"{bars.__name__} outside of the paper", bars(troubled()[2:], (), [Row("GCL", "gcl")], UNPUBLISHED, {})
+    yield "metric", of_rows(ten, METRICS["recall_at_5"])
+    for kind, grew in of_growth():
+        yield f"growth {kind}", growth(grew)
+    for kind, size in (("tall", (90, 30)), ("wide", (30, 90))):
+        yield f"{kind} frames", frames(thumbnails(*size), "Railway")
+    yield "similarity", similarity(five[-1].runs[1], LONG)
+    for n_queries, n_places in ((5, 1000), (400, 30)):
+        yield f"similarity of {n_queries}", similarity(run(n_queries=n_queries, n_places=n_places))
+    tempo = ("input", 784), ("feature", 1568), ("output", 3300)
+    snn = ("input", 784), ("excitatory", 13200), ("inhibitory", 13200)
+    names = "VPRTempo", LONG, "VPRSNN", "VPRTempo (public code)"
+    networks = [spiking(name, 9, *kind) for name, kind in zip(names, cycle((tempo, tempo, snn)))]
+    yield (
+        "spikes of one",
+        spike_statistics([series("SAD", little.a_run(spikes=None)), spiking("VPRTempo", 1200, *tempo)]),
+    )
+    yield "spikes of four", spike_statistics(networks)
+
+
+@pytest.fixture(scope="module")
+def drawings() -> list[tuple[str, Drawn]]:
+    return [*every_kind()]
+
+
+def test_captions_are_the_stored_ones(drawings: list[tuple[str, Drawn]]) -> None:
+    text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in drawings)
+    if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
+        STORED.write_text(text, encoding="utf-8")
+    assert text == STORED.read_text(encoding="utf-8")
+
+
+def shown(figure: Figure) -> list[Text]:
+    """Return the texts that a reader sees: a tick beyond the ends of its axis is not drawn."""
+    figure.draw_without_rendering()
+    hidden: set[Text] = set()
+    for axis in figure.findobj(Axis):
+        low, high = sorted(axis.get_view_interval())
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if not low <= tick.get_loc() <= high:
+                hidden |= {tick.label1, tick.label2}
+    seen = (text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible())
+    return [text for text in seen if text not in hidden]
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_text_of_any_figure_covers_another_or_is_cut(drawings: list[tuple[str, Drawn]]) -> None:
+    for name, drawn in drawings:
+        if any(word in name for word in ("seed", "troubled", "recall_at", "stands in", "outside", "undecided")):
+            continue  # fewer and shorter names than another of its kind
+        boxes = [(text.get_text(), Text.get_window_extent(text)) for text in shown(drawn.figure)]  # without arrows
+        canvas = drawn.figure.bbox.padded(1)  # pixel
+        cut = [text for text, box in boxes if not (canvas.contains(*box.min) and canvas.contains(*box.max))]
+        covered = [
+            (text, other)
+            for (text, one), (other, two) in combinations(boxes, 2)
+            if min(one.x1, two.x1) - max(one.x0, two.x0) > 1 and min(one.y1, two.y1) - max(one.y0, two.y0) > 1
+        ]
+        assert (name, cut, covered) == (name, [], [])
+
+
+SPIKING = {"spikes": {"queries": 4, "layers": [little.a_layer("output", 100, [1, 2, 3, 4], 0.5, None)]}}
+FIRST = series("VPRTempo", little.a_run(**SPIKING))
+UNTIMED = [series("SAD", little.a_run(timing=None))]
+BARS = {"gpu": (), "rows": ROWS, "column": NORDLAND, "marks": {}}
+
+
+@pytest.mark.parametrize(
+    ("draw", "given", "culprit"),
+    [
+        *(
+            (draw, [FIRST, series("GCL", little.a_run(**SPIKING, **other))], "different data")
+            for draw in (*ACCURACY, spike_statistics)
+            for other in ({"fingerprint": "e" * 64}, {"protocol": {"tolerance_places": 1}})
+        ),
+        *((draw, [], "no stored runs") for draw in ACCURACY),
+        *((draw, [series("SAD", little.unanswerable_run())], "journey has a right place") for draw in ACCURACY),
+        (spike_statistics, [series("SAD", little.a_run(spikes=None))], "holds spikes"),
+        (growth, [], "no growth"),
+        (partial(training_time, **BARS), (), "Nordland"),
+        (against_rate, UNTIMED, "no timed runs .*timing=quick"),
+        (partial(query_rate, **BARS), UNTIMED, "Nordland"),
+        (partial(frames, title="Railway"), Thumbnails((), (), (), (), ()), "Railway"),
+        (similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_by_name(draw: Callable[[Any], Drawn], given: Any, culprit: str) -> None:
+    with pytest.raises(BadInput, match=culprit):
+        draw(given)
