@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from served_files import Served, serving
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
-from vprbench.storage.download import fetch
+from vprbench.storage.download import fetch, kept_bytes
 
 CHUNK = 512 * 1024  # bytes that gdown writes at once: less than that of a broken answer is lost
 CONTENT = np.random.default_rng(0).bytes(3 * CHUNK + 1234)
@@ -43,8 +41,17 @@ def to(tmp_path: Path) -> Path:
     return tmp_path / "weights" / "net.pth"
 
 
-def get(server: Served, to: Path, **stated: Any) -> None:
-    fetch(server.url, to, timeout_seconds=PATIENCE, pause_seconds=0.0, **stated)
+def get(url: Served | str, to: Path, timeout_seconds: float = PATIENCE, **stated: Any) -> None:
+    address = url if isinstance(url, str) else url.url
+    fetch(address, to, timeout_seconds=timeout_seconds, pause_seconds=0.0, **stated)
+
+
+def refused(url: Served | str, to: Path, message: str, **stated: Any) -> None:
+    """The download is refused in one line, and no file is there."""
+    with pytest.raises(BadInput, match=message) as error:
+        get(url, to, **stated)
+    assert "\n" not in str(error.value)
+    assert not to.exists()
 
 
 def left_behind(to: Path) -> list[str]:
@@ -54,19 +61,28 @@ def left_behind(to: Path) -> list[str]:
 
 def interrupt(server: Served, to: Path, after_bytes: int = CHUNK) -> None:
     """Leave a part of `after_bytes`, as a run does that loses its server."""
+    to.unlink(missing_ok=True)
     server.breaks_after, server.honours_ranges = after_bytes, False
-    with pytest.raises(BadInput, match="could not be downloaded"):
-        get(server, to)
+    refused(server, to, "could not be downloaded")
     server.breaks_after, server.honours_ranges = None, True
     server.net.asked.clear()
-    assert not to.exists()
     assert left_behind(to) == ["net.pth.part"]
+    assert kept_bytes(to) == after_bytes
 
 
-def test_a_file_comes_whole_and_once_with_nothing_beside_it(server: Served, to: Path) -> None:
-    get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
+def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_to_the_whole(
+    server: Served, to: Path
+) -> None:
+    heard: list[tuple[str, float]] = []
+    with listening(lambda stage, done: heard.append((stage, done))):
+        get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
     assert to.read_bytes() == CONTENT
     assert left_behind(to) == []
+    shares = [done for _, done in heard]
+    assert {stage for stage, _ in heard} == {"downloading net.pth"}
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0, 1)
+    assert any(0.3 < share < 0.4 for share in shares)  # one chunk of a little more than three
     to.write_bytes(b"mine")
     server.net.asked.clear()
     get(server, to)
@@ -74,62 +90,54 @@ def test_a_file_comes_whole_and_once_with_nothing_beside_it(server: Served, to: 
     assert server.net.asked == []
 
 
-def test_a_broken_connection_is_continued_and_progress_rises_to_the_whole(server: Served, to: Path) -> None:
-    heard: list[tuple[str, float]] = []
+def test_what_a_broken_connection_has_brought_is_continued(server: Served, to: Path) -> None:
     server.breaks_after = CHUNK
-    with listening(lambda stage, done: heard.append((stage, done))):
-        get(server, to, sha256=SHA256)
+    get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={n * CHUNK}-" for n in (1, 2, 3)]
-    shares = [done for _, done in heard]
-    assert {stage for stage, _ in heard} == {"downloading net.pth"}
-    assert (shares, shares[0], shares[-1]) == (sorted(shares), 0, 1)
-    assert any(0.3 < share < 0.4 for share in shares)  # one chunk of a little more than three
 
 
-def test_a_killed_process_leaves_what_the_next_continues(server: Served, to: Path) -> None:
-    server.stalls_after = 2 * CHUNK
-    program = (
-        "from vprbench.storage.download import *; "
-        f"fetch({server.url!r}, Path({str(to)!r}), timeout_seconds={2 * PATIENCE})"
-    )
-    with subprocess.Popen([sys.executable, "-c", program]) as process:
-        try:
-            assert server.net.stalled.wait(PATIENCE)
-            part = to.parent / "net.pth.part"
-            until = time.monotonic() + PATIENCE
-            while sum(file.stat().st_size for file in part.glob("*.part")) < 2 * CHUNK and time.monotonic() < until:
-                time.sleep(0.01)
-        finally:
-            process.kill()
-    server.stalls_after = None
-    server.net.asked.clear()
+def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: Served, to: Path) -> None:
+    server.content = CONTENT * 20  # 30 MB
+    had = 57 * CHUNK
+    interrupt(server, to, had)
     get(server, to)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
+    assert to.read_bytes() == server.content
+    assert all(asked.ended.wait(PATIENCE) for asked in server.net.asked)
+    rests = [asked.sent_bytes for asked in server.net.asked if asked.status == 206]
+    assert max(rests) == len(server.content) - had
+    whole = [asked.sent_bytes for asked in server.net.asked if asked.status == 200]
+    assert sum(whole) < len(server.content) / 2  # answers that were closed once their headers had come
 
 
-def test_a_stalled_server_is_left_and_asked_again(server: Served, to: Path) -> None:
-    server.stalls_after = 2 * CHUNK
-    fetch(server.url, to, sha256=SHA256, timeout_seconds=3.0, pause_seconds=0.0)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
-
-
-def test_a_server_that_keeps_silent_or_is_not_there_is_given_up_in_one_line(server: Served, to: Path) -> None:
+def test_a_stalled_server_is_left_and_asked_again_and_one_that_keeps_silent_is_given_up(
+    server: Served, to: Path
+) -> None:
     server.stalls_after = 0
+    refused(server, to, r"\(.*timed", timeout_seconds=0.1)
+    server.stalls_after = 2 * CHUNK
+    get(server, to, sha256=SHA256, timeout_seconds=1.5)
+    assert to.read_bytes() == CONTENT
+    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
+
+
+def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_at_once(
+    to: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))  # and does not listen
-        absent = f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth"
-        for url in (server.url, absent):
-            with pytest.raises(BadInput) as error:
-                fetch(url, to, timeout_seconds=0.1, pause_seconds=0.0)
-            assert url in str(error.value)
-            assert "\n" not in str(error.value)
-    assert not to.exists()
+        refused(f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth", to, "refused")
+
+    def unknown(*_: Any, **__: Any) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(BadInput, match=r"cannot be reached \(Failed to resolve 'nowhere\.inv") as error:
+        fetch("http://nowhere.invalid/file", to, pause_seconds=1000.0)
+    assert "HTTPConnection" not in str(error.value)  # what libraries wrap around it
 
 
-@pytest.mark.parametrize("status", [429, 503])
+@pytest.mark.parametrize("status", [408, 429, 503])
 def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Served, to: Path, status: int) -> None:
     interrupt(server, to)
     server.statuses = [status, status]
@@ -138,24 +146,30 @@ def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Serv
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
 
 
-@pytest.mark.parametrize("status", [401, 404])
-def test_a_lasting_refusal_is_reported_at_once(server: Served, to: Path, status: int) -> None:
+@pytest.mark.parametrize("status", [403, 404])
+def test_a_lasting_refusal_is_reported_at_once_and_one_that_never_passes_in_the_end(
+    server: Served, to: Path, status: int
+) -> None:
     server.statuses = [status] * 9
-    with pytest.raises(BadInput, match=rf"net\.pth answers {status} "):
-        get(server, to)
+    refused(server, to, rf"net\.pth answers {status} .* store it as .*weights.net\.pth")
     assert len(server.net.asked) == 1
+    server.statuses = [500] * 9
+    refused(server, to, r"could not be downloaded \(500")
+    assert len(server.net.asked) == 6
+
+
+def test_redirects_are_followed_when_continuing_too(server: Served, to: Path) -> None:
+    server.net.serve("/newer", location=server.url)
+    server.breaks_after = 2 * CHUNK
+    get(server.net.serve("/old", location="/newer"), to)
+    assert to.read_bytes() == CONTENT
+    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
 @pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
-def test_redirects_within_the_web_alone_are_followed(server: Served, to: Path, target: str) -> None:
-    for url in (target, server.net.serve("/old", location=target)):
-        with pytest.raises(BadInput):
-            fetch(url, to, pause_seconds=0.0)
-    assert not to.exists()
-    server.breaks_after = 2 * CHUNK
-    fetch(server.net.serve("/older", location=server.url), to, pause_seconds=0.0)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
+def test_only_the_web_is_downloaded_from_by_redirects_too(server: Served, to: Path, target: str) -> None:
+    refused(target, to, "does not start with http")
+    refused(server.net.serve("/old", location=target), to, "cannot be followed")
 
 
 def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_always_breaks(
@@ -163,13 +177,11 @@ def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_alwa
 ) -> None:
     interrupt(server, to)
     server.honours_ranges = False
-    server.breaks_after = 2 * CHUNK
-    with pytest.raises(BadInput):
-        get(server, to)
-    assert not to.exists()
-    server.breaks_after = None
     get(server, to)
     assert to.read_bytes() == CONTENT
+    to.unlink()
+    server.breaks_after = 2 * CHUNK
+    refused(server, to, r"\(Download")
 
 
 @pytest.mark.parametrize("dated", [False, True])
@@ -193,114 +205,86 @@ def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server:
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={CHUNK}-"]
-    to.unlink()
     interrupt(server, to)
     server.content = OTHER
     get(server, to)
     assert to.read_bytes() == OTHER
 
 
-def test_a_part_longer_than_the_file_is_begun_anew(server: Served, to: Path) -> None:
+def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server: Served, to: Path) -> None:
     interrupt(server, to, 2 * CHUNK)
     server.content = CONTENT[:CHUNK]  # under the old ETag
     get(server, to)
     assert to.read_bytes() == CONTENT[:CHUNK]
-
-
-@pytest.mark.parametrize(("stated", "found"), [({"sha256": "0" * 64}, SHA256), ({"size_bytes": 7}, str(len(CONTENT)))])
-def test_another_file_than_stated_is_deleted_and_named(
-    server: Served, to: Path, stated: dict[str, Any], found: str
-) -> None:
-    with pytest.raises(BadInput, match=f"{server.url} .*{found}"):
-        get(server, to, **stated)
-    assert not to.exists()
-    assert left_behind(to) == []
-
-
-def test_a_corrupted_part_is_deleted_and_the_next_run_is_right(server: Served, to: Path) -> None:
+    server.content = CONTENT
     interrupt(server, to)
     part = next((to.parent / "net.pth.part").glob("*.part"))
     part.write_bytes(b"\0" + part.read_bytes()[1:])
-    with pytest.raises(BadInput, match="SHA-256"):
-        get(server, to, sha256=SHA256)
+    refused(server, to, "SHA-256", sha256=SHA256)
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
 
 
-@pytest.mark.parametrize("content", [PAGE, b""])
-def test_a_web_page_or_nothing_is_not_taken_for_the_file(server: Served, to: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    ("content", "stated", "message"),
+    [
+        (CONTENT, {"sha256": "0" * 64}, rf"gave a file with SHA-256 {SHA256}, expected {'0' * 64}: it was deleted"),
+        (CONTENT, {"size_bytes": 7}, f"gave {len(CONTENT)} bytes, expected 7: it was deleted"),
+        (PAGE, {}, "answers with a"),
+        (b"", {}, "gave 0 bytes, expected more"),
+    ],
+)
+def test_another_file_than_stated_a_web_page_or_nothing_is_deleted_and_named(
+    server: Served, to: Path, content: bytes, stated: dict[str, Any], message: str
+) -> None:
     server.content, server.kind = content, "text/html"
-    with pytest.raises(BadInput):
-        get(server, to)
-    assert not to.exists()
+    refused(server, to, rf"^{server.url} {message}", **stated)
+    assert left_behind(to) == []
 
 
-def test_two_processes_that_want_one_file_download_it_once(server: Served, to: Path) -> None:
-    program = f"from vprbench.storage.download import *; fetch({server.url!r}, Path({str(to)!r}), sha256={SHA256!r})"
-    both = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(2)]
-    assert [process.wait(PATIENCE) for process in both] == [0, 0]
+def test_two_that_want_one_file_download_it_once(server: Served, to: Path) -> None:
+    with ThreadPoolExecutor(2) as threads:
+        [*threads.map(lambda _: get(server, to, sha256=SHA256), range(2))]
     assert to.read_bytes() == CONTENT
     assert len(server.net.asked) == 2  # whether a part fits, and the file
 
 
-def test_a_full_disk_is_named_and_what_came_is_kept(server: Served, to: Path) -> None:
-    with no_file_may_exceed(CHUNK + 1000), pytest.raises(BadInput, match=r"\(File.*large\)"):
-        get(server, to)
-    assert not to.exists()
+def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server: Served, to: Path, tmp_path: Path) -> None:
+    with no_file_may_exceed(CHUNK + 1000):
+        refused(server, to, r"\(File.*large\): free")
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
-    with pytest.raises(BadInput, match=str(to)):
-        get(server, to / "net.pth")  # below a file no folder can be made
+    (tmp_path / "file").touch()
+    refused(server, tmp_path / "file" / "net.pth", "cannot be written .*: mend")
 
 
-class TestGoogleDrive:
-    """Its pages, as far as they matter, stand on the test's own server."""
-
-    URL = "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
-
-    @pytest.fixture(autouse=True)
-    def _here(self, server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-        request = requests.Session.request
-
-        def elsewhere(session: requests.Session, method: str, url: str, **options: Any) -> requests.Response:
-            here = server.url.replace("/net.pth", "/page") if url.startswith("https://drive.google.com/") else url
-            return request(session, method, here, **options)
-
-        monkeypatch.setattr(requests.Session, "request", elsewhere)
-
-    @pytest.fixture
-    def confirming(self, server: Served) -> Served:
-        form = '<form id="download-form" action="{}"><input type="hidden" name="confirm" value="t"></form>'
-        server.net.serve("/page", f"<html>{form.format(server.url)}</html>".encode(), kind="text/html; charset=utf-8")
-        server.attached = True
-        return server
-
-    @pytest.mark.parametrize("breaks_after", [None, 2 * CHUNK])
-    def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(
-        self, confirming: Served, to: Path, breaks_after: int | None
-    ) -> None:
-        confirming.breaks_after = breaks_after
-        fetch(self.URL, to, sha256=SHA256, pause_seconds=0.0)
-        assert to.read_bytes() == CONTENT
-        assert confirming.net.ranges() == ([f"bytes={breaks_after}-"] if breaks_after else [])
-
-    def test_a_file_that_is_not_public_is_reported_in_one_line(self, server: Served, to: Path) -> None:
-        page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
-        server.net.serve("/page", page, kind="text/html; charset=utf-8")
-        with pytest.raises(BadInput, match=r"\(.*Too.*users") as error:
-            fetch(self.URL, to, pause_seconds=0.0)
-        assert "\n" not in str(error.value)
-        assert not to.exists()
+# Google Drive: its pages, as far as they matter, stand on the test's own server
 
 
-def test_a_host_that_does_not_exist_is_named_at_once_and_without_what_libraries_wrap_around_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def drive(server: Served, monkeypatch: pytest.MonkeyPatch) -> str:
+    request = requests.Session.request
+
+    def elsewhere(session: requests.Session, method: str, url: str, **options: Any) -> requests.Response:
+        here = server.url.replace("/net.pth", "/page") if url.startswith("https://drive.google.com/") else url
+        return request(session, method, here, **options)
+
+    monkeypatch.setattr(requests.Session, "request", elsewhere)
+    return "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
+
+
+def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(
+    server: Served, drive: str, to: Path
 ) -> None:
-    def unknown(*_: Any, **__: Any) -> NoReturn:
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+    form = f'<form id="download-form" action="{server.url}"><input type="hidden" name="confirm" value="t"></form>'
+    server.net.serve("/page", f"<html>{form}</html>".encode(), kind="text/html; charset=utf-8")
+    server.attached, server.breaks_after = True, 2 * CHUNK
+    get(drive, to, sha256=SHA256)
+    assert to.read_bytes() == CONTENT
+    assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
-    monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(BadInput) as caught:
-        fetch("http://nowhere.invalid/file", tmp_path / "file", pause_seconds=1000.0)
-    assert str(caught.value).startswith("http://nowhere.invalid/file cannot be reached (Failed to resolve 'nowhere.inv")
-    assert "HTTPConnection" not in str(caught.value)
+
+def test_a_file_that_is_not_public_is_reported_in_one_line(server: Served, drive: str, to: Path) -> None:
+    page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
+    server.net.serve("/page", page, kind="text/html; charset=utf-8")
+    refused(drive, to, r"\(.*Too.*users")

@@ -13,6 +13,8 @@ from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.storage.hashes import hashes_folder
 
+FOLDERS = {"VPRBENCH_WEIGHTS": weights_folder, "VPRBENCH_PARTIAL": partial_folder, "VPRBENCH_HASHES": hashes_folder}
+
 
 @pytest.fixture(autouse=True)
 def nameless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -22,32 +24,23 @@ def nameless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         raise KeyError("uid not found")
 
     monkeypatch.setattr(pwd, "getpwuid", unknown)
-    for name in ("HOME", "XDG_CACHE_HOME", "VPRBENCH_WEIGHTS", "VPRBENCH_PARTIAL", "VPRBENCH_HASHES"):
+    for name in ("HOME", "XDG_CACHE_HOME", *FOLDERS):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("folder", "variable"),
-    [
-        (weights_folder, "VPRBENCH_WEIGHTS"),
-        (partial_folder, "VPRBENCH_PARTIAL"),
-        (hashes_folder, "VPRBENCH_HASHES"),
-    ],
-)
-def test_a_cache_without_a_home_asks_for_its_variable(folder, variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("variable", FOLDERS)
+def test_a_cache_without_a_home_asks_for_its_variable(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadInput, match=f"HOME, or {variable}"):
-        folder()
+        FOLDERS[variable]()
     monkeypatch.setenv(variable, "~/kept")
     with pytest.raises(BadInput, match=f"{variable}=~/kept"):
-        folder()
+        FOLDERS[variable]()
     monkeypatch.setenv(variable, "kept")
-    assert folder() == Path("kept")
+    assert FOLDERS[variable]() == Path("kept")
 
 
-def test_bad_input_without_a_home_is_told_and_stored(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_input_without_a_home_is_told_and_stored(capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
     assert main(["method.patch=0", "dataset.places=12", "dataset.first_query_place=0"]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("vprbench: method.patch=0")

@@ -40,16 +40,8 @@ def test_shards_hold_the_rows_of_an_array(tmp_path: Path, rows: Array, kind: str
     assert [(piece.first, piece.rows().tolist()) for piece in kept.pieces] == [
         (first, rows[first : first + 64].tolist()) for first in (0, 64, 128, 192, 256)
     ]
-    for part in (
-        slice(0, N),
-        slice(None),
-        slice(64, 128),
-        slice(60, 200),
-        slice(299, 300),
-        slice(7, 7),
-        slice(290, 999),
-    ):
-        assert np.array_equal(kept[part], rows[part])
+    for first, last in ((0, N), (None, None), (64, 128), (60, 200), (299, 300), (7, 7), (290, 999)):
+        assert np.array_equal(kept[first:last], rows[first:last])
     chosen = np.array([[299, 0], [64, 63], [0, 255]])
     assert np.array_equal(kept.take(chosen), rows[chosen])
 
