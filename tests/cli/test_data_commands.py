@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -31,21 +30,22 @@ def options(drives: Path) -> list[str]:
     return ["dataset=folders", f"dataset.references=[{drives / 'monday'}]", f"dataset.queries={drives / 'friday'}"]
 
 
-def test_the_doctor_of_sound_frames_exits_with_0(drives: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", *options(drives)]) == 0
+def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(
+    drives: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = ["dataset=folders", f"dataset.references=[{drives / 'monday'}]", f"dataset.queries={drives / 'friday'}"]
+    assert main(["doctor", *frames]) == 0
     told = capsys.readouterr().out
     assert told.startswith(f"folders: {drives / 'monday'}, {drives / 'friday'}\n")
     assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
-
-
-def test_the_doctor_of_a_damaged_frame_names_it_and_exits_with_1(
-    drives: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
     frame = drives / "friday" / "007.png"
     frame.write_bytes(frame.read_bytes()[:-40])
-    assert main(["doctor", *options(drives), "output=json"]) == 1
+    assert main(["doctor", *frames, "output=json"]) == 1
     found = [each for each in json.loads(capsys.readouterr().out) if each["level"] == "error"]
     assert [(each["check"], "007.png" in each["text"]) for each in found] == [("decoding", True)]
+    frame.write_bytes(b"")
+    assert main(["method=sad", *frames, f"results={drives / 'results'}"]) == 2
+    assert "007.png" in capsys.readouterr().err
 
 
 def test_the_doctor_of_a_dataset_that_is_not_there_says_how_to_get_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,12 +72,3 @@ def test_fetch_exits_with_1_where_frames_that_came_are_not_right(
     monkeypatch.setattr(command, "fetch_command", fetched)
     assert main(["fetch", "corridor"]) == code
     assert ("1 file" in capsys.readouterr().out) == empty
-
-
-def test_a_run_stops_at_an_error_of_the_cheap_checks(
-    drives: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    (drives / "friday" / "003.png").write_bytes(b"")
-    caplog.set_level(logging.CRITICAL)
-    assert main(["method=sad", *options(drives), f"results={drives / 'results'}"]) == 2
-    assert "003.png" in capsys.readouterr().err

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 from pathlib import Path
-from typing import Any
 
 import pytest
 from little import a_failure, a_run
@@ -51,81 +50,59 @@ def test_a_damaged_failure_is_none_is_named_and_hides_no_other(store: Store, cap
     assert store.failure("little", "journey", a_run().config) is None
 
 
-# All failures of a store
-
-
-def key_of_an_earlier_version(config: dict[str, Any]) -> str:
-    asked = {name: config.get(name) for name in ("method", "dataset", "seed", "device", "load")}
-    text = json.dumps({"schema": 3, **asked}, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def earlier_failure(store: Store) -> Path:
-    """Write a failure as earlier versions did."""
+def test_failures_of_earlier_and_later_versions_are_read_and_removed_when_the_run_succeeds(store: Store) -> None:
     config = {"method": {"window": 5}, "dataset": {}, "seed": 1, "device": "cpu", "load": None}
-    folder = store.root / "journey" / f"little-failed-{key_of_an_earlier_version(config)}"
+    key = hashlib.sha256(json.dumps({"schema": 3, **config}, sort_keys=True, separators=(",", ":")).encode())
+    folder = store.root / "journey" / f"little-failed-{key.hexdigest()[:16]}"
     folder.mkdir(parents=True)
     content = {"method": "little", "dataset": "journey", "config": config, "error": "ValueError: no"}
     (folder / "failure.json").write_text(json.dumps(content))
-    return folder
-
-
-def test_a_failure_that_an_earlier_version_stored_is_read_and_removed_when_the_run_succeeds(store: Store) -> None:
-    folder = earlier_failure(store)
     (failure,) = store.failures()
     assert (failure.error, failure.environment, failure.missing) == ("ValueError: no", {}, False)
     assert store.failure("little", "journey", failure.config) == failure
     store.save(a_run(config=failure.config))
     assert not folder.exists()
-
-
-def test_a_failure_with_fields_of_a_later_version_is_read(store: Store) -> None:
     path = store.save_failure(a_failure()) / "failure.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "since": "later"}))
     assert list(store.failures()) == [a_failure()]
 
 
-# What the command line stores
+MISSING, WRONG = True, False
 
 
-@pytest.fixture
-def in_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Record even failures that are the user's, as the runs of a sweep do."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
-
-
-FAILURES = {
-    "no root": (["dataset=nordland"], True),
-    "a root that is no folder": (["dataset=nordland", "dataset.root=/nowhere"], True),
-    "no season": (["dataset=nordland", "dataset.root=."], True),
-    "no folders": (["dataset=folders"], True),
-    "a folder that is none": (["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"], True),
-    "a folder without images": (["dataset=folders", "dataset.references=[.]", "dataset.queries=."], True),
-    "weights that may not be fetched": (["method=cosplace", *QUICK], True),
-    "weights that no program can fetch": (["method=gcl", *QUICK], True),
-    "a copy of weights that is none": (["method=cosplace", "method.weights.path=/nowhere.pth", *QUICK], True),
-    "no window": (["method.patch=0", *QUICK], False),
-    "no places": ([*QUICK, "dataset.places=0"], False),
-    "no training": (["method=vprtempo", "method.epochs=0", *QUICK], False),
-}
-
-
-@pytest.mark.usefixtures("in_a_sweep")
-@pytest.mark.parametrize("reason", FAILURES)
-def test_a_failure_says_whether_something_was_missing_and_which_arguments_were_changed(
-    reason: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("arguments", "missing"),
+    [
+        (["dataset=nordland"], MISSING),
+        (["dataset=nordland", "dataset.root=/nowhere"], MISSING),
+        (["dataset=nordland", "dataset.root=."], MISSING),
+        (["dataset=folders"], MISSING),
+        (["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"], MISSING),
+        (["dataset=folders", "dataset.references=[.]", "dataset.queries=."], MISSING),
+        (["method=cosplace", *QUICK], MISSING),  # weights that may not be fetched
+        (["method=gcl", *QUICK], MISSING),  # weights that no program can fetch
+        (["method=cosplace", "method.weights.path=/nowhere.pth", *QUICK], MISSING),
+        (["method.patch=0", *QUICK], WRONG),
+        ([*QUICK, "dataset.places=0"], WRONG),
+        (["method=vprtempo", "method.epochs=0", *QUICK], WRONG),
+        (["method=sda", *QUICK], None),
+    ],
+)
+def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
+    arguments: list[str],
+    missing: bool | None,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    arguments, missing = FAILURES[reason]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")  # where failures that are the user's are recorded too
     assert main([*arguments, "output=json"]) == 2
+    if missing is None:  # there is no such method, and nothing is stored
+        assert not Path("results").exists()
+        return
     (failure,) = Store(Path("results")).failures()
     told = json.loads(capsys.readouterr().out)
     assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
     assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
-    assert ("patch" in failure.config["changed"]) == (reason == "no window")
-
-
-@pytest.mark.usefixtures("in_a_sweep")
-def test_a_method_that_does_not_exist_is_no_stored_failure() -> None:
-    assert main(["method=sda", *QUICK]) == 2
-    assert not Path("results").exists()
+    assert ("patch" in failure.config["changed"]) == ("method.patch=0" in arguments)

@@ -25,8 +25,7 @@ QUICK = ["dataset.places=12", "dataset.first_query_place=0", "dataset.query_plac
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in a folder of its own with the hostile methods plugged in, for other processes too."""
-    targets = {name: f"hostile.{name.capitalize()}" for name in METHODS} | {"dying": "dying.Method"}
-    methods = {name: f"_target_: {target}" for name, target in targets.items()}
+    methods = {name: f"_target_: hostile.{name.capitalize()}" for name in METHODS} | {"dying": "_target_: dying.Method"}
     plugin(tmp_path / "plugins", "hostile", "hostile", methods)
     (tmp_path / "plugins" / "dying.py").write_text("import os\nos._exit(0)\n")
     see_plugins(tmp_path / "plugins", monkeypatch)

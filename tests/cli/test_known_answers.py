@@ -12,10 +12,7 @@ from vprbench.methods.sad import SAD
 from vprbench.metrics.tolerance import hits_within
 
 PLACES = 40
-JOURNEYS = [
-    pytest.param(synthetic, ["summer"], "summer", id="railway"),
-    pytest.param(street, ["rain"], "rain", id="street"),
-]
+JOURNEYS = pytest.mark.parametrize(("journey", "season"), [(synthetic, "summer"), (street, "rain")])
 
 
 def answered(dataset):
@@ -24,17 +21,17 @@ def answered(dataset):
     return scores, scores.argmax(axis=1)
 
 
-@pytest.mark.parametrize(("journey", "references", "query"), JOURNEYS)
-def test_of_identical_traverses_every_query_finds_its_place(journey, references, query):
-    dataset = journey(places=PLACES, references=references, query=query, first_query_place=0)
+@JOURNEYS
+def test_of_identical_traverses_every_query_finds_its_place(journey, season):
+    dataset = journey(places=PLACES, references=[season], query=season, first_query_place=0)
     assert answered(dataset)[1].tolist() == list(range(PLACES))
 
 
 @pytest.mark.parametrize("shift", [3, -2])
-@pytest.mark.parametrize(("journey", "references", "query"), JOURNEYS)
-def test_a_shifted_traverse_finds_places_so_far_off_and_never_the_right_one(journey, references, query, shift):
+@JOURNEYS
+def test_a_shifted_traverse_finds_places_so_far_off_and_never_the_right_one(journey, season, shift):
     dataset = journey(
-        places=PLACES, references=references, query=query, first_query_place=5, query_places=30, query_shift=shift
+        places=PLACES, references=[season], query=season, first_query_place=5, query_places=30, query_shift=shift
     )
     scores, best = answered(dataset)
     assert best.tolist() == [place + shift for place in range(5, 35)]
@@ -45,20 +42,17 @@ def test_a_shifted_traverse_finds_places_so_far_off_and_never_the_right_one(jour
     assert hits.mean(axis=1).tolist() == [0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize(("journey", "references", "query"), JOURNEYS)
-def test_queries_beyond_the_map_have_no_right_place_and_look_like_none_of_it(journey, references, query):
-    dataset = journey(places=PLACES, references=references, query=query, first_query_place=0, unanswerable=10)
+@JOURNEYS
+def test_queries_beyond_the_map_have_no_right_place_and_look_like_none_of_it(journey, season):
+    dataset = journey(places=PLACES, references=[season], query=season, first_query_place=0, unanswerable=10)
     assert [len(right) for right in dataset.positives] == [1] * PLACES + [0] * 10
     mapped = {image.tobytes() for image in dataset.references}
     assert not mapped & {image.tobytes() for image in dataset.queries[PLACES:]}
 
 
-def test_the_protocol_says_what_was_damaged():
+def test_the_protocol_says_what_was_damaged_and_a_shift_beyond_the_journey_is_refused():
     sound = synthetic(places=PLACES).protocol
     damaged = synthetic(places=PLACES, query_shift=3, unanswerable=2).protocol
     assert {name: damaged[name] for name in damaged.keys() - sound.keys()} == {"query_shift": 3, "unanswerable": 2}
-
-
-def test_a_shift_beyond_the_journey_is_refused():
     with pytest.raises(BadInput, match=r"dataset\.query_shift=-1"):
         synthetic(places=PLACES, query_shift=-1, first_query_place=0)

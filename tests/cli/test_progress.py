@@ -12,6 +12,8 @@ from stopped_clock import Clock
 from vprbench import progress
 from vprbench.progress import answers_alone, progress_shown
 
+Reports = list[tuple[float, str, float]]  # seconds since the last one, stage, share done
+
 
 class Terminal(io.StringIO):
     """A stream that says it is a terminal."""
@@ -32,66 +34,43 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def lines_of(clock: Clock, reports: list[tuple[float, str, float]]) -> list[str]:
-    """Return the lines that appear for reports of (seconds since the last one, stage, share done)."""
-    stream = io.StringIO()
-    with progress_shown("sad on nordland", stream):
+def shown(clock: Clock, reports: Reports, stream: io.StringIO, title: str = "sad on nordland") -> str:
+    """Return what appears for these reports."""
+    with progress_shown(title, stream):
         for seconds, stage, done in reports:
             clock.spend(seconds)
             progress.report(stage, done)
-    return stream.getvalue().splitlines()
-
-
-# Lines
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
     ("reports", "lines"),
     [
-        ([(0, "fit", 0), (1, "query", 0.1), (1, "timing", 0)], ["fit", "query", "timing"]),
-        ([(0, "fit", 0), (1, "query", 0), (1, "fit", 0)], ["fit", "query", "fit"]),
+        ([(0, "fit", 0), (1, "query", 0.1), (1, "fit", 0)], ["fit", "query", "fit"]),
         ([(0, "query", 0), (5, "query", 0.2), (4.9, "query", 0.4)], ["query"]),
         ([(0, "query", 0), (12, "query", 0.25)], ["query", "query 25 %, 36 s left"]),  # 12 s for a quarter
         ([(0, "fit", 0), (500, "query", 0), (10, "query", 0.5)], ["fit", "query", "query 50 %, 10 s left"]),
         ([(0, "fit", 0), (60, "fit", 0.0)], ["fit"]),
         ([(0, "fit", 0), (60, "fit", 1.0)], ["fit"]),
     ],
-    ids=["each stage", "a stage again", "within ten seconds", "later", "from its start", "no share", "finished"],
+    ids=["each stage", "within ten seconds", "later", "from its start", "no share", "finished"],
 )
 def test_a_stage_has_a_line_and_a_long_one_its_share_and_the_time_left(
-    clock: Clock, capsys: pytest.CaptureFixture[str], reports: list[tuple[float, str, float]], lines: list[str]
+    clock: Clock, capsys: pytest.CaptureFixture[str], reports: Reports, lines: list[str]
 ) -> None:
-    assert lines_of(clock, reports) == [f"sad on nordland: {line}" for line in lines]
+    told = shown(clock, reports, io.StringIO())
+    assert told.splitlines() == [f"sad on nordland: {line}" for line in lines]
     assert capsys.readouterr().out == ""
 
 
-# The bar
-
-
-def drawn(*reports: tuple[str, float]) -> str:
-    stream = Terminal()
-    with progress_shown("sad on nordland", stream):
-        for stage, done in reports:
-            progress.report(stage, done)
-    return stream.getvalue()
-
-
-def test_a_bar_names_each_stage_starts_again_with_it_and_is_gone_at_the_end(
-    capsys: pytest.CaptureFixture[str],
+def test_a_bar_names_each_stage_shows_the_share_done_and_is_gone_at_the_end(
+    clock: Clock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = drawn(("fit", 1.0), ("query", 0.0))
-    assert text.index("nordland: fit") < text.index("nordland: query   0 %")
+    reports = [(0, "fit", 0.0), (0.15, "fit", 0.5), (0, "query", 0.0)]  # drawn ten times a second at most
+    text = shown(clock, reports, Terminal())
+    assert text.index("sad on nordland: fit  50 % |") < text.index("nordland: query   0 %")
     assert text.split("\r")[-1].strip() == ""
     assert capsys.readouterr().out == ""
-
-
-def test_a_bar_shows_the_share_done(clock: Clock) -> None:
-    stream = Terminal()
-    with progress_shown("sad on nordland", stream):
-        progress.report("fit", 0.0)
-        clock.spend(0.15)  # a bar is drawn ten times a second at most
-        progress.report("fit", 0.5)
-    assert "sad on nordland: fit  50 % |" in stream.getvalue()
 
 
 class Gone(io.StringIO):
@@ -102,11 +81,10 @@ class Gone(io.StringIO):
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_a_reader_that_has_gone_ends_no_run(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_has_gone_ends_no_run(terminal: bool, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Gone()
     monkeypatch.setattr(stream, "isatty", lambda: terminal)
-    with progress_shown("sad on nordland", stream):
-        progress.report("fit", 0.5)
+    shown(clock, [(0, "fit", 0.5)], stream)
     monkeypatch.setattr("sys.stdout", stream)
     with answers_alone() as say:
         say("an answer")
@@ -119,35 +97,22 @@ def test_what_is_printed_beside_the_answer_goes_to_standard_error(capsys: pytest
     assert capsys.readouterr() == ("the answer\n", "a plug-in's word\n")
 
 
-def test_names_in_progress_are_not_obeyed() -> None:
-    stream = io.StringIO()
-    with progress_shown("a\nvprbench: b", stream):
-        progress.report("\x1b[2Jfit", 0)
-    assert stream.getvalue() == "a\\nvprbench: b: \\x1b[2Jfit\n"
-
-
-# To a process that reads it
+def test_names_in_progress_are_not_obeyed(clock: Clock) -> None:
+    told = shown(clock, [(0, "\x1b[2Jfit", 0)], io.StringIO(), "a\nvprbench: b")
+    assert told == "a\\nvprbench: b: \\x1b[2Jfit\n"
 
 
 def test_a_process_that_is_read_marks_its_stages_and_warnings(
     clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv(progress.MARKED, "1")
-    lines = lines_of(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)])
+    lines = shown(clock, [(0, "fit\n", 0), (0.1, "fit\n", 0.5), (1, "fit\n", 0.75)], io.StringIO()).splitlines()
     assert [progress.marked(line) for line in lines] == [("fit\\n", 0.0), ("fit\\n", 0.75)]
     handler = progress._Lines()
     handler.setFormatter(progress._OneLine())
-    for level in ("WARNING", "INFO"):
-        handler.handle(logging.makeLogRecord({"msg": "a\ttab", "levelno": getattr(logging, level)}))
+    for level in (logging.WARNING, logging.INFO):
+        handler.handle(logging.makeLogRecord({"msg": "a\ttab", "levelno": level}))
     assert [progress.marked(line) for line in capsys.readouterr().err.splitlines()] == ["a\ttab", None]
-
-
-def test_progress_that_is_shown_elsewhere_draws_nothing() -> None:
-    told: list[tuple[str, float]] = []
-    stream = Terminal()
-    with progress.shown_by(lambda *each: told.append(each)), progress_shown("sad on nordland", stream):
-        progress.report("fit", 0.5)
-    assert (told, stream.getvalue()) == ([("fit", 0.5)], "")
 
 
 def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,10 +127,11 @@ def test_a_warning_stands_above_a_bar_and_is_coloured(monkeypatch: pytest.Monkey
     assert "\r\x1b[33ma word\x1b[0m\n\r" in stream.getvalue()
 
 
-# Listening
-
-
-def test_nobody_listens_after_a_block_even_if_it_failed() -> None:
+def test_progress_that_is_shown_elsewhere_draws_nothing_and_nobody_listens_after_a_block(clock: Clock) -> None:
+    told: list[tuple[str, float]] = []
+    with progress.shown_by(lambda *each: told.append(each)):
+        assert shown(clock, [(0, "fit", 0.5)], Terminal()) == ""
+    assert told == [("fit", 0.5)]
     stream = io.StringIO()
     with contextlib.suppress(KeyError), progress_shown("sad on nordland", stream):
         raise KeyError
@@ -174,11 +140,10 @@ def test_nobody_listens_after_a_block_even_if_it_failed() -> None:
 
 
 def test_an_inner_listener_hides_the_outer_one_for_a_while() -> None:
-    outer: list[float] = []
-    inner: list[float] = []
-    with progress.listening(lambda _, done: outer.append(done)):
+    heard: list[tuple[str, float]] = []
+    with progress.listening(lambda _, done: heard.append(("outer", done))):
         progress.report("fit", 0.1)
-        with progress.listening(lambda _, done: inner.append(done)):
+        with progress.listening(lambda _, done: heard.append(("inner", done))):
             progress.report("fit", 0.2)
         progress.report("fit", 0.3)
-    assert (outer, inner) == ([0.1, 0.3], [0.2])
+    assert heard == [("outer", 0.1), ("inner", 0.2), ("outer", 0.3)]
