@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -13,7 +14,6 @@ import pytest
 from checkout import ROOT
 
 from vprbench import __version__, cli
-from vprbench.commands import working
 from vprbench.commands.at_once import COMMANDS, answered
 from vprbench.paper.gather import TableRequest
 from vprbench.plugins import registry
@@ -33,82 +33,60 @@ def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().out
 
 
-def completed(capsys: pytest.CaptureFixture[str], line: str) -> list[str]:
-    return printed(capsys, "__complete", line).split()
-
-
-@pytest.mark.parametrize(
-    "arguments", [[], ["--version"], ["list", "spiking"], ["table", "--help"], ["__complete", "vprbench method=sad,h"]]
-)
-def test_it_is_answered_by_the_first_process_and_nothing_heavy_is_imported(arguments: list[str]) -> None:
+def test_it_is_answered_by_the_first_process_and_nothing_heavy_is_imported() -> None:
     code = f"""
 import subprocess, sys
 subprocess.Popen = None
 from vprbench.__main__ import main
-sys.argv[1:] = {arguments}
-assert main() == 0
+for line in "", "--version", "list spiking", "table --help", "__complete method=sad,h":
+    sys.argv[1:] = line.split()
+    assert main() == 0
 sys.exit([name for name in {HEAVY} if name in sys.modules] or 0)
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["help"], ["-h"]])
-def test_without_a_command_the_commands_are_named_and_nothing_runs(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(arguments) == 0
-    text = capsys.readouterr().out
-    assert [name for name in COMMANDS if f"\nvprbench {name} " not in text] == []
-    assert max(map(len, text.splitlines())) <= 120
+def test_without_a_command_the_commands_are_named_and_nothing_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["--help"], ["help"], ["-h"]):
+        assert cli.main(arguments) == 0
+        text = capsys.readouterr().out
+        assert [name for name in COMMANDS if f"\nvprbench {name} " not in text] == []
+        assert max(map(len, text.splitlines())) <= 120
     assert [*Path().iterdir()] == []
-
-
-def test_the_version_is_this_projects_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys, "--version") == f"vprbench {__version__}\n"
 
 
-@pytest.mark.parametrize("name", COMMANDS)
 def test_each_command_is_a_function_with_a_sentence_and_its_help_fits_100_columns(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    room, _, function = COMMANDS[name].does.partition(":")
-    assert callable(getattr({"working": working, "cli": cli}.get(room.rpartition(".")[2], sys.modules[room]), function))
-    assert COMMANDS[name].meaning
-    table = printed(capsys, name, "--help").splitlines()[2:]
-    assert max(map(len, table), default=0) <= 100
-
-
-def test_the_help_of_a_command_has_each_field_of_its_settings_with_type_default_and_meaning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lines = {
-        line.split()[0]: line.split(maxsplit=3) for line in printed(capsys, "table", "--help").splitlines() if line
-    }
+    for name, command in COMMANDS.items():
+        room, _, function = command.does.partition(":")
+        assert callable(getattr(importlib.import_module(room), function))
+        assert command.meaning
+        assert max(map(len, printed(capsys, name, "--help").splitlines()[2:]), default=0) <= 100
+
+
+def helped(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, list[str]]:
+    """The lines of a help by their options: option, type, default and meaning."""
+    lines = printed(capsys, *arguments, "--help").splitlines()
+    return {line.split()[0]: line.split(maxsplit=3) for line in lines if line.strip()}
+
+
+def test_help_has_each_option_with_type_default_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = helped(capsys, "table")
     assert {field.name for field in fields(TableRequest)} <= lines.keys()
     assert lines["rows"] == ["rows", "list[str]", "null", "of conf/table.yaml; null: those of the paper"]
     assert lines["results"][1:] == ["str", "results", "folder of the stored runs"]  # as a run has it
-
-
-def test_the_help_of_a_run_has_its_options_and_those_of_the_chosen_method_and_dataset(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    text = printed(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick", "--help")
-    lines = {line.split()[0]: line.split(maxsplit=3) for line in text.splitlines() if line.strip()}
+    lines = helped(capsys, "method=vprtempo_tuned", "dataset=folders", "timing=quick")
     assert {field.name for field in fields(Settings)} <= lines.keys()
     assert lines["method.max_module"] == ["method.max_module", "int", "1000", "places a module"]  # of what it builds on
     assert lines["timing.sample"][2] == "64"
     assert lines["dataset.radius_metres"] == ["dataset.radius_metres", "float", "25.0", "for utm"]
-    entries = {
-        "method": registry.entries("method")["vprtempo_tuned"],
-        "dataset": registry.entries("dataset")["folders"],
-    }
+    asked = {"method": "vprtempo_tuned", "dataset": "folders"}
+    entries = {group: registry.entries(group)[name] for group, name in asked.items()}  # type: ignore[index]
     wanted = {f"{group}.{name}" for group, entry in entries.items() for name in entry.options}
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
-
-
-# Lists
 
 
 @pytest.mark.parametrize(
@@ -128,9 +106,6 @@ def test_a_list_is_filtered_by_words_tags_and_weights(
     assert there <= names
     assert not names & not_there
     assert {line.split()[0] for line in printed(capsys, "list", *words).splitlines()} >= there
-
-
-# Completion
 
 
 @pytest.mark.parametrize(
@@ -155,7 +130,7 @@ def test_a_list_is_filtered_by_words_tags_and_weights(
     ],
 )
 def test_the_last_word_is_completed(line: str, wanted: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert completed(capsys, line) == wanted
+    assert printed(capsys, "__complete", line).split() == wanted
 
 
 def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path: Path) -> None:
