@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import re
 import shutil
@@ -12,42 +13,75 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
 from filelock import FileLock
-from little_download import (
-    CHUNK,
-    COMPLETE,
-    NOISE,
-    PATIENCE,
-    SHA256,
-    SPRING,
-    SUMMER,
-    get,
-    little,
-    recorded,
-    spring,
-    visible,
-)
 from served_files import Server
 
 from vprbench.data.fetch import command
-from vprbench.data.fetch.command import Settings, fetch
-from vprbench.data.fetch.entries import Held, Part
+from vprbench.data.fetch.command import Settings, fetch, fetch_command
+from vprbench.data.fetch.entries import Download, Held, Part, downloads
 from vprbench.errors import BadInput, NotThere
 from vprbench.progress import listening
 from vprbench.storage.unpack import Wanted
 
+CHUNK = 512 * 1024  # bytes that a download writes at once
+NOISE = np.random.default_rng(0).bytes(3 * CHUNK)
+SPRING = zipped({"spring/1.png": NOISE, "spring/2.png": b"two"})
+SUMMER = tarred({"summer/1.png": b"ONE", "summer/2.png": b"TWO"})
+SHA256 = hashlib.sha256(SPRING).hexdigest()
+COMPLETE = ["fetched.json", "spring", "spring/1.png", "spring/2.png"]
 pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
+def spring(*urls: str, **stated: Any) -> Part:
+    return Part("spring.zip", urls, Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(files=2)}, **stated)
+
+
+def little(*urls: str, **changed: Any) -> Download:
+    """A little dataset of one part, unless other parts are given."""
+    about = {"description": "a little journey", "licence": "CC BY 4.0", "source": "https://example.org"}
+    parts = {"parts": {"spring": spring(*urls)}} if urls else {}
+    return Download(**{"name": "little", "datasets": ("little",), "folder": "little", **about, **parts, **changed})
+
+
+def get(entry: Download, root: Path | None, check: Any = None, timeout_seconds: float = 60.0, **settings: Any) -> int:
+    given = Settings(root=None if root is None else str(root), **settings)
+    return fetch(entry, given, check, timeout_seconds=timeout_seconds, pause_seconds=0.0)
+
+
+def refused(entry: Download, root: Path, message: str, kind: type[BadInput] = BadInput, **settings: Any) -> None:
+    with pytest.raises(kind, match=message):
+        get(entry, root, **settings)
+
+
+def visible(root: Path) -> list[str]:
+    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if not path.name.startswith("."))
+
+
+def recorded(root: Path) -> dict[str, Any]:
+    return dict(json.loads((root / "fetched.json").read_text(encoding="utf-8"))["parts"])
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "data" / "little"
+
+
+@pytest.fixture
+def url(server: Server) -> str:
+    return server.serve("/spring", SPRING)
+
+
+@pytest.mark.parametrize("keep_archives", [True, False])
 def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again(
-    server: Server, root: Path, capsys: pytest.CaptureFixture[str]
+    server: Server, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, keep_archives: bool
 ) -> None:
-    url = server.serve("/spring", SPRING)
-    entry = little(parts={"spring": spring(url)})
-    assert get(entry, root, keep_archives=True) == 0
-    assert (root / "archives" / "spring.zip").read_bytes() == SPRING
+    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
+    root = tmp_path / "little"  # where runs look for it
+    assert get(little(url), None, keep_archives=keep_archives) == 0
+    assert visible(root) == sorted([*COMPLETE, *["archives", "archives/spring.zip"] * keep_archives])
     assert (root / "spring" / "1.png").read_bytes() == NOISE
     record = recorded(root)["spring"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", record.pop("fetched"))
@@ -56,18 +90,9 @@ def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again
     assert f"SHA-256 {SHA256} (none is stated" in printed
     assert f"{root / 'spring'}: 2 files\n" in printed
     server.asked.clear()
-    assert get(entry, root) == 0
+    assert get(little(url), root) == 0
     assert server.asked == []
-    assert "CC BY 4.0" in capsys.readouterr().out
-
-
-def test_a_dataset_gets_to_where_runs_look_for_it_without_its_archive(
-    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "all"))
-    entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
-    assert fetch(entry, Settings(), timeout_seconds=PATIENCE, pause_seconds=0.0) == 0
-    assert visible(tmp_path / "all" / "little") == COMPLETE
+    assert re.search(r"spring is there already, fetched on \d+-\d+-\d+\.\n.*2 files\n", capsys.readouterr().out)
 
 
 def test_a_file_that_is_no_archive_is_kept_as_it_is(server: Server, root: Path) -> None:
@@ -77,50 +102,55 @@ def test_a_file_that_is_no_archive_is_kept_as_it_is(server: Server, root: Path) 
     assert (root / "drive" / "drive.h5").read_bytes() == NOISE
 
 
-def test_named_parts_or_the_usual_ones_that_are_not_there_are_fetched(server: Server, root: Path) -> None:
-    summer = Part(
-        "summer.tar.gz", (server.serve("/summer", SUMMER),), Wanted(unpacked_bytes=100), {"summer": Held(files=2)}
-    )
-    parts = {"spring": spring(server.serve("/spring", SPRING)), "summer": summer}
-    get(little(parts=parts, default=("summer",)), root)
+def test_parts_that_are_named_or_usual_and_not_there_are_fetched(server: Server, url: str, root: Path) -> None:
+    wanted = Wanted(unpacked_bytes=100)
+    summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
+    both = little(parts={"spring": spring(url), "summer": summer})
+    refused(both, root, "parts: little has no sumer: did you mean summer", parts=["sumer"])
+    get(little(parts=both.parts, default=("summer",)), root)
     assert visible(root) == ["fetched.json", "summer", "summer/1.png", "summer/2.png"]
-    get(little(parts=parts), root, parts=["summer"])
     assert {asked.path for asked in server.asked} == {"/summer"}
     server.asked.clear()
-    get(little(parts=parts), root)
+    get(both, root)
     assert {asked.path for asked in server.asked} == {"/spring"}
     assert sorted(recorded(root)) == ["spring", "summer"]
-    with pytest.raises(BadInput, match="sumer: did you mean summer"):
-        get(little(parts=parts), root, parts=["sumer"])
+    shutil.rmtree(root)
+    get(both, root, parts=["summer"])
+    assert sorted(recorded(root)) == ["summer"]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "stated"),
-    [
-        (None, {}),
-        (zipped({"spring/1.png": b"another"}), {"sha256": SHA256}),
-        (SPRING[:-CHUNK], {}),
-        (SPRING, {"stalls": True}),
-    ],
-    ids=["gone", "another file", "damaged", "stalls"],
-)
-def test_the_next_address_is_tried_where_a_file_is(
-    server: Server, root: Path, wrong: bytes | None, stated: dict[str, Any], caplog: pytest.LogCaptureFixture
+# Addresses
+
+
+def test_the_next_address_is_tried_where_a_file_is_gone_another_one_or_damaged_or_its_server_stalls(
+    server: Server, url: str, root: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    stalls = {"stalls_after": 0} if stated.pop("stalls", False) else {}
-    first = f"{server.url}/gone" if wrong is None else server.serve("/wrong", wrong, **stalls)
-    url = server.serve("/spring", SPRING)
-    get(little(parts={"spring": spring(first, url, **stated)}), root, timeout_seconds=0.5 if stalls else PATIENCE)
-    assert recorded(root)["spring"]["url"] == url
-    assert visible(root) == COMPLETE
-    assert len([line for line in caplog.records if line.levelno == logging.WARNING]) == 1
+    gone, stalling = f"{server.url}/gone", server.serve("/stalling", SPRING, stalls_after=0)
+    other, damaged = server.serve("/other", zipped({"spring/1.png": b"another"})), server.serve("/cut", SPRING[:-CHUNK])
+    for wrong, stated in ((gone, {}), (stalling, {}), (other, {"sha256": SHA256}), (damaged, {})):
+        get(little(parts={"spring": spring(wrong, url, **stated)}), root, timeout_seconds=0.3)
+        assert recorded(root)["spring"]["url"] == url
+        assert visible(root) == COMPLETE
+        shutil.rmtree(root)
+    warned = [line.getMessage() for line in caplog.records if line.levelno == logging.WARNING]
+    assert warned[0] == f"{gone} answers 404 Not Found: give the address where it is now; the next address follows"
+    assert len(warned) == 4
 
 
-def test_a_person_is_told_where_to_store_the_file_if_all_addresses_fail(server: Server, root: Path) -> None:
-    with pytest.raises(NotThere, match=f"/two answers 404 .*{root / 'archives' / 'spring.zip'}$"):
-        get(little(parts={"spring": spring(f"{server.url}/one", f"{server.url}/two")}), root)
+def test_what_a_person_can_do_is_said_where_all_fail_and_nothing_is_asked_for_where_downloads_are_forbidden(
+    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry = little(f"{server.url}/one", f"{server.url}/two")
+    by_hand = f"/two answers 404 .* get the file by hand and store it as {root / 'archives' / 'spring.zip'}$"
+    refused(entry, root, by_hand, NotThere)
     assert [asked.path for asked in server.asked] == ["/one", "/two"]
     assert not (root / "spring").exists()
+    monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
+    refused(entry, root, r"VPRBENCH_OFFLINE forbids downloads: get http.*/two elsewhere and store it", NotThere)
+    assert len(server.asked) == 2
+
+
+# Interruptions
 
 
 @contextmanager
@@ -135,106 +165,88 @@ def interrupting(title: str) -> Iterator[None]:
         yield
 
 
-class TestInterruptions:
-    @pytest.mark.parametrize("honours_ranges", [True, False])
-    def test_an_interrupted_download_is_continued_by_the_same_command(
-        self, server: Server, root: Path, monkeypatch: pytest.MonkeyPatch, honours_ranges: bool
-    ) -> None:
-        entry = little(parts={"spring": spring(server.serve("/spring", SPRING, honours_ranges=honours_ranges))})
-        with monkeypatch.context() as patch:
-            patch.setattr(command, "progress_shown", interrupting)
-            with pytest.raises(KeyboardInterrupt):
-                get(entry, root)
-        assert not (root / "spring").exists()
-        server.asked.clear()
-        get(entry, root)
-        assert visible(root) == COMPLETE
-        assert {asked.range for asked in server.asked} - {None} == {f"bytes={CHUNK}-"}
-
-    def test_two_fetches_do_not_share_a_folder_and_what_a_killed_one_left_is_removed(
-        self, server: Server, root: Path
-    ) -> None:
-        entry = little(parts={"spring": spring(server.serve("/spring", SPRING))})
-        (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
-        with FileLock(root / ".fetch.lock"), pytest.raises(BadInput, match="another fetch"):
+def interrupt(entry: Download, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "progress_shown", interrupting)
+        with pytest.raises(KeyboardInterrupt):
             get(entry, root)
-        assert server.asked == []
-        assert get(entry, root) == 0
-        assert not (root / ".unpacking-12345678").exists()
+    assert not (root / "spring").exists()
 
 
-class TestArchives:
-    @pytest.mark.parametrize("by_hand", [False, True])
-    def test_a_damaged_one_is_deleted_or_replaced_and_the_next_fetch_is_right(
-        self, server: Server, root: Path, by_hand: bool
-    ) -> None:
-        url = server.serve("/spring", SPRING[:-CHUNK])
-        entry = little(parts={"spring": spring(url)})
-        if by_hand:
-            (root / "archives").mkdir(parents=True)
-            (root / "archives" / "spring.zip").write_bytes(SPRING[:-CHUNK])
-        else:
-            with pytest.raises(BadInput, match=r"spring.zip is damaged"):
-                get(entry, root)
-            assert visible(root) == ["archives"]
-        server.serve("/spring", SPRING)
-        assert get(entry, root) == 0
-        assert visible(root) == COMPLETE
+def test_an_interrupted_download_is_continued_and_what_was_begun_to_unpack_is_removed(
+    server: Server, url: str, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt(little(url), root, monkeypatch)
+    (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
+    server.asked.clear()
+    get(little(url), root)
+    assert visible(root) == COMPLETE
+    assert {asked.range for asked in server.asked} - {None} == {f"bytes={CHUNK}-"}
+    assert not (root / ".unpacking-12345678").exists()
 
-    def test_a_hostile_one_changes_nothing_and_is_kept(self, server: Server, root: Path) -> None:
-        hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
-        with pytest.raises(BadInput, match=r"'spring/2\.png', which is a link: nothing was unpacked"):
-            get(little(parts={"spring": spring(server.serve("/spring", hostile))}), root)
-        assert visible(root) == ["archives", "archives/spring.zip"]
 
-    def test_one_without_the_expected_folder_is_refused_and_another_number_of_files_is_said(
-        self, server: Server, root: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        entry = little(parts={"spring": spring(server.serve("/spring", zipped({"Spring/1.png": b"one"})))})
-        with pytest.raises(BadInput, match="gave no folder spring"):
-            get(entry, root)
+def test_two_fetches_do_not_share_a_folder(server: Server, url: str, root: Path) -> None:
+    root.mkdir(parents=True)
+    with FileLock(root / ".fetch.lock"):
+        refused(little(url), root, "another fetch is under way in")
+    assert server.asked == []
+    assert get(little(url), root) == 0
+
+
+# Archives
+
+
+def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(
+    server: Server, url: str, root: Path
+) -> None:
+    damaged = server.serve("/damaged", SPRING[:-CHUNK])
+    refused(little(damaged), root, r"spring.zip is damaged.*it was deleted: give the same command again")
+    assert visible(root) == ["archives"]
+    (root / "archives" / "spring.zip").write_bytes(SPRING[:-CHUNK])  # somebody put it there
+    assert get(little(url), root) == 0
+    assert recorded(root)["spring"]["url"] == url
+
+
+def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(
+    server: Server, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = f"{hashlib.sha256(b'one').hexdigest()}  1.png\n{hashlib.sha256(b'two').hexdigest()}  2.png\n"
+    stated = {"spring": Held(sha256=hashlib.sha256(lines.encode()).hexdigest(), files=3)}
+    hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
+    other = zipped({"spring/2.png": b"two", "spring/1.png": b"One"})
+    for content, told in (
+        (hostile, r"'spring/2\.png', which is a link: nothing was unpacked"),
+        (zipped({"Spring/1.png": b"one"}), "gave no folder spring"),
+        (other, "gave other files in spring than expected"),
+    ):
+        part = Part("spring.zip", (server.serve("/spring", content),), Wanted(unpacked_bytes=100), stated)
+        refused(little(parts={"spring": part}), root, told)
         assert visible(root) == ["archives", "archives/spring.zip"]
         shutil.rmtree(root)
-        server.serve("/spring", zipped({"spring/1.png": b"one"}))
-        assert get(entry, root) == 0
-        assert f"{root / 'spring'}: 1 file, but 2 were expected" in capsys.readouterr().out
-
-    def test_other_files_than_stated_are_refused(self, server: Server, root: Path) -> None:
-        lines = f"{hashlib.sha256(b'one').hexdigest()}  1.png\n{hashlib.sha256(b'two').hexdigest()}  2.png\n"
-        stated = {"spring": Held(sha256=hashlib.sha256(lines.encode()).hexdigest())}
-        url = server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"One"}))
-        part = Part("spring.zip", (url,), Wanted(unpacked_bytes=100), stated)
-        with pytest.raises(BadInput, match="gave other files in spring than expected"):
-            get(little(parts={"spring": part}), root)
-        assert not (root / "spring").exists()
-        shutil.rmtree(root)
-        server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"one"}))
-        assert get(little(parts={"spring": part}), root) == 0
-
-    def test_one_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_stated(
-        self, root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-        archive = root / "archives" / "spring.zip"
-        archive.parent.mkdir(parents=True)
-        entry = little(parts={"spring": spring("https://example.org/spring.zip", sha256=SHA256)})
-        archive.write_bytes(SUMMER)
-        with pytest.raises(BadInput, match=f"{archive} has SHA-256 .* stated is {SHA256}"):
-            get(entry, root)
-        archive.write_bytes(SPRING)
-        assert get(entry, root) == 0
-        assert visible(root) == COMPLETE
-        assert recorded(root)["spring"]["url"] is None
-        assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
+    server.serve("/spring", zipped({"spring/2.png": b"two", "spring/1.png": b"one"}))
+    assert get(little(parts={"spring": part}), root) == 0
+    assert f"{root / 'spring'}: 2 files, but 3 were expected" in capsys.readouterr().out
 
 
-def test_nothing_is_asked_for_where_downloads_are_forbidden(
-    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_stated(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
-    with pytest.raises(NotThere, match=r"VPRBENCH_OFFLINE forbids downloads: get http.*/spring elsewhere and store it"):
-        get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root)
-    assert server.asked == []
+    archive = root / "archives" / "spring.zip"
+    archive.parent.mkdir(parents=True)
+    archive.write_bytes(SUMMER)
+    for stated, told in (({"sha256": SHA256}, f"SHA-256 .* stated is {SHA256}"), ({"size_bytes": 7}, "stated is 7")):
+        part = spring("https://example.org/spring.zip", **stated)
+        refused(little(parts={"spring": part}), root, f"{archive} has .*{told}")
+    archive.write_bytes(SPRING)
+    part = spring("https://example.org/spring.zip", sha256=SHA256, size_bytes=len(SPRING))
+    assert get(little(parts={"spring": part}), root) == 0
+    assert visible(root) == COMPLETE
+    assert recorded(root)["spring"]["url"] is None
+    assert f"SHA-256 {SHA256} (as stated)" in capsys.readouterr().out
+
+
+# Disks and folders
 
 
 def free(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
@@ -242,50 +254,101 @@ def free(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(total=10**12, used=0, free=n_bytes))
 
 
-def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for(
-    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for_and_what_is_left_is_not_counted_twice(
+    server: Server, url: str, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     needed = 4 * CHUNK + 5_000_000  # what is unpacked, and what is downloaded
-    entry = little(parts={"spring": spring(server.serve("/spring", SPRING), about_bytes=5_000_000)})
+    entry = little(parts={"spring": spring(url, about_bytes=5_000_000)})
     free(monkeypatch, needed - 1)
-    with pytest.raises(BadInput, match=r"has 7\.1 MB free, but 7\.1 MB may be needed: free some"):
-        get(entry, root)
+    refused(entry, root, r"has 7\.1 MB free, but 7\.1 MB may be needed: free some")
     assert server.asked == []
     assert not root.exists()
     free(monkeypatch, needed)
+    interrupt(entry, root, monkeypatch)
+    free(monkeypatch, needed - CHUNK)
     assert get(entry, root) == 0
 
 
-def test_what_an_interrupted_download_has_left_is_not_counted_twice(
-    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    url = server.serve("/spring", SPRING)
-    entry = little(parts={"spring": spring(url, size_bytes=len(SPRING))})
-    with monkeypatch.context() as patch:
-        patch.setattr(command, "progress_shown", interrupting)
-        with pytest.raises(KeyboardInterrupt):
-            get(entry, root)
-    free(monkeypatch, 4 * CHUNK + len(SPRING) - CHUNK)
-    assert get(entry, root) == 0
-
-
-def test_an_empty_folder_on_another_disk_is_refused_before_anything_is_asked_for(
-    server: Server, root: Path, tmp_path: Path
+def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_asked_for(
+    server: Server, url: str, root: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "disk").mkdir()
     root.mkdir(parents=True)
     (root / "spring").symlink_to(tmp_path / "disk")
-    with pytest.raises(BadInput, match=f"{root / 'spring'} is a link"):
-        get(little(parts={"spring": spring(server.serve("/spring", SPRING))}), root)
-    assert server.asked == []
-
-
-def test_folders_that_are_there_in_part_are_not_mixed_with_others(server: Server, root: Path) -> None:
-    url = server.serve("/both", SPRING)
+    refused(little(url), root, f"{root / 'spring'} is a link")
+    (root / "spring").unlink()
     part = Part("both.zip", (url,), Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(), "summer": Held()})
-    (root / "summer").mkdir(parents=True)
+    (root / "summer").mkdir()
     (root / "summer" / "1.png").write_bytes(b"mine")
-    message = f"{root / 'summer'} is there, but not {root / 'spring'}: move it away"
-    with pytest.raises(BadInput, match=message):
-        get(little(parts={"both": part}), root)
+    refused(little(parts={"both": part}), root, f"{root / 'summer'} is there, but not {root / 'spring'}: move it away")
     assert server.asked == []
+
+
+# The command: what it lists, what it checks afterwards, and what it tells who has to register
+
+
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ([], "Checked as dataset=little:\nlittle is fine\nno black frame\n"),
+        (["little"], "Checked as dataset=less:\nless is fine\nno black frame\n"),
+        (["little", "less"], "dataset=little cannot run yet: summer is missing\n"),
+    ],
+)
+def test_the_first_dataset_that_has_its_frames_is_checked(
+    url: str, root: Path, capsys: pytest.CaptureFixture[str], missing: list[str], said: str
+) -> None:
+    def check(name: str, folder: Path) -> tuple[str, ...]:
+        assert folder == root
+        if name in missing:
+            raise NotThere("summer is missing")
+        return (f"{name} is fine", "no black frame")
+
+    assert get(little(url, datasets=("little", "less")), root, check) == 0
+    assert said in capsys.readouterr().out
+
+
+def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = little(register="Register at https://example.org, and put spring/ into {folder}.\n")
+
+    def missing(name: str, folder: Path) -> tuple[str, ...]:
+        raise NotThere("1.png is missing")
+
+    assert get(entry, root) == 2
+    assert f"Register at https://example.org, and put spring/ into {root}.\n" in capsys.readouterr().out
+    assert not root.exists()
+    (root / "spring").mkdir(parents=True)
+    assert get(entry, root, missing) == 2
+    assert "1.png is missing" in capsys.readouterr().out
+    assert get(entry, root, lambda name, folder: ("2 frames, as expected",)) == 0
+    assert "2 frames, as expected" in capsys.readouterr().out
+
+
+def test_the_public_parts_are_fetched_and_those_that_are_gone_do_not_keep_from_the_check(
+    server: Server, url: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = little(url, register="Ask its authors.")
+    assert get(entry, root) == 2
+    assert visible(root) == COMPLETE
+    (root / "frames").mkdir()
+    assert get(entry, root) == 0
+    gone = little(register="Ask its authors.", parts={"lists": spring(f"{server.url}/gone")})
+    shutil.rmtree(root / "spring")
+    assert get(gone, root, lambda name, folder: ("fine",)) == 0
+    assert re.search(r"/gone answers 404 [^\n]*\n.*\nfine\n$", capsys.readouterr().out)
+
+
+def test_the_command_lists_what_there_is_and_hands_its_options_on(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fetch_command([]) == 0
+    printed = capsys.readouterr().out
+    assert "spring (14.2 GB), fall (11.9 GB), summer (11.8 GB), winter (9.6 GB)" in printed
+    assert printed.count("  licence: ") == len(downloads())
+    assert fetch_command(["msls", f"root={root}"]) == 2
+    assert str(root) in capsys.readouterr().out
+    for name, told in (("synthetic", "nothing to download"), ("nordlund", "did you mean nordland")):
+        with pytest.raises(BadInput, match=f"fetch {name}: .*{told}"):
+            fetch_command([name])
