@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vprbench.api import Images, frames_kept, kept_frames
-from vprbench.datasets.street import street
 from vprbench.datasets.synthetic import synthetic
 
 N = 300
@@ -30,22 +29,21 @@ class Painter:
     def shown(self, **what):
         return kept_frames(Images(self.read, [str(i) for i in range(len(self.frames))]), {"seed": 0, **what})
 
+    def check(self, **what):
+        """Look at all frames, which are those that were made."""
+        np.testing.assert_array_equal(seen(self.shown(**what)), self.frames)
+
 
 def seen(images):
     return np.stack(list(images))
 
 
-def test_frames_are_made_once_and_read_by_all_that_ask_for_the_same():
-    painter = Painter()
+def test_frames_are_made_once_and_read_by_all_that_ask_for_the_same_and_others_have_their_own():
+    painter, other = Painter(), Painter(1)
     for _ in range(3):
-        np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
-    assert painter.made == N + 3  # each time the first tells their size
-
-
-def test_other_options_have_other_frames():
-    for seed in (0, 1):
-        painter = Painter(seed)
-        np.testing.assert_array_equal(seen(painter.shown(seed=seed)), painter.frames)
+        painter.check()
+        other.check(seed=1)
+    assert painter.made == other.made == N + 3  # each time the first tells their size
 
 
 def test_frames_that_are_looked_at_in_any_order_are_the_same():
@@ -59,55 +57,51 @@ def test_frames_that_are_looked_at_in_any_order_are_the_same():
 @pytest.mark.parametrize("damage", [b"", b"short", None])
 def test_a_damaged_or_missing_file_is_made_anew(frames_folder, damage):
     painter = Painter()
-    seen(painter.shown())
+    painter.check()
     (first, *_) = sorted(frames_folder.rglob("*.frames"))
     content = bytearray(first.read_bytes())
     content[17] ^= 1
     first.write_bytes(content if damage is None else damage)
     for _ in range(2):
-        np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+        painter.check()
     assert painter.made == N + 3 + 64
 
 
 def test_nothing_is_kept_where_that_was_not_asked_for_or_where_frames_are_few(frames_folder):
-    painter, few = Painter(), Painter(n=100)
     with frames_kept(False):
-        images = painter.shown()
-    for shown in (images, few.shown()):
-        seen(shown)
+        images = Painter().shown()
+    seen(images)
+    Painter(n=255).check()
     assert not frames_folder.exists()
+    Painter(n=256).check()
+    assert list(frames_folder.rglob("*.frames"))
 
 
 def test_a_folder_that_refuses_costs_time_alone(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("VPRBENCH_FRAMES", str(tmp_path / "file"))
-    painter = Painter()
-    np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
+    Painter().check()
 
 
-def test_who_was_not_read_for_longest_makes_room(frames_folder, monkeypatch):
-    one = N * 60
-    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 2 * one + 100)
+def test_who_was_not_read_for_longest_makes_room_and_more_than_fits_is_not_kept(frames_folder, monkeypatch):
+    most = 2 * N * 60 + 100
+    monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", most)
     for seed in range(4):
-        seen(Painter(seed).shown(seed=seed))
-        assert sum(file.stat().st_size for file in frames_folder.rglob("*.frames")) <= 2 * one + 100
-    made = Painter(3)
-    seen(made.shown(seed=3))
-    assert made.made == 1
-
-
-def test_more_than_fits_is_not_kept(frames_folder, monkeypatch):
+        Painter(seed).check(seed=seed)
+        assert sum(file.stat().st_size for file in frames_folder.rglob("*.frames")) <= most
+    newest = Painter(3)
+    newest.check(seed=3)
+    assert newest.made == 1
     monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 1000)
-    painter = Painter()
-    np.testing.assert_array_equal(seen(painter.shown()), painter.frames)
-    assert not list(frames_folder.rglob("*.frames"))
+    kept = sorted(frames_folder.rglob("*.frames"))
+    Painter(5).check(seed=5)
+    assert sorted(frames_folder.rglob("*.frames")) == kept
 
 
-@pytest.mark.parametrize(("dataset", "query"), [(street, "dusk"), (synthetic, "winter")])
-def test_rendered_frames_are_those_that_rendering_gives(frames_folder, dataset, query):
-    options = {"places": 256, "first_query_place": 0, "query": query, "seed": 5}
+def test_rendered_frames_are_those_that_rendering_gives(frames_folder):
+    options = {"places": 256, "first_query_place": 0, "query": "winter", "seed": 5}
     with frames_kept(False):
-        rendered = seen(dataset(**options).queries)
+        rendered = seen(synthetic(**options).queries)
     for _ in range(2):
-        np.testing.assert_array_equal(seen(dataset(**options).queries), rendered)
+        np.testing.assert_array_equal(seen(synthetic(**options).queries), rendered)
     assert len(list(frames_folder.rglob("*.frames"))) == 4

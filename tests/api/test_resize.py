@@ -91,36 +91,8 @@ def test_areas_are_means_that_are_not_rounded_or_bilinear_where_a_side_grows(siz
         assert np.abs(found - wanted(image, *size, "bilinear", False)).max() < 1e-2
 
 
-def test_bicubic_levels_are_cut_in_an_image_and_not_in_a_tensor():
-    edge = np.zeros((12, 12, 3), np.uint8)
-    edge[:, 6:] = 255
-    tensor, *images = (by(how)(edge, 30, 30, kind="bicubic") for how in ("tensor", "pillow", "opencv"))
-    assert tensor.min() < -5
-    assert tensor.max() > 260
-    assert [(image.min(), image.max()) for image in images] == [(0, 255)] * 2
-
-
-@pytest.mark.parametrize("how", ["pillow", "opencv"])
-def test_a_part_of_an_image_is_resized_and_left_as_it_was(how):
-    whole = noise((40, 50))
-    before = whole.copy()
-    resized = resize_image(whole[4:36, ::-2], 8, 9, how, "bilinear")
-    assert resized.dtype == np.uint8
-    assert np.array_equal(resized, resize_image(np.ascontiguousarray(before[4:36, ::-2]), 8, 9, how, "bilinear"))
-    assert np.array_equal(whole, before)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_has_the_size_already_is_returned_itself(kind):
     image, batch = noise((12, 20)), as_batch(noise((12, 20)))
     assert all(resize_image(image, 12, 20, how, kind) is image for how in ("pillow", "opencv", "area"))
     assert resize_batch(batch, 12, 20, kind) is batch
-
-
-def test_images_of_a_batch_and_their_channels_do_not_mix():
-    images = [noise((20, 30), 0, 100), noise((20, 31))[:, 1:]]
-    together = resize_batch(torch.cat([as_batch(image) for image in images]), 7, 9, "bilinear")
-    for found, image in zip(together, images, strict=True):
-        for channel in range(3):
-            alone = resize_batch(as_batch(image)[:, channel : channel + 1], 7, 9, "bilinear")
-            assert torch.allclose(found[channel], alone[0, 0], atol=1e-4)
