@@ -1,0 +1,273 @@
+"""What the doctor finds in folders and frames: codes, numbers and names, and the words that docs/doctor.md shows."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from checkout import ROOT
+from doctored import NAMES, PLACES, coded, dataset_of, examined, healthy, save, season
+from PIL import Image as PillowImage
+
+from vprbench.api.arrays import Image
+from vprbench.api.dataset import Dataset
+from vprbench.api.images import Images
+from vprbench.data.doctor import Finding, as_text, command, examine, insist, quick
+from vprbench.errors import BadInput, NotThere
+from vprbench.progress import listening
+
+PAGE = b"<!DOCTYPE html><html><body>Sign in to download</body></html>"
+DOCUMENT = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")
+SHOWN = dict(re.findall(r"^## ([^\n]*)\n\n```\n(.*?)```", DOCUMENT, re.MULTILINE | re.DOTALL))
+UNNAMED = [f"{place}.png" for place in range(PLACES)]  # 1, 10, 2 in a dictionary
+OLID = "the partition of Olid et al., which numbers the frames in another way"
+
+Damage = Callable[[Path, Path], Any]  # of winter and summer; a dictionary says what else the dataset is made of
+
+
+@pytest.fixture
+def spoilt(tmp_path: Path) -> Callable[[Damage], Dataset]:
+    """A function that returns the dataset of two healthy folders after some damage."""
+
+    def spoilt(damage: Damage) -> Dataset:
+        winter, summer = healthy(tmp_path)
+        besides = damage(winter, summer)
+        return dataset_of([winter], summer, **(besides if isinstance(besides, dict) else {}))
+
+    return spoilt
+
+
+def again(folder: Path, frames: list[Any], names: list[str] | None = None) -> None:
+    shutil.rmtree(folder)
+    save(folder, frames, names)
+
+
+def show(folder: Path, names: list[str], grey: int) -> None:
+    """Put frames of one grey value in place of these."""
+    for name in names:
+        PillowImage.fromarray(np.full((32, 64, 3), grey, np.uint8)).save(folder / name)
+
+
+def resize(folder: Path, names: list[str], size: tuple[int, int]) -> None:
+    for name in names:
+        PillowImage.open(folder / name).resize(size).save(folder / name)
+
+
+def write(folder: Path, names: list[str], change: Callable[[bytes], bytes]) -> None:
+    for name in names:
+        (folder / name).write_bytes(change((folder / name).read_bytes()))
+
+
+def too_few(winter: Path, summer: Path) -> None:
+    again(winter, season(0, PLACES + 1)[:PLACES])
+    frames = season(1, PLACES + 1)
+    again(summer, frames[:35] + frames[36:])
+
+
+def dictionary_order(winter: Path, summer: Path) -> dict[str, Any]:
+    again(winter, season(0), UNNAMED)
+    again(summer, season(1), UNNAMED)
+    return {"names": UNNAMED, "query_names": sorted(UNNAMED)}
+
+
+DOCUMENTED: dict[str, Damage] = {
+    "Missing files": lambda winter, summer: [(winter / name).unlink() for name in NAMES[10:17]],
+    "Empty file": lambda winter, summer: write(summer, NAMES[5:6], lambda _: b""),
+    "Web page as .png": lambda winter, summer: write(summer, NAMES[31:32], lambda _: PAGE),
+    "Truncated": lambda winter, summer: write(summer, NAMES[3:10], lambda whole: whole[:900]),
+    "Other size": lambda winter, summer: resize(summer, NAMES[40:42], (32, 16)),
+    "Another partition": lambda *_: {"counts": (70,), "wrong_counts": {PLACES: OLID}},
+    "Repeated frame": lambda winter, summer: shutil.copy(summer / "011.png", summer / "012.png"),
+    "Black frames": lambda winter, summer: show(summer, NAMES[20:23], 0),
+    "Shifted by 3": lambda winter, summer: again(summer, [*season(1)[3:], *season(1, PLACES + 3)[PLACES:]]),
+    "A frame too few": too_few,
+    "Reversed": lambda winter, summer: again(summer, season(1)[::-1]),
+    "Wrong season folder": lambda winter, summer: again(summer, season(0)),
+    "Lexicographic order": dictionary_order,
+    "Query without right place": lambda *_: {"right": [[] if place in (4, 9) else [place] for place in range(PLACES)]},
+}
+
+
+@pytest.mark.parametrize("title", [*SHOWN, *sorted({*DOCUMENTED} - {*SHOWN})])
+def test_the_document_shows_what_the_doctor_says(title: str, tmp_path: Path, spoilt) -> None:
+    said: list[str] = []
+    assert command("little", lambda: spoilt(DOCUMENTED[title]), said.append) == 1
+    paragraphs = said[0].replace(str(tmp_path), "/data").split("\n\n")[1:]
+    aligned = "note alignment: summer and winter are aligned"
+    told = [" ".join(paragraph.split()) for paragraph in paragraphs]
+    assert " ".join(line for line in told if not line.startswith(aligned)) == " ".join(SHOWN[title].split())
+
+
+def strangers(winter: Path, summer: Path) -> None:
+    for name in ("031.heic", "list.csv"):
+        (winter / name).touch()
+
+
+QUICK: dict[str, tuple[Damage, list[str]]] = {
+    "nothing": (lambda *_: {}, []),
+    "a folder that is gone": (lambda winter, _: shutil.rmtree(winter), ["error files:"]),
+    "pages in place of all images": (
+        lambda winter, summer: write(summer, NAMES, lambda _: PAGE),
+        ["error files: 60 000 001 002 003 004 55"],
+    ),
+    "fewer images than a whole copy": (lambda *_: {"counts": (35_768,)}, ["note count: 60 35,768"] * 2),
+    "more images than a whole copy": (lambda *_: {"counts": (50, 55)}, ["warning count: 60 50 55"] * 2),
+    "a frame that cannot be read and a list": (strangers, ["note files: 1 031"]),
+}
+
+
+@pytest.mark.parametrize("damage", QUICK)
+def test_the_cheap_checks_find(damage: str, tmp_path: Path, spoilt) -> None:
+    spoil, expected = QUICK[damage]
+    assert coded(quick(spoilt(spoil)), tmp_path) == expected
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"\xef\xbb\xbf\r\n<html>", "a web page"),
+        (b'{"error": "quota exceeded"}', "a message of a server"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a Git LFS pointer, not the file it stands for"),
+        (b"PK\x03\x04", "a zip archive"),
+    ],
+)
+def test_what_a_failed_download_leaves_is_told_from_an_image(spoilt, content: bytes, kind: str) -> None:
+    (found,) = quick(spoilt(lambda winter, summer: write(summer, ["031.png"], lambda _: content)))
+    assert (found.level, found.check) == ("error", "files")
+    assert found.text.endswith(f"summer is {kind}: 031.png")
+
+
+def unused(winter: Path, summer: Path) -> None:
+    """Leave seven images beside the frames, three of them black, and a list."""
+    names = [f"{kind}{number}.png" for kind, many in (("slow", 4), ("tunnel", 3)) for number in range(many)]
+    for name in names:
+        shutil.copy(winter / "000.png", winter / name)
+    show(winter, names[4:], 3)
+    (winter / "list.txt").write_text("no image")
+
+
+def small_and_red(winter: Path, summer: Path) -> None:
+    red = np.array([1.0, 0.8, 0.6])
+    again(summer, [(frame[::2, ::2] * red).astype(np.uint8) for frame in season(1)])
+
+
+def copied(winter: Path, summer: Path) -> None:
+    shutil.copy(summer / "011.png", summer / "012.png")
+    PillowImage.open(summer / "030.png").save(summer / "031.png", compress_level=0)  # other bytes, the same pixels
+    shutil.copy(winter / "044.png", summer / "044.png")
+
+
+EXAMINED: dict[str, tuple[Damage, list[str]]] = {
+    "nothing": (lambda *_: {}, []),
+    "images that are not used": (unused, ["note unused: 67 60 7 3"]),
+    "a page as large as an image": (
+        lambda winter, _: write(winter, ["017.png"], lambda whole: b"Service unavailable. ".ljust(len(whole))),
+        ["error decoding: 1 60 017"],
+    ),
+    "no frame of a traverse": (
+        lambda winter, _: write(winter, NAMES, lambda _: b"nothing"),
+        ["error decoding: 60 60 000 001 002 003 004 55"],
+    ),
+    "two sizes in one traverse": (
+        lambda winter, summer: resize(summer, NAMES[:20], (128, 64)),
+        ["note size: 2 64x32 40 128x64 20"],
+    ),
+    "another size and colour": (small_and_red, ["note size: 64x32 32x16", "note colour:"]),
+    "frames of one grey value": (
+        lambda winter, summer: show(summer, NAMES[20:23], 200),
+        ["warning black frames: 3 60 3 255 020 021 022"],
+    ),
+    "frames that are the same": (
+        copied,
+        ["warning repeated frames: 2 011 012 030 031", "warning shared frames: 1 60 044 044"],
+    ),
+    "a name that the list repeats": (
+        lambda *_: {"query_names": [*NAMES[:59], "010.png"], "right": [[n] for n in [*range(PLACES - 1), 10]]},
+        ["note names: 1 1 60 010", "note ground truth: 1 60", "note ground truth: 1 010", "note unused: 60 59 1"],
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", EXAMINED)
+def test_the_look_at_every_frame_finds(damage: str, tmp_path: Path, spoilt) -> None:
+    spoil, expected = EXAMINED[damage]
+    *found, compared = sorted(coded(examine(spoilt(spoil)), tmp_path), key=lambda code: code.startswith("note align"))
+    assert found == expected
+    assert (compared == "note alignment: 0 20") == (damage == "no frame of a traverse")  # frames to compare, and needed
+
+
+def test_two_reference_traverses_of_the_same_frames_are_an_error(tmp_path: Path) -> None:
+    winter, summer = healthy(tmp_path)
+    fall = save(tmp_path / "fall", season(0))
+    first, *_ = coded(examine(dataset_of([winter, fall], summer)), tmp_path)
+    assert first.startswith("error shared frames: 60 60 000 000 001 001")
+
+
+def test_the_cheap_checks_decode_nothing(spoilt) -> None:
+    dataset = spoilt(lambda *_: {})
+
+    def refuse(number: int) -> Image:
+        raise AssertionError(f"frame {number} was decoded")
+
+    blind = Images(refuse, NAMES)
+    places, positives, protocol = dataset.places, dataset.positives, dataset.protocol
+    assert quick(Dataset("blind", blind, places, blind, positives, protocol, folders=dataset.folders)) == ()
+
+
+def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(
+    tmp_path: Path, spoilt
+) -> None:
+    lines = insist(spoilt(lambda *_: {"counts": (55,)}))
+    assert lines == tuple(f"{tmp_path / one} holds 60 images; a whole copy has 55" for one in ("winter", "summer"))
+    write(tmp_path / "winter", ["000.png"], lambda _: b"")
+    write(tmp_path / "summer", ["000.png"], lambda _: PAGE)
+    with pytest.raises(BadInput) as refused:
+        insist(dataset_of([tmp_path / "winter"], tmp_path / "summer"))
+    line = str(refused.value)
+    assert line.startswith(f"dataset little: 1 file of {tmp_path / 'winter'} is empty (0 bytes): 000.png: ")
+    assert line.endswith("(1 more, which the doctor names)")
+    assert "\n" not in line
+
+
+def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path: Path) -> None:
+    heard: dict[str, float] = {}
+    with listening(lambda stage, done: heard.__setitem__(stage, done)):
+        examined(*healthy(tmp_path))
+    assert heard == {"looking at winter": 1.0, "looking at summer": 1.0}
+
+
+def test_long_text_is_broken_between_words_alone() -> None:
+    path = "/data/a-very-long-path-that-must-stay-whole/" * 3
+    text = as_text("little", [Finding("warning", "files", f"{'word ' * 30}{path}", "")])
+    assert path in text
+    assert all(len(line) <= 110 or path in line for line in text.splitlines())
+    assert as_text("little", []).endswith("nothing is wrong: 0 errors, 0 warnings, 0 notes")
+
+
+@pytest.mark.parametrize(
+    ("damage", "code", "said"),
+    [
+        (lambda *_: {}, 0, ["note alignment"]),
+        (lambda *_: {"counts": (55,)}, 1, ["warning count", "warning count", "note alignment"]),
+        (DOCUMENTED["Empty file"], 1, ["error files", "note alignment"]),
+        (None, 1, ["error dataset"]),
+    ],
+    ids=["healthy", "a warning", "an error", "a dataset that cannot be built"],
+)
+def test_errors_and_warnings_exit_with_1(spoilt, damage: Damage | None, code: int, said: list[str]) -> None:
+    def build() -> Dataset:
+        if damage is None:
+            raise NotThere("winter/000.png is missing: get the frames")
+        return spoilt(damage)
+
+    lines: list[str] = []
+    assert command("little", build, lines.append, "json") == code
+    found = json.loads(lines[0])
+    assert [f"{finding['level']} {finding['check']}" for finding in found] == said
+    assert all({*finding} == {"level", "check", "text", "advice"} for finding in found)
