@@ -17,7 +17,7 @@ from vprbench.api import descriptor
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
+from vprbench.metrics.ranking import Outcome, outcome, ranked_places
 from vprbench.run import descriptors, fitting, runner, shortlist
 from vprbench.run.record import Run
 from vprbench.storage import shards
@@ -50,20 +50,6 @@ def on(method: DescriptorMethod, **changes: Any) -> Run:
 
 def same(one: Outcome, other: Outcome) -> bool:
     return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Outcome))
-
-
-def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates() -> None:
-    generator = np.random.default_rng(0)
-    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
-    scores[generator.random(scores.shape) < 0.3] = -np.inf
-    scores[7] = -np.inf
-    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
-    places, best = ranked_places(scores, 9)
-    only = np.full_like(scores, -np.inf)
-    np.put_along_axis(only, places.astype(np.int64), best, axis=1)
-    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
-    assert same(found, outcome(only, positives))
-    assert (found.above == 40).any()
 
 
 @pytest.mark.usefixtures("large")

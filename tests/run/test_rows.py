@@ -1,4 +1,4 @@
-"""The summary and the rows of a run whose numbers are worked by hand.
+"""Rows, numbers and intervals of runs, worked by hand.
 
 `a_run` has four queries whose right places stand 1st, 1st, 3rd and 8th of ten, in falling order of confidence:
 recall at 1 is 2/4, at 5 3/4, at 10 4/4. Curve A passes (1/4, 1), (1/2, 1), (1/2, 2/3), (1/2, 1/2): both areas 1/2.
@@ -19,21 +19,20 @@ import stored_runs
 from little import a_run, laps, unanswerable_run
 
 from vprbench.metrics.block_length import block_length
+from vprbench.metrics.intervals import share_interval
 from vprbench.run import rows
+from vprbench.run.recall_intervals import along_the_journey, recall_interval
 from vprbench.run.record import Failure, Run
 from vprbench.run.rows import numbers, readable_row
 
-FAILURE = Failure("vprtempo", "journey", {"overrides": ["method=vprtempo", "method.epochs=9"]}, "MemoryError: 99 GB")
-TWO = np.array([2, 1, 1, 1])
+ONE, TWO = np.array([1, 1, 1, 0]), np.array([2, 1, 1, 1])
 TIED = a_run(outcome=replace(a_run().outcome, top_tied=TWO, tied=TWO, tied_correct=np.ones(4, np.int64)))
 LOADED = a_run(fit_seconds=None, fit_compute_seconds=None, load_seconds=0.25, network="a" * 64)
 NOWHERE = unanswerable_run()
-
-
-ONE = np.array([1, 1, 1, 0])
 LEFT = a_run(
     outcome=replace(a_run().outcome, above=np.array([0, 0, 2, 10]), tied=ONE, tied_correct=ONE, n_positives=ONE)
 )
+HITS = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
 
 
 def csv_rows(*results: Run | Failure) -> list[dict[str, str]]:
@@ -44,8 +43,8 @@ def streamed(seconds: list[float], matched: list[float]) -> Run:
     return a_run(timing=replace(a_run().timing, streaming=laps(seconds, matched)))
 
 
-def run_of(hits: list[int]) -> Run:
-    return stored_runs.run(hits=hits, n_places=len(hits))
+def run_of(hits: Any, **changes: Any) -> Run:
+    return stored_runs.run(hits=[*map(int, hits)], n_places=len(hits), **changes)
 
 
 @pytest.mark.parametrize(
@@ -56,8 +55,7 @@ def run_of(hits: list[int]) -> Run:
             {
                 **{"recall_at_1": 0.5, "recall_at_5": 0.75, "recall_at_10": 1.0, "recall_at_25": 1.0},
                 **{"recall_at_1_low": 0.15004, "recall_at_1_high": 0.84996},  # Wilson's of 2 of 4
-                **{"auc_pr_a": 0.5, "average_precision_a": 0.5},
-                **{"fit_seconds": 12.34, "fit_compute_seconds": 11.5},
+                **{"auc_pr_a": 0.5, "average_precision_a": 0.5, "fit_seconds": 12.34, "fit_compute_seconds": 11.5},
                 **{"streaming_encode_hz": 100, "streaming_match_hz": 400, "streaming_total_hz": 80},
                 **{"streaming_p90_seconds": None, "streaming_p99_seconds": None},  # five queries are too few
                 **{"offline_encode_hz": 200, "offline_match_hz": 800, "offline_total_hz": 160, "offline_batch": 8},
@@ -96,16 +94,20 @@ def test_numbers_are_those_worked_by_hand_in_json_and_csv(run: Run, known: dict[
     assert {name: line[name] for name in found} == {name: "" if v is None else str(v) for name, v in found.items()}
 
 
-def test_the_interval_says_what_it_is_of() -> None:
-    assert numbers(run_of([1] * 30))["recall_at_1_interval"] == "independent"
-    assert rows.interval_line(run_of([1] * 30)) is None
-    hits = ([1] * 20 + [0] * 20) * 10
-    alike = numbers(run_of(hits))
-    assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(hits))
-    assert f" {block_length(hits)} " in str(rows.interval_line(run_of(hits)))
+def test_csv_tells_a_failed_run_from_one_with_numbers() -> None:
+    config = {"overrides": ["method=vprtempo", "method.epochs=9"]}
+    ran, loaded, failed = csv_rows(a_run(), LOADED, Failure("vprtempo", "journey", config, "MemoryError: 99 GB"))
+    assert (ran["network"], loaded["network"]) == ("", "a" * 64)
+    assert [ran[name] for name in ("method", "dataset", "error")] == ["little window=5", "journey", ""]
+    assert failed["error"] == "MemoryError: 99 GB"
+    assert {failed[name] for name in numbers(a_run())} == {""}
+    counts = ("queries", "offline_batch", "peak_memory_bytes")
+    assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
 
 
 # A row for people
+
+RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
 
 
 @pytest.mark.parametrize(
@@ -114,27 +116,19 @@ def test_the_interval_says_what_it_is_of() -> None:
         (
             a_run(),
             {
-                "method": "little window=5",
-                "R@1 % [95 %]": "50.0 [15.0, 85.0]",
-                **{"R@5 %": "75.0", "R@10 %": "100.0", "R@25 %": "100.0", "AUC-PR (A)": "0.500", "fit s": "12.3"},
-                "streaming Hz enc/match/total": "100 / 400 / 80",
-                "offline Hz enc/match/total": "200 / 800 / 160 (batch 8)",
-                "peak MB": "512",
+                **{"method": "little window=5", "R@1 % [95 %]": "50.0 [15.0, 85.0]", "R@5 %": "75.0"},
+                **{"R@10 %": "100.0", "R@25 %": "100.0", "AUC-PR (A)": "0.500", "fit s": "12.3", "peak MB": "512"},
+                **dict(zip(RATES, ("100 / 400 / 80", "200 / 800 / 160 (batch 8)"), strict=True)),
             },
         ),
-        (
-            a_run(timing=None),
-            dict.fromkeys(("streaming Hz enc/match/total", "offline Hz enc/match/total"), "not timed"),
-        ),
+        (a_run(timing=None), dict.fromkeys(RATES, "not timed")),
         (LOADED, {"fit s": "loaded"}),
         (replace(LOADED, network=None), {"fit s": "kept"}),
         (TIED, {"R@1 % [95 %]": "37.5 [9.2, 78.1] ties!"}),
-        (
-            NOWHERE,
-            {
-                "R@1 % [95 %]": "undefined (no query has a right place)",
-                **dict.fromkeys(("R@5 %", "R@10 %", "R@25 %", "AUC-PR (A)"), "-"),
-            },
+        (NOWHERE, {**dict.fromkeys(("R@5 %", "R@10 %", "R@25 %", "AUC-PR (A)"), "-")}),
+        *(
+            (streamed([seconds], [1.0]), {RATES[0]: f"{text} / 1 / {total}"})
+            for seconds, text, total in ((0.0001, "10,000", "1"), (0.1, "10", "0.91"), (4, "0.25", "0.2"))
         ),
     ],
 )
@@ -144,40 +138,50 @@ def test_a_row_shows(run: Run, cells: dict[str, str]) -> None:
     assert [*row] == [*readable_row(a_run())]
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.0001, "10,000"), (0.001, "1,000"), (0.1, "10"), (0.5, "2"), (4, "0.25"), (3, "0.33")]
-)
-def test_a_rate_shows_as_many_digits_as_a_reader_needs(seconds: float, text: str) -> None:
-    assert readable_row(streamed([seconds], [1.0]))["streaming Hz enc/match/total"].split(" / ")[0] == text
-
-
-@pytest.mark.parametrize(
-    ("overrides", "text"),
-    [
-        ([], "little"),
+def test_labels_rows_and_protocols_become_text() -> None:
+    for overrides, text in (
         (["method=little", "seed=3", "timing.sample=9"], "little"),
         (["method=little", "method.window=5", "method.grey=true"], "little window=5 grey=true"),
-    ],
-)
-def test_a_label_holds_the_arguments_of_the_method_that_were_asked_for(overrides: list[str], text: str) -> None:
-    assert rows.label(a_run(config={**a_run().config, "overrides": overrides})) == text
-
-
-def test_rows_become_text() -> None:
+    ):
+        assert rows.label(a_run(config={**a_run().config, "overrides": overrides})) == text
     written = rows.markdown([{"x": "1.50", "error": "int | None"}, {"x": "10,000"}]).splitlines()
     assert [line.replace(" ", "") for line in written[2:]] == [r"|1.50|int\|None|", "|10,000|-|"]
-
-
-def test_the_protocol_is_a_line_of_words() -> None:
     line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"
     assert rows.protocol_line(a_run()) == line
 
 
-def test_csv_tells_a_failed_run_from_one_with_numbers() -> None:
-    ran, loaded, failed = csv_rows(a_run(), LOADED, FAILURE)
-    assert (ran["network"], loaded["network"]) == ("", "a" * 64)
-    assert [ran[name] for name in ("method", "dataset", "error")] == ["little window=5", "journey", ""]
-    assert failed["error"] == "MemoryError: 99 GB"
-    assert {failed[name] for name in numbers(a_run())} == {""}
-    counts = ("queries", "offline_batch", "peak_memory_bytes")
-    assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
+# Intervals
+
+
+def test_the_interval_says_what_it_is_of() -> None:
+    for n_queries in (1, 4, 19, 30):
+        few = numbers(run_of([1] * n_queries))
+        assert few["recall_at_1_interval"] == "independent"
+        assert few["recall_at_1_low"] == pytest.approx(n_queries / (n_queries + 1.959964**2), abs=1e-6)
+    assert rows.interval_line(run_of([1] * 30)) is None
+    alike = numbers(run_of(HITS))
+    assert (alike["recall_at_1_interval"], alike["recall_at_1_block"]) == ("blocks", block_length(HITS))
+    assert f" {block_length(HITS)} " in str(rows.interval_line(run_of(HITS)))
+    assert recall_interval([NOWHERE]) is None
+
+
+def test_shuffled_queries_have_the_interval_of_those_in_order_and_several_seeds_that_of_their_mean_hits() -> None:
+    order = np.random.default_rng(0).permutation(200)
+    mixed = run_of(HITS[order], positives=tuple(np.array([place]) for place in order))
+    assert recall_interval([mixed]) == recall_interval([run_of(HITS)]) == share_interval(HITS)
+    seeds = [run_of(HITS, seed=0), run_of(HITS[::-1], seed=1)]
+    assert recall_interval(seeds) == share_interval((HITS + HITS[::-1]) / 2)
+
+
+@pytest.mark.parametrize(
+    ("places", "numbers", "order"),
+    [
+        ([[4], [0, 9], [4, 1], [4]], None, [1, 2, 0, 3]),  # by their first right place, equals in their own order
+        ([[], [5], [], [], [2]], None, [0, 4, 1, 2, 3]),  # without one behind the query before
+        ([[0], [1], [2]], [7, 3, 5, *range(10, 17)], [1, 2, 0]),  # along the journey, not in the order of the map
+    ],
+)
+def test_queries_stand_in_the_order_of_the_journey(places: list[list[int]], numbers: Any, order: list[int]) -> None:
+    shown = stored_runs.run(hits=[1] * len(places), positives=tuple(np.array(each, np.int64) for each in places))
+    shown = replace(shown, place_numbers=None if numbers is None else np.array(numbers))
+    assert along_the_journey(shown).tolist() == order

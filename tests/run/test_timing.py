@@ -1,7 +1,9 @@
-"""Whether a run is timed, for how long, and when a stored one answers."""
+"""Whether a run is timed, for how long, when a stored one answers, and on which machine it was made."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import logging
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -9,23 +11,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from held_memory import fall_in_a_new_window, in_a_new_process, peaks_of_runs, rise_in_a_window
 from hypothesis import given
 from hypothesis import strategies as st
-from little import Lookup, journey
+from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, kinds, table
 
+from vprbench.run import machine
 from vprbench.run.compose import composed
 from vprbench.run.find_or_make import Made, made
-from vprbench.run.identity import Request
+from vprbench.run.machine import Machine
 from vprbench.run.record import Run
 from vprbench.run.settings import Settings, timings
 from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.run.store import Store
 
+pytestmark = pytest.mark.usefixtures("surroundings")
+
 UNTIMED = replace(QUICK, rates=False)
 MORE = replace(QUICK, minimum_queries=6)
-TABLE = table(12, 4)
-
 PROTOCOLS = st.builds(
     Protocol,
     minimum_seconds=st.integers(0, 2),
@@ -43,17 +47,9 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "results")
 
 
-@pytest.fixture(autouse=True)
-def _quick(surroundings: Any) -> None:
-    """Look at no machine."""
-
-
-def request_of(protocol: Protocol) -> Request:
-    return asked_for(Lookup(TABLE), journey(*TABLE.shape), protocol)
-
-
 def asked(store: Store, protocol: Protocol, force: bool = False) -> Made:
-    return made(request_of(protocol), Settings(frames=False, force=force), store, {})
+    request = asked_for(Lookup(table(12, 4)), journey(12, 4), protocol)
+    return made(request, Settings(frames=False, force=force), store, {})
 
 
 def the_only(store: Store) -> Run:
@@ -61,22 +57,15 @@ def the_only(store: Store) -> Run:
     return run
 
 
-# When a stored run answers
-
-
 def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_where_by_more(
     store: Store, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    answers, told = [], []
-    for protocol in (UNTIMED, UNTIMED, QUICK, UNTIMED, MORE, QUICK):
-        caplog.clear()
-        answers.append(asked(store, protocol))
-        told.append([record.getMessage() for record in caplog.records if "running again" in record.getMessage()])
+    answers = [asked(store, protocol) for protocol in (UNTIMED, UNTIMED, QUICK, UNTIMED, MORE, QUICK)]
+    told = [record.getMessage() for record in caplog.records if "running again" in record.getMessage()]
+    assert ["minimum_queries" in line for line in told] == [False, True]
     assert [answer.from_store for answer in answers] == [False, True, False, True, False, True]
     assert [answer.run.timing is None for answer in answers] == [True, True, False, False, False, False]
-    assert [len(lines) for lines in told] == [0, 0, 1, 0, 1, 0]
-    assert "minimum_queries" in told[4][0]
     assert len({answer.folder for answer in answers}) == 1
     assert the_only(store).timed_by == MORE
 
@@ -91,49 +80,33 @@ def test_what_answers_what_is_a_preorder_and_untimed_is_answered_by_everything(
         assert not one.shortfalls(third)
 
 
-@pytest.mark.parametrize(
-    "lesser",
-    [
-        {"minimum_seconds": 1.0},
-        {"minimum_queries": 63},
-        {"sample": 255},
-        {"batch_sizes": [1, 32, 128]},
-        {"total_seconds": 100.0},
-        {"rates": False},
-    ],
-)
-def test_a_protocol_that_measures_less_falls_short_by_name(lesser: dict[str, Any]) -> None:
-    standard = Protocol()
-    assert replace(standard, **lesser).shortfalls(standard) == [*lesser]
-    assert standard.shortfalls(replace(standard, **lesser)) == []
-
-
-def test_the_named_protocols_answer_one_another_in_their_order_and_standard_is_the_default() -> None:
-    assert timings() == ["none", "publish", "quick", "standard"]
-    named = {name: Protocol(**composed([f"timing={name}"])["timing"]) for name in timings()}
+def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order() -> (
+    None
+):
+    for lesser in (
+        *({name: value} for name, value in (("minimum_seconds", 1.0), ("minimum_queries", 63), ("sample", 255))),
+        *({name: value} for name, value in (("batch_sizes", [1, 32, 128]), ("total_seconds", 100.0), ("rates", False))),
+    ):
+        less = replace(Protocol(), **lesser)
+        assert (less.shortfalls(Protocol()), Protocol().shortfalls(less)) == ([*lesser], [])
     order = ["none", "quick", "standard", "publish"]
+    assert timings() == sorted(order)
+    named = {name: Protocol(**composed([f"timing={name}"])["timing"]) for name in order}
     for number, name in enumerate(order):
         assert [bool(named[name].shortfalls(named[other])) for other in order] == [i > number for i in range(4)]
     assert named["standard"] == Protocol() == Protocol(**composed([])["timing"])
-    assert composed(["timing=quick", "timing.minimum_seconds=1"])["timing"] == {
-        **asdict(named["quick"]),
-        "minimum_seconds": 1,
-    }
-
-
-# The answers are kept before they are timed
+    changed = composed(["timing=quick", "timing.minimum_seconds=1"])["timing"]
+    assert changed == {**asdict(named["quick"]), "minimum_seconds": 1}
 
 
 def interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers(
-    store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_timed_before(
+    store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    caplog.set_level(logging.INFO)
     whole = asked(Store(store.root.parent / "other"), QUICK).run
-    caplog.clear()
     with monkeypatch.context() as patch:
         patch.setattr(Stopwatch, "measure", interrupt)
         with pytest.raises(KeyboardInterrupt):
@@ -142,18 +115,57 @@ def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers(
     assert (kept.timing, kept.config["timing"], kinds(kept)) == (None, None, kinds(whole))
     np.testing.assert_array_equal(kept.outcome.above, whole.outcome.above)
     np.testing.assert_array_equal(kept.top_places, whole.top_places)
-    assert sum("R@1" in record.getMessage() for record in caplog.records) == 1
     assert asked(store, UNTIMED).from_store
     assert not asked(store, QUICK).from_store
-    assert the_only(store).timing is not None
-
-
-@pytest.mark.parametrize("force", [False, True])
-def test_a_run_that_was_timed_is_not_lost_where_the_next_is_ended_while_it_is_timed(
-    store: Store, monkeypatch: pytest.MonkeyPatch, force: bool
-) -> None:
-    asked(store, QUICK)
     monkeypatch.setattr(Stopwatch, "measure", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        asked(store, MORE, force)
-    assert the_only(store).timed_by == QUICK
+    for force in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            asked(store, MORE, force)
+        assert the_only(store).timed_by == QUICK
+
+
+# The machine
+
+
+def _windows_of_memory_exist() -> bool:
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_notices_no_interrupted_lap() -> None:
+    described = machine.capture("cpu", 1)
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+    assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
+    assert machine.canary_seconds() > 0
+    assert machine.peak_device_memory_bytes("cpu") is None
+    laps = (1.0 if lap % 5 == 0 else 0.008 for lap in itertools.count())  # seconds
+    moments = itertools.accumulate(round(lap * 1e9) for lap in laps)
+    assert machine.canary_seconds(lambda: next(moments)) == 0.008
+
+
+@pytest.mark.skipif(not _windows_of_memory_exist(), reason="this system keeps no window of peak memory")
+def test_a_run_knows_the_peak_of_memory_that_its_method_took_and_a_new_window_forgets_it() -> None:
+    assert 190e6 <= in_a_new_process(rise_in_a_window) <= 260e6
+    assert in_a_new_process(fall_in_a_new_window) >= 150e6
+    before, large, small = in_a_new_process(peaks_of_runs)
+    assert large - before >= 190e6
+    assert small <= large - 150e6
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "same_hardware"),
+    [
+        *((part, value, False) for part, value in (("processor", "Abacus 10"), ("cores", 4), ("accelerator", "Sieve"))),
+        *((part, value, True) for part, value in (("threads", 2), ("libraries", {"torch": "2.7.0"}))),
+        *((part, value, None) for part, value in (("time_utc", "2026-02-01T12:00:00Z"), ("load_average", [9.0] * 3))),
+    ],
+)
+def test_another_part_is_another_machine_and_another_day_is_not(part: str, value: Any, same_hardware: Any) -> None:
+    here, there = Machine.of(a_run().environment), Machine.of({**a_run().environment, part: value})
+    assert (here == there) is (same_hardware is None)
+    assert (here.hardware == there.hardware) is (same_hardware is not False)
+    assert here.line == "Abacus 9, 1 of 2 cores, torch 2.6.0"
+    assert ("Sieve" in there.line) is (value == "Sieve")

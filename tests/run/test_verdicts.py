@@ -107,51 +107,38 @@ def test_what_the_page_reads_is_plain_and_holds_every_query() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("places", "text"), [([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7"), ([0, 1, 10, 11, 12], "0-1, 10-12")]
-)
-def test_places_read_as_ranges(places: list[int], text: str) -> None:
-    assert place_ranges(np.array(places, np.int64)) == text
-
-
-def test_the_places_shown_are_the_best_three_and_the_right_ones() -> None:
+def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones() -> None:
+    for places, text in (([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7")):
+        assert place_ranges(np.array(places, np.int64)) == text
     first = judged_alone([0.5, 0.375, 0.25, 0.125, 0.0, 0.0], [4])
     second = judged_alone([0.0, 0.0, NO, NO, NO, 0.5], [])
     assert places_shown([first, second]) == [0, 1, 2, 4, 5]
 
 
-def noise(seed: int, quality: int = 95) -> bytes:
-    written = io.BytesIO()
-    pixels = np.random.default_rng(seed).integers(0, 256, (54, 96, 3), np.uint8)
-    Image.fromarray(pixels).save(written, "WEBP", quality=quality)
-    return written.getvalue()
-
-
-def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others() -> None:
+def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order() -> None:
     run = journey_run(SAD_WRONG)
     listed = dict(by_interest(run))
     assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
     assert sorted(listed) == list(range(len(run.outcome)))
     assert all({right_place(query), *run.top_places[query, :3]} == listed[query] for query in (10, 40))
-
-
-def test_two_runs_list_the_queries_that_both_answer_right_in_one_order() -> None:
     first, second = ([query for query, _ in by_interest(journey_run(wrong))] for wrong in (SAD_WRONG, TEMPO_WRONG))
     common = {*first} - {*SAD_WRONG, *TEMPO_WRONG, UNANSWERABLE}
     assert [query for query in first if query in common] == [query for query in second if query in common]
     assert sorted(common) != [query for query in first if query in common]  # from all over the journey
 
 
-def test_frames_become_coarser_only_if_they_do_not_fit() -> None:
-    frames = [noise(0), b"", *(noise(seed) for seed in range(1, 5))]
+def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit() -> None:
+    frames = [b""]
+    for pixels in np.random.default_rng(0).integers(0, 256, (3, 54, 96, 3), np.uint8):
+        Image.fromarray(pixels).save(written := io.BytesIO(), "WEBP", quality=95)
+        frames.append(written.getvalue())
     assert fitting(frames, text_bytes(frames)) == frames
     budget = text_bytes(frames) // 4
     made = fitting(frames, budget)
     assert made is not None
     assert text_bytes(made) <= budget
     assert [bool(frame) for frame in made] == [bool(frame) for frame in frames]
-    for frame in filter(None, made):
+    for frame in made[1:]:
         with Image.open(io.BytesIO(frame)) as image:
-            image.load()
             assert image.width / image.height == pytest.approx(96 / 54, rel=0.1)
     assert (fitting(frames, 50), fitting([], -1)) == (None, [])
