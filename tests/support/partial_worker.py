@@ -55,8 +55,3 @@ def train_and_die(root: Path, step: int) -> None:
 
     sys.addaudithook(die)
     train(root)
-
-
-def train_often(root: Path, times: int) -> bool:
-    """Train again and again, as one of several processes; returns whether every training had its modules right."""
-    return all(train(root)[1] for _ in range(times))
