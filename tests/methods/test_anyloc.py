@@ -65,7 +65,6 @@ NETWORK = PublishedNetwork(
         "blocks.0.mlp.fc1.weight": (3, 3),
         "blocks.1.ls1.gamma": (3,),
     },
-    contract={"layer": LAYER, "words": WORDS, "height": 42, "width": 42, "batch_size": 16},
 )
 tensors = NETWORK.tensors
 
@@ -81,7 +80,7 @@ def test_it_is_the_published_network(check, folder: Path) -> None:
 
 
 def test_with_the_references_vocabulary_it_keeps_the_contract(folder: Path) -> None:
-    assert NETWORK.check_contract(folder, vocabulary="references") == set()
+    assert NETWORK.check_contract(folder, vocabulary="references", height=42, width=42, batch_size=16) == set()
 
 
 def test_every_centre_weighs_the_same_but_for_one_without_values_which_has_zeros(folder: Path) -> None:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from checkout import SHARED
+from corridor import needs_corridor
 from preprocess_frames import smooth_frame
 
 from vprbench.api import BadInput, GaborBank, Images
@@ -11,8 +12,8 @@ from vprbench.methods.binary import GaborBinary, OrientedBinary, strongest
 from vprbench.methods.gabor import Gabor
 from vprbench.methods.sad import SAD
 
-NORDLAND = SHARED / "data" / "nordland_64x32"
 FRAMES = Images.from_arrays([smooth_frame(32, 64, seed) for seed in range(6)])
+BY_CELL = GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25])
 
 VALUES = np.array([[[0.9, 0.1], [0.5, 0.0], [0.7, 0.3], [0.0, 0.2]]], np.float32)  # 4 cells of 2 maps
 
@@ -21,7 +22,6 @@ VALUES = np.array([[[0.9, 0.1], [0.5, 0.0], [0.7, 0.3], [0.0, 0.2]]], np.float32
     ("within", "shares", "wanted"),
     [
         ("map", [0.25], [[1, 0], [0, 0], [0, 1], [0, 0]]),
-        ("map", [0.5], [[1, 0], [0, 0], [1, 1], [0, 1]]),
         ("map", [1.0], [[1, 1], [1, 0], [1, 1], [0, 1]]),  # nothing is never strong
         ("map", [0.5, 0.25], [[1, 0], [0, 0], [1, 1], [0, 1], [1, 0], [0, 0], [0, 1], [0, 0]]),
         ("cell", [0.5], [[1, 0], [1, 0], [1, 0], [0, 1]]),
@@ -34,19 +34,11 @@ def test_bits_are_the_strongest_of_a_map_or_of_a_cell(within, shares, wanted):
 
 @pytest.mark.parametrize("shares", [[], [0.0], [0.5, 1.2]])
 def test_shares_that_say_nothing_are_refused(shares):
-    with pytest.raises(BadInput, match=r"method\.shares=\[.*give shares of more than 0, up to 1"):
+    with pytest.raises(BadInput, match=r"method\.shares=\["):
         strongest(VALUES, "map", shares)
 
 
-@pytest.mark.parametrize(
-    ("method", "n_bits"),
-    [
-        (GaborBinary(), 13440),
-        (GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25]), 4608),
-        (OrientedBinary(), 4608),
-    ],
-    ids=["gabor", "gabor of the fork's size", "oriented"],
-)
+@pytest.mark.parametrize(("method", "n_bits"), [(GaborBinary(), 13440), (BY_CELL, 4608), (OrientedBinary(), 4608)])
 def test_a_map_holds_one_bit_for_each_value_and_says_so(method, n_bits):
     method.fit(FRAMES, np.arange(6))
     assert method.encode(FRAMES).shape == (6, n_bits / 64)
@@ -56,10 +48,8 @@ def test_a_map_holds_one_bit_for_each_value_and_says_so(method, n_bits):
 
 
 def test_bits_of_a_cell_are_those_of_its_8_strongest_filters():
-    bank = GaborBank(28, 28, 7)
-    words = GaborBinary(height=28, width=28, patch=7, within="cell", shares=[0.25]).encode(FRAMES)
-    bits = np.unpackbits(words.view(np.uint8), axis=1).reshape(6, 144, 32).astype(bool)
-    codes = bank(FRAMES).reshape(6, 144, 32)
+    bits = np.unpackbits(BY_CELL.encode(FRAMES).view(np.uint8), axis=1).reshape(6, 144, 32).astype(bool)
+    codes = GaborBank(28, 28, 7)(FRAMES).reshape(6, 144, 32)
     for own, code in zip(bits.reshape(-1, 32), codes.reshape(-1, 32), strict=True):
         if own.any() and not own.all():
             assert code[own].min() >= code[~own].max()
@@ -81,16 +71,16 @@ def test_gabor_scores_are_cosines_of_codes_or_of_the_responses_as_they_are():
         np.testing.assert_allclose(scores, directions @ directions.T, atol=1e-5)
 
 
-@pytest.mark.skipif(not NORDLAND.is_dir(), reason="the folder shared/ is not beside the checkout")
-@pytest.mark.parametrize("method", [Gabor(), GaborBinary(), OrientedBinary()], ids=lambda method: type(method).__name__)
-def test_more_places_are_found_across_the_seasons_than_by_sad(method):
-    names = (NORDLAND / "frames_clean_qvpr.txt").read_text(encoding="utf-8").split()[:200]
+@needs_corridor
+def test_more_places_are_found_across_the_seasons_than_by_sad():
+    folder = SHARED / "data" / "nordland_64x32"
+    names = (folder / "frames_clean_qvpr.txt").read_text(encoding="utf-8").split()[:200]
     winter, summer = (
-        Images.from_arrays([cv2.imread(str(NORDLAND / season / name)) for name in names])
+        Images.from_arrays([cv2.imread(str(folder / season / name)) for name in names])
         for season in ("winter", "summer")
     )
-    found = [
+    sad, *found = (
         np.mean(tried.fit(winter, np.arange(200)).query(summer).argmax(1) == np.arange(200))
-        for tried in (method, SAD())
-    ]
-    assert found[0] > found[1] + 0.1
+        for tried in (SAD(), Gabor(), GaborBinary(), OrientedBinary())
+    )
+    assert min(found) > sad + 0.1

@@ -55,19 +55,12 @@ NETWORK = PublishedNetwork(
     expected,
     arguments={"backbone": "VGG16", "n_dimensions": 64},
     tolerance=1e-4,
-    wrong={
-        "aggregation.3.weight": None,
-        "backbone.28.bias": None,
-        "backbone.30.weight": (3, 3),
-        "aggregation.1.p": (512,),
-    },
+    wrong={"aggregation.3.weight": None, "backbone.30.weight": (3, 3), "aggregation.1.p": (512,)},
     options={
         "resized": ({"height": 48, "width": 80}, drawn_images((131, 187))[0], {"size": (48, 80)}),
         "black": ({}, np.zeros((32, 48, 3), np.uint8), {}),
     },
     refused=[("16 pixels", {}, (40, 15)), ("n_dimensions=64", {"n_dimensions": 128}, (64, 96))],
-    contract={"backbone": "ResNet18", "n_dimensions": 64, "height": 16, "width": 16},
-    draw_for_contract=lambda: drawn("ResNet18"),
 )
 
 

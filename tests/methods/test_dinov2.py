@@ -27,7 +27,7 @@ NETWORK = PublishedNetwork(
     128,
     described,
     arguments={"height": None, "width": None},
-    wrong={"norm.weight": None, "blocks.1.attn.qkv.bias": None, "head.weight": (3, 3), "blocks.0.mlp.fc2.bias": (129,)},
+    wrong={"norm.weight": None, "blocks.0.mlp.fc2.bias": (129,)},
     options={
         "mean": ({"pooling": "mean"}, image(56, 98), {"pooling": "mean"}),
         "gem": ({"pooling": "gem"}, image(56, 98), {"pooling": "gem"}),
@@ -35,7 +35,6 @@ NETWORK = PublishedNetwork(
         "nearest multiples of 14": ({}, image(50, 90), {"resized": lambda seen: pillow(seen, 56, 84)}),
     },
     forms={"no mask token": without("mask_token")},
-    contract={"height": 42, "width": 56},
 )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.gcl import Whitening
 from vprbench.plugins import registry
 
-RESNET18 = {"vprbench.methods.gcl._RESNETS": {"resnet50": "resnet18"}}
 SIZE = {"height": 64, "width": 96}
 
 
@@ -78,20 +76,12 @@ NETWORK = PublishedNetwork(
         ("32 pixels", {"height": 31}, (64, 96)),
         *(("unexpected", other, (64, 96)) for other in ({"pooling": "avg"}, {"backbone": "resnet50"})),
     ],
-    contract={"backbone": "resnet50", "height": 16, "width": 16},
-    contract_patches=RESNET18,
-    draw_for_contract=lambda: drawn("resnet18"),
 )
 
 
 @with_checks(NETWORK)
 def test_it_is_the_published_network(check, folder: Path) -> None:
     check(folder)
-
-
-def test_the_whitened_network_keeps_the_contract_but_for_batches(folder: Path) -> None:
-    excepted = replace(NETWORK, name="gcl_whitened").check_contract(folder)
-    assert excepted == {"a batch gives what its single images give"}
 
 
 @pytest.mark.parametrize(

@@ -18,12 +18,12 @@ from vprbench.errors import BadInput
 from vprbench.methods.indoor import EigenPlacesIndoor
 
 
-def eigenplaces(kind: str = "resnet50", n_features: int = 2048, n_dimensions: int = 2048) -> Tensors:
+def eigenplaces() -> Tensors:
     draw = Draw(1)
-    tensors = oracle.resnet_checkpoint(draw, kind, "backbone.") | {
+    tensors = oracle.resnet_checkpoint(draw, "resnet50", "backbone.") | {
         "aggregation.1.p": torch.tensor([2.4]),
-        "aggregation.3.weight": draw.normal(n_dimensions, n_features),
-        "aggregation.3.bias": draw.normal(n_dimensions, scale=0.3),
+        "aggregation.3.weight": draw.normal(2048, 2048),
+        "aggregation.3.bias": draw.normal(2048, scale=0.3),
     }
     return prefixed("model.", tensors)
 
@@ -54,9 +54,6 @@ EIGENPLACES = PublishedNetwork(
     2048,
     expected_eigenplaces,
     tolerance=1e-4,
-    wrong={"model.aggregation.1.p": None},
-    contract={"backbone": "ResNet18", "n_dimensions": 64, "height": 16, "width": 16},
-    draw_for_contract=lambda: eigenplaces("resnet18", 512, 64),
 )
 SALAD = PublishedNetwork(
     "salad_indoor",
@@ -65,8 +62,6 @@ SALAD = PublishedNetwork(
     7 * 12 + 10,
     expected_salad,
     tolerance=2e-5,
-    wrong={"model.aggregator.dust_bin": None},
-    contract={"height": 42, "width": 42},
 )
 
 

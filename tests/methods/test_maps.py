@@ -36,37 +36,28 @@ METHODS = {
 }
 STORED = ["cohog", "densevlad", "pca"]
 
-#: Arguments that do not fit, and what the refusal names besides the first of them.
-REFUSED: list[tuple[str, dict[str, Any], str]] = [
+#: Arguments of which each does not fit.
+REFUSED: dict[str, dict[str, Any]] = {
+    "cohog": {"size": 16, "cell": 0, "bins": 1, "sobel": 4, "entropy_radius": -1, "entropy_threshold": float("nan")},
+    "densevlad": {"words": 0, "n_components": -1},
+    "flyhash": {"units": 0, "summed": 785, "winners": 7841},
+    "hog": {"height": 500, "width": 8, "cell": 0, "block": 0, "stride": 0, "bins": 256, "sigma": 0.0},
+    "hyperdimensional": {"cell": 33, "stride": 0, "reach": 0.0, "components": 0},
+    "pca": {"components": 0},
+    "random_projection": {"components": 0},
+}
+#: Arguments that do not fit one another; the refusal names the first and, here last, another.
+TOGETHER: list[tuple[str, dict[str, Any], str]] = [
     ("cohog", {"size": 500}, "method.cell=16"),
-    ("cohog", {"size": 16}, "32 pixels"),
-    ("cohog", {"cell": 0}, ""),
-    ("cohog", {"bins": 1}, ""),
-    ("cohog", {"sobel": 4}, "3, 5 or 7"),
-    ("cohog", {"entropy_radius": -1}, ""),
-    ("cohog", {"entropy_threshold": float("nan")}, ""),
-    ("densevlad", {"words": 0}, ""),
-    ("densevlad", {"n_components": -1}, ""),
-    ("flyhash", {"units": 0}, ""),
-    ("flyhash", {"summed": 785}, "784 pixels"),
+    ("cohog", {"region_cells": 0}, ""),
+    ("cohog", {"entropy_size": 0}, ""),
     ("flyhash", {"winners": 7841}, "method.units=7840"),
-    ("hog", {"height": 500}, "method.block=16"),
-    ("hog", {"width": 8}, ""),
+    ("flyhash", {"summed": 0}, "784 pixels"),
     ("hog", {"block": 16, "cell": 12}, "method.cell=12"),
-    ("hog", {"cell": 0}, ""),
-    ("hog", {"block": 0}, "method.cell=16"),
-    ("hog", {"stride": 0}, ""),
-    ("hog", {"bins": 256}, "1 to 255"),
-    ("hog", {"sigma": 0.0}, ""),
-    ("hyperdimensional", {"cell": 33}, "smaller side"),
-    ("hyperdimensional", {"stride": 0}, ""),
-    ("hyperdimensional", {"stride": 33, "features": "oriented"}, "smaller side"),
-    ("hyperdimensional", {"reach": 0.0}, ""),
-    ("hyperdimensional", {"components": 0}, ""),
-    ("pca", {"components": 0}, ""),
+    ("hog", {"bins": 0}, ""),
+    ("hyperdimensional", {"stride": 33, "features": "oriented"}, ""),
     ("pca", {"height": 0, "preprocessing": "grey"}, "method.width=28"),
-    ("random_projection", {"components": 0}, ""),
-    ("sad", {"height": 0, "preprocessing": "grey"}, "method.width=28"),
+    ("sad", {"width": 0, "preprocessing": "grey"}, ""),
 ]
 
 
@@ -75,7 +66,10 @@ def make(request: pytest.FixtureRequest) -> Callable[[], Method]:
     return METHODS[request.param]
 
 
-@pytest.mark.parametrize(("name", "arguments", "besides"), REFUSED)
+@pytest.mark.parametrize(
+    ("name", "arguments", "besides"),
+    [*((name, {one: value}, "") for name, wrong in REFUSED.items() for one, value in wrong.items()), *TOGETHER],
+)
 def test_arguments_that_do_not_fit_are_named(name: str, arguments: dict[str, Any], besides: str) -> None:
     argument, value = next(iter(arguments.items()))
     with pytest.raises(BadInput, match=rf"method\.{argument}={value}\b.*{re.escape(besides)}"):
@@ -90,22 +84,15 @@ def test_of_several_traverses_the_most_similar_image_of_a_place_counts(make: Cal
     assert np.array_equal(best.argmax(1), places)
 
 
-def test_fit_keeps_its_own_copy_of_the_places(make: Callable[[], Method]) -> None:
+def test_fit_keeps_its_own_copy_of_the_places_and_no_queries_have_no_scores(make: Callable[[], Method]) -> None:
     places = np.arange(12)[::-1].copy()
     method = make().fit(IMAGES, places)
     before = method.query(IMAGES)
     places[:] = 0
     assert np.array_equal(method.query(IMAGES), before)
-
-
-def test_no_queries_have_no_scores(make: Callable[[], Method]) -> None:
-    assert make().fit(IMAGES, np.arange(12)).query(IMAGES[:0]).shape == (0, 12)
-
-
-def test_matching_before_fit_is_refused_with_what_to_do(make: Callable[[], Method]) -> None:
-    codes = make().fit(IMAGES, np.arange(12)).encode(IMAGES)
+    assert method.query(IMAGES[:0]).shape == (0, 12)
     with pytest.raises(NotFittedError, match=r"call fit\(references, places\) first"):
-        make().match(codes)
+        make().match(method.encode(IMAGES))
 
 
 @pytest.mark.parametrize("name", STORED)
@@ -119,18 +106,14 @@ def test_arrays_that_are_no_map_are_refused_by_name_and_leave_none(name: str) ->
     method = METHODS[name]().fit(IMAGES, np.arange(12))
     state = dict(method.state())
     broken = [
-        *((array, state | {array: values[:-1]}) for array, values in state.items()),
-        *((array, state | {array: values.astype(np.float16)}) for array, values in state.items()),
-        *((array, {key: values for key, values in state.items() if key != array}) for array in state),
-        *(
-            (array, state | {array: np.full_like(values, np.nan)})
-            for array, values in state.items()
-            if array != "places"
-        ),
         ("weights", state | {"weights": np.zeros(3)}),
         ("places", state | {"places": state["places"] + 1}),
         ("places", state | {"places": np.array(0)}),
     ]
+    for array, values in state.items():
+        broken += [(array, state | {array: wrong}) for wrong in (values[:-1], values.astype(np.float16))]
+        broken.append((array, {name: kept for name, kept in state.items() if name != array}))
+        broken += [] if array == "places" else [(array, state | {array: np.full_like(values, np.nan)})]
     for array, wrong in broken:
         with pytest.raises(BadInput, match=array):
             method.restore(wrong)

@@ -46,19 +46,12 @@ NETWORK = PublishedNetwork(
     N_DIMENSIONS,
     expected,
     saved,
-    wrong={
-        "aggregator.linear.bias": None,
-        "aggregator.agg.dust_bin": None,
-        "backbone.norm.weight": None,
-        "aggregator.score.0.weight": (3, 3),
-        "aggregator.linear.weight": (3, 5),
-    },
+    wrong={"aggregator.agg.dust_bin": None, "aggregator.linear.weight": (3, 5)},
     options={
         f"{height}x{width} pixels": ({}, image(height, width), {"side": (14 * rows, 14 * columns)})
         for height, width, rows, columns in [(50, 90, 4, 6), (64, 96, 5, 7), (41, 43, 3, 3)]
     },
     refused=[("6 patches", {}, (28, 42))],
-    contract={"height": 42, "width": 56},
 )
 
 

@@ -26,10 +26,10 @@ SIZES = [(64, 96), (49, 70), (64, 96)]
 Tensors = dict[str, torch.Tensor]
 
 
-def drawn(clusters: int, components: int | None = None, encoder: Tensors | None = None) -> Tensors:
+def drawn(clusters: int, components: int | None = None) -> Tensors:
     """Random tensors under the names of family C; without `components` those of family B."""
     draw = oracle.Draw(clusters)
-    tensors = dict(encoder or oracle.vgg16_checkpoint(draw, "encoder."))
+    tensors = oracle.vgg16_checkpoint(draw, "encoder.")
     tensors["pool.centroids"] = draw.normal(clusters, 512, scale=512**-0.5)
     tensors["pool.conv.weight"] = draw.normal(clusters, 512, 1, 1, scale=4)
     if components is not None:
@@ -125,17 +125,8 @@ def network(
         alike_in_half=0.98,
         options=options,
         refused=refused,
-        contract={"height": 16, "width": 32},
         **more,
     )
-
-
-def shallow(clusters: int, components: int | None = None) -> dict[str, Any]:
-    """One convolution in VGG16's place for the contract."""
-    return {
-        "contract_patches": {"vprbench.methods.netvlad.vgg16_features": oracle.one_convolution},
-        "draw_for_contract": lambda: drawn(clusters, components, oracle.one_convolution_checkpoint("encoder.")),
-    }
 
 
 NETWORKS = {
@@ -152,21 +143,16 @@ NETWORKS = {
                 {"resized": lambda image: image.reshape(64, 2, 96, 2, 3).mean((1, 3))},
             )
         },
-        **shallow(64, 8),
     ),
-    "pytorch": network(
-        "netvlad_pytorch", "pytorch", lambda: drawn(5), 5 * 512, {}, wrong={"WPCA.0.bias": (3, 3)}, **shallow(5)
-    ),
+    "pytorch": network("netvlad_pytorch", "pytorch", lambda: drawn(5), 5 * 512, {}, wrong={"WPCA.0.bias": (3, 3)}),
     "patch-netvlad": network(
         "netvlad_msls",
         "patch-netvlad",
         lambda: drawn(4, 6),
         6,
         wrong={
-            "encoder.28.bias": None,
             "pool.centroids": None,
             "WPCA.0.weight": None,
-            "WPCA.0.bias": None,
             "pool.conv.bias": (3, 3),
             "encoder.5.bias": (63,),
         },
@@ -177,7 +163,6 @@ NETWORKS = {
                 {"resized": partial(pillow, height=48, width=64)},
             )
         },
-        **shallow(4, 6),
     ),
 }
 

@@ -12,7 +12,8 @@ import pytest
 import torch
 from described_images import composed, drawn_images
 from PIL import Image as PillowImage
-from torch import Tensor, nn
+from published_networks import SmallNetwork
+from torch import Tensor
 from torch.nn import functional
 
 from vprbench.api.arrays import Image
@@ -30,28 +31,12 @@ LARGE, SMALL = (768, 2048), (47, 61)
 AVERAGE = (117.5, 120.25, 90.75)  # what the network of `netvlad` sees images less of
 
 
-class Watched(nn.Module):
-    """Remembers what it sees, and has what methods set or ask for."""
-
-    mean = AVERAGE
-    seen: Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.register_buffer("centres", torch.zeros(1))
-
-    def forward(self, images: Tensor) -> Tensor:
-        self.seen = images
-        return images.mean((2, 3))
-
-
 def shown(name: str, image: Image, **changed: Any) -> tuple[NeuralDescriptor, Tensor]:
     """A method, and what its network sees of an image, (3, height, width)."""
     method = registry.make_method({**configuration(name), **changed})
     assert isinstance(method, NeuralDescriptor)
-    method.use(network := Watched())
-    if name in ("netvlad_msls", "netvlad_pytorch"):
-        network.mean = None
+    method.use(network := SmallNetwork())
+    network.mean = AVERAGE if name == "netvlad" else None
     method.encode(Images.from_arrays([image]))
     return method, network.seen[0]
 

@@ -1,7 +1,4 @@
-"""Every published network: its yaml names the published file and the class's arguments, and it has the published size.
-
-The file that holds a network's slow computation puts `published_networks.with_checks` to it.
-"""
+"""Every published network: its yaml names the published file and the arguments, and it has the published sizes."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from described_images import composed
+from published_networks import SmallNetwork, excepted
 
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.cli import main
@@ -23,7 +21,6 @@ GITHUB, DRIVE = "https://github.com", "https://drive.google.com/uc?id"
 DINOV2 = "https://dl.fbaipublicfiles.com/dinov2"
 COSPLACE = f"{GITHUB}/gmberton/CosPlace/releases/download/v1.0"
 INDOOR = f"{GITHUB}/Enrico-Chiavassa/Indoor-VPR/releases/download/v0.1.0"
-NETVLAD = "https://cvg-data.inf.ethz.ch/hloc/netvlad"
 PATCH_NETVLAD = "https://huggingface.co/TobiasRobotics/Patch-NetVLAD/resolve/main"
 
 #: Options in which a yaml departs from the defaults of its class.
@@ -33,18 +30,14 @@ OWN = {
     "mixvpr_512": {"n_dimensions": 512},
 }
 
-#: The url that each network's file is fetched from, which ends in the file's name unless NAMES has another.
+#: The url that each network's file is fetched from, which ends in the file's name unless FILES has another.
 URLS = {
     "boq": f"{GITHUB}/amaralibey/Bag-of-Queries/releases/download/v1.0/dinov2_12288.pth",
     "boq_resnet50": f"{GITHUB}/amaralibey/Bag-of-Queries/releases/download/v1.0/resnet50_16384.pth",
     "cliquemining": f"{DRIVE}=1B06ysb-Wjb4KDcNrl-7pyj1mJve1jqdk",
-    "cosplace": f"{COSPLACE}/ResNet50_2048_cosplace.pth",
     "cosplace method.backbone=VGG16 method.n_dimensions=128": f"{COSPLACE}/VGG16_128_cosplace.pth",
     "cricavpr": f"{GITHUB}/Lu-Feng/CricaVPR/releases/download/v1.0/CricaVPR.pth",
-    **{
-        f"dinov2 method.backbone={backbone}": f"{DINOV2}/dinov2_{backbone}/dinov2_{backbone}_pretrain.pth"
-        for backbone in ("vits14", "vitb14", "vitl14", "vitg14")
-    },
+    "dinov2 method.backbone=vits14": f"{DINOV2}/dinov2_vits14/dinov2_vits14_pretrain.pth",
     "anyloc": f"{DINOV2}/dinov2_vitg14/dinov2_vitg14_pretrain.pth",
     "eigenplaces": f"{GITHUB}/gmberton/EigenPlaces/releases/download/v1.0/ResNet50_2048_eigenplaces.pth",
     "eigenplaces_indoor": f"{INDOOR}/eigenplaces_ResNet50_2048_GB1_BAI_5_10.pth",
@@ -52,18 +45,10 @@ URLS = {
     "mixvpr": f"{DRIVE}=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L",
     "mixvpr_512": f"{DRIVE}=1khiTUNzZhfV2UUupZoIsPIbsMRBYVDqj",
     "mixvpr_128": f"{DRIVE}=1DQnefjk1hVICOEYPwE4-CZAZOvi1NSJz",
-    **{
-        f"{name} method.weights.file={file}": f"{folder}/{file}"
-        for name, folder, files in [
-            ("netvlad", NETVLAD, ("Pitts30K_struct.mat", "TokyoTM_struct.mat")),
-            ("netvlad_msls", PATCH_NETVLAD, ("mapillary_WPCA4096.pth.tar", "pitts_WPCA128.pth.tar")),
-        ]
-        for file in files
-    },
-    **{
-        f"patch_netvlad method.configuration={configuration}": f"{PATCH_NETVLAD}/mapillary_WPCA{n}.pth.tar"
-        for configuration, n in (("performance", 4096), ("speed", 512), ("storage", 128))
-    },
+    "netvlad": "https://cvg-data.inf.ethz.ch/hloc/netvlad/Pitts30K_struct.mat",
+    "netvlad_msls method.weights.file=pitts_WPCA128.pth.tar": f"{PATCH_NETVLAD}/pitts_WPCA128.pth.tar",
+    "patch_netvlad": f"{PATCH_NETVLAD}/mapillary_WPCA4096.pth.tar",
+    "patch_netvlad method.configuration=speed": f"{PATCH_NETVLAD}/mapillary_WPCA512.pth.tar",
     "salad": f"{GITHUB}/serizba/salad/releases/download/v1.0.0/dino_salad.ckpt",
     "salad_indoor": f"{INDOOR}/salad_Dinov2_8448_GB1_10_25.pth",
     "sfrs": f"{GITHUB}/yxgeee/OpenIBL/releases/download/v0.1.0-beta/vgg16_netvlad.pth",
@@ -72,12 +57,10 @@ URLS = {
 }
 
 #: The files whose url does not end in their name, or that are fetched by hand.
-NAMES = {
+FILES = {
     "ap_gem": "Resnet-101-AP-GeM.pt",
     "cliquemining": "cliquemining.ckpt",
-    "conv_ap": "resnet50_ConvAP_1024_2x2.ckpt",
     "conv_ap method.channels=128": "resnet50_ConvAP_128_2x2.ckpt",
-    "gcl": "MSLS_resnet152_GeM_480_GCL.pth",
     "gcl_whitened": "MSLS_resnet152_GeM_480_GCL.pth",
     "gcl method.backbone=resnext method.pooling=avg method.loss=CL": "MSLS_resnext_avg_480_CL.pth",
     "megaloc": "MegaLoc.safetensors",
@@ -87,24 +70,6 @@ NAMES = {
     "netvlad_pytorch": "vgg16_netvlad_checkpoint.pth.tar",
     "supervlad": "SuperVLAD.pth",
     "supervlad_crossimage": "SuperVLAD_crossimage.pth",
-}
-
-#: The size that images are resized to, and how; `authors` in the yaml.
-SEEN = {
-    "anyloc": (None, None, "tensor", "bicubic"),
-    "ap_gem": (None, None, "pillow", "bilinear"),
-    "boq": (322, 322, "tensor", "bicubic"),
-    "boq_resnet50": (384, 384, "tensor", "bicubic"),
-    "cosplace": (None, None, "tensor", "bilinear"),
-    "cricavpr": (224, 224, "opencv", "bilinear"),
-    "dinov2": (322, 322, "pillow", "bilinear"),
-    "eigenplaces": (None, None, "tensor", "bilinear"),
-    "gcl": (480, 640, "pillow", "bilinear"),
-    "mixvpr": (320, 320, "pillow", "bilinear"),
-    "salad": (322, 322, "pillow", "bilinear"),
-    "sfrs": (480, 640, "pillow", "bilinear"),
-    "supervlad": (322, 322, "tensor", "bilinear"),
-    "supervlad_crossimage": (322, 322, "tensor", "bilinear"),
 }
 
 #: The pixels of a side that a network without values is shown, and the published number of dimensions.
@@ -144,6 +109,16 @@ def made(words: str) -> NeuralDescriptor:
     return method
 
 
+@pytest.mark.parametrize("name", [name for name in NETWORKS if name != "patch_netvlad"])
+def test_a_method_keeps_the_contract_with_a_small_network_in_place_of_its_own(name: str, tmp_path: Path) -> None:
+    config = configuration(name) | {"height": 56, "width": 56}
+    for file in {"weights", "centres"} & set(config):
+        config[file]["path"] = str(tmp_path / "there")
+    (tmp_path / "there").touch()
+    whitened = {"a batch gives what its single images give"}
+    assert excepted(config, SmallNetwork()) == (whitened if name == "gcl_whitened" else set())
+
+
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_options_are_the_arguments(name: str) -> None:
     assert set(ENTRIES[name].options) == {field.name for field in fields(type(made(name))) if field.init}
@@ -159,21 +134,15 @@ def test_the_yaml_holds_the_defaults_of_the_class(name: str) -> None:
     assert departs == OWN.get(name, {})
 
 
-@pytest.mark.parametrize("words", {**URLS, **NAMES})
+@pytest.mark.parametrize("words", {**URLS, **FILES})
 def test_the_yaml_names_the_published_file(words: str) -> None:
     weights, url = configuration(words)["weights"], URLS.get(words)
-    assert (weights["file"], weights["url"]) == (NAMES.get(words) or url.rsplit("/")[-1], url)
+    assert (weights["file"], weights["url"]) == (FILES.get(words) or url.rsplit("/")[-1], url)
     assert (weights["by_hand"] is None) is (url is not None)
 
 
 def test_every_network_has_its_published_file_stated_here() -> None:
-    assert set(NETWORKS) <= {words.split()[0] for words in (*URLS, *NAMES)}
-
-
-@pytest.mark.parametrize("name", SEEN)
-def test_images_are_resized_as_the_authors_do(name: str) -> None:
-    method = made(name)
-    assert (method.height, method.width, method.resize, method.interpolation) == SEEN[name]
+    assert set(NETWORKS) <= {words.split()[0] for words in (*URLS, *FILES)}
 
 
 @pytest.mark.parametrize("words", SIZES)
@@ -181,6 +150,12 @@ def test_the_network_without_values_has_the_published_dimensions(words: str) -> 
     side, n_dimensions = SIZES[words]
     with torch.device("meta"):
         assert made(words).blank()(torch.zeros(2, 3, side, side)).shape == (2, n_dimensions)
+
+
+def boq_values(dim: int, n_channels: int) -> int:
+    """The values of BoQ's convolution, norm, two blocks of 64 queries with their encoders, and last layer."""
+    block = 64 * dim + 3 * (4 * dim**2 + 4 * dim) + 4 * 2 * dim + 8 * dim**2 + 5 * dim
+    return 9 * n_channels * dim + dim + 2 * dim + 2 * block + 128 * 32 + 32
 
 
 #: The number of values of a network; CosPlace's and GCL's are their backbones' and a projection's or a power's.
@@ -192,6 +167,15 @@ VALUES = {
     **{
         f"patch_netvlad method.configuration={name}": 14_714_688 + 2 * 16 * 512 + n * (16 * 512 + 1)
         for name, n in (("performance", 4096), ("speed", 512), ("storage", 128))
+    },
+    "boq": 86_580_480 - 3 * 768 + boq_values(384, 768),  # without mask token and final norm
+    "boq_resnet50": 8_543_296 + boq_values(512, 1024),
+    **{
+        f"mixvpr method.n_dimensions={channels * rows}": 8_543_296
+        + 1025 * channels
+        + 401 * rows
+        + 8 * (400 + 401 * 400)
+        for channels, rows in ((1024, 4), (256, 2), (64, 2))
     },
     "cosplace method.backbone=ResNet101": 42_500_160 + 1 + 2048 * 2049,
     "cosplace method.backbone=ResNet152": 58_143_808 + 1 + 2048 * 2049,

@@ -13,7 +13,6 @@ from vprbench.methods.random_projection import RandomProjection
 from vprbench.methods.sad import SAD
 
 FRAMES = Images.from_arrays(drawn_images(*[(40, 48)] * 12))
-GREY = Images.from_arrays([np.full((40, 48, 3), 90, np.uint8)])
 
 
 def cosines(left, right):
@@ -48,44 +47,25 @@ def test_directions_are_signs_sparse_signs_or_gaussian(directions, shares):
     assert abs(np.sign(code).mean()) < 0.03
 
 
-def slow_winners(levels, samples, n_winners):
-    """Dasgupta et al. 2017: mean-centred inputs, summed by each unit; the largest sums above 0 win."""
-    codes = []
-    for frame in levels.astype(float):
-        sums = np.array([(frame - frame.mean())[own].sum() for own in samples])
-        best = np.argsort(-np.round(sums, 6), kind="stable")[:n_winners]
-        codes.append({int(unit) for unit in best if sums[unit] > 1e-6})
-    return codes
-
-
 def test_winners_are_the_units_with_the_largest_sums_of_centred_pixels():
+    # Dasgupta et al. 2017: mean-centred inputs, summed by each unit; the largest sums above 0 win.
     method = FlyHash(units=300, summed=20, winners=15, seed=4, height=12, width=12)
     generator = np.random.default_rng(4)
     samples = [generator.choice(144, 20, replace=False) for _ in range(300)]
-    levels = SAD(height=12, width=12).encode(FRAMES)
-    codes = method.encode(FRAMES)
-    assert [{*row[row >= 0].tolist()} for row in codes] == slow_winners(levels, samples, 15)
+    codes, wanted = method.encode(FRAMES), []
+    for frame in contrasts(FRAMES, height=12, width=12):
+        sums = np.array([(frame - frame.mean())[own].sum() for own in samples])
+        best = np.argsort(-np.round(sums, 6), kind="stable")[:15]
+        wanted.append({int(unit) for unit in best if sums[unit] > 1e-6})
+    assert [{*row[row >= 0].tolist()} for row in codes] == wanted
     shared = [[len({*left} & {*right} - {-1}) / 15 for right in codes.tolist()] for left in codes[:5].tolist()]
     assert method.fit(FRAMES, np.arange(12)).query(FRAMES[:5]) == pytest.approx(np.array(shared))
 
 
-@pytest.mark.parametrize("method", [FlyHash(), HyperDimensional(), RandomProjection()])
-def test_a_frame_without_contrast_scores_0(method):
-    assert not method.fit(FRAMES, np.arange(12)).query(GREY).any()
-
-
 def slow_kernel(rows, columns, reach):
     """The similarity of every two positions: it falls evenly with the distance along each axis."""
-    y, x = (axis.ravel() for axis in np.mgrid[:rows, :columns])
-    down, across = (np.abs(axis[:, None] - axis) / reach for axis in (y, x))
-    return np.clip(1 - down, 0, None) * np.clip(1 - across, 0, None)
-
-
-def patches(frames):
-    """Windows of 8 x 8 pixels, 4 pixels apart, (frames, cells, pixels)."""
-    frames = frames.reshape(12, 16, 24)
-    corners = [(y, x) for y in range(0, 9, 4) for x in range(0, 17, 4)]
-    return np.array([[frame[y : y + 8, x : x + 8].ravel() for y, x in corners] for frame in frames])
+    down, across = (np.abs(np.subtract.outer(axis.ravel(), axis.ravel())) for axis in np.mgrid[:rows, :columns])
+    return np.clip(1 - down / reach, 0, None) * np.clip(1 - across / reach, 0, None)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +75,9 @@ def patches(frames):
 def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(features, reach, rows, columns):
     method = HyperDimensional(features, height=16, width=24, components=1 << 16, reach=reach)
     if features == "patches":
-        cells = patches(contrasts(FRAMES, height=16, width=24))
+        frames = contrasts(FRAMES, height=16, width=24).reshape(12, 16, 24)
+        corners = [(y, x) for y in range(0, 9, 4) for x in range(0, 17, 4)]
+        cells = np.array([[frame[y : y + 8, x : x + 8].ravel() for y, x in corners] for frame in frames])
     else:
         cells = OrientedEdges(16, 24, rows, columns)(FRAMES).reshape(12, rows * columns, 8)
     products = np.einsum("acp,cd,bdp->ab", cells, slow_kernel(rows, columns, reach), cells)
@@ -104,10 +86,12 @@ def test_cosines_of_bundles_are_those_of_cells_weighed_by_how_near_they_are(feat
 
 
 @pytest.mark.parametrize("make", [FlyHash, HyperDimensional, RandomProjection])
-def test_everything_random_is_drawn_by_the_seed(make):
+def test_everything_random_is_drawn_by_the_seed_and_a_frame_without_contrast_scores_0(make):
     first, again, other = (make(seed=seed).encode(FRAMES) for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+    grey = Images.from_arrays([np.full((40, 48, 3), 90, np.uint8)])
+    assert not make().fit(FRAMES, np.arange(12)).query(grey).any()
 
 
 @needs_corridor

@@ -1,49 +1,191 @@
-"""SAD on real frames: the rates and intervals that other code measured."""
+"""SAD: its compiled matching against whole numbers in int64 and PyTorch, and what it finds on real frames."""
+
+from __future__ import annotations
+
+import re
+import tracemalloc
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import torch
 from checkout import SHARED
 from corridor import needs_corridor, right, scored
 
+from vprbench.api.arrays import Scores
+from vprbench.api.images import Images
 from vprbench.datasets.nordland import nordland
-from vprbench.methods.sad import SAD
+from vprbench.methods import sad
+from vprbench.methods.sad import SAD, Levels
 from vprbench.metrics.intervals import block_bootstrap, share_interval
 
 
-@pytest.fixture(scope="module")
-def ranks() -> np.ndarray:
-    """How many places score above the right one, for each query of nordland_64x32."""
-    dataset = nordland(
-        root=str(SHARED / "data" / "nordland_64x32"),
-        references=["winter"],
-        stride=1,
-        places=2761,
-        query_places=2761,
-        first_query_place=0,
-        frame_multiple=10,
-    )
-    scores = SAD().fit(dataset.references, dataset.places).query(dataset.queries)
-    return np.count_nonzero(scores > np.diagonal(scores)[:, None], axis=1)
+class Pixels(SAD):
+    """SAD on raw pixels: its codes are made by hand."""
+
+    def encode(self, images: Images) -> Levels:
+        return np.stack([image[:, :, 0].ravel() for image in images])
+
+
+def fitted(references: Levels) -> SAD:
+    return Pixels().fit(Images.from_arrays(list(references[:, None])), np.arange(len(references)))
+
+
+def codes(n: int, n_pixels: int, seed: int) -> Levels:
+    return np.random.default_rng(seed).integers(0, 256, (n, n_pixels), dtype=np.uint8)
+
+
+def oracle(queries: Levels, references: Levels) -> Scores:
+    """Return minus the mean absolute differences: whole numbers in int64, one division, one rounding."""
+    totals = [np.abs(query.astype(np.int64) - references.astype(np.int64)).sum(1) for query in queries]
+    return (np.array(totals).reshape(len(queries), len(references)) / -queries.shape[1]).astype(np.float32)
+
+
+def same_bits(left: Scores, right: Scores) -> bool:
+    return left.dtype == right.dtype and left.shape == right.shape and left.tobytes() == right.tobytes()
+
+
+@pytest.fixture
+def threads() -> Iterator[None]:
+    """Give back the number of threads that a test changes."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(
+    ("n_pixels", "n_references", "n_queries"), [(1, 7, 2), (63, 1, 1), (65, 300, 9), (784, 7, 130)]
+)
+def test_scores_are_those_of_int64(n_pixels: int, n_references: int, n_queries: int) -> None:
+    references, queries = codes(n_references, n_pixels, seed=1), codes(n_queries, n_pixels, seed=2)
+    assert same_bits(fitted(references).match(queries), oracle(queries, references))
+
+
+def test_scores_have_the_bits_that_pytorch_gives_on_other_devices() -> None:
+    references, queries = codes(300, 784, seed=1), codes(9, 784, seed=2)
+    references[5] = queries[3]  # a difference of nothing: minus zero
+    method = fitted(references)
+    compiled = method.match(queries)
+    assert method.map_bytes() == references.nbytes
+    method._references = method._to_device(references)
+    assert same_bits(compiled, method.match(queries))
+    assert np.signbit(compiled[3, 5])
+    assert method.map_bytes() == 4 * references.size
+    assert SAD().map_bytes() is None
+
+
+@pytest.mark.parametrize("n_pixels", [64, 70_001, 2**31 // 255 + 1000])  # the last sum takes 33 bits
+def test_black_against_white_is_255_levels_at_any_length(n_pixels: int) -> None:
+    levels = np.repeat(np.array([[0], [255]], np.uint8), n_pixels, axis=1)
+    assert fitted(levels).match(levels) == pytest.approx(np.array([[0, -255], [-255, 0]]), rel=1e-6)
+
+
+def test_chunks_and_tiles_leave_nothing_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sad, "_TILE", 700)
+    monkeypatch.setattr(sad, "_CHUNK", 60)
+    references, queries = codes(31, 200, seed=1), codes(5, 200, seed=2)
+    similarity = np.full((5, 31), np.nan, np.float32)
+    sad._compare.py_func(queries, references, 0, 31, similarity)
+    assert similarity == pytest.approx(oracle(queries, references), rel=1e-6)
+
+
+LAYOUTS: dict[str, Callable[[Levels], Levels]] = {
+    "every other row": lambda many: many[::2, :65],
+    "every other pixel, backwards": lambda many: many[17::-1, ::-2],
+    "by columns": lambda many: np.asfortranarray(many[:18, :65]),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_codes_and_references_may_lie_anyhow_and_are_not_written_to(layout: str, monkeypatch) -> None:
+    references, queries = (LAYOUTS[layout](codes(36, 130, seed)) for seed in (1, 2))
+    references.flags.writeable = queries.flags.writeable = False
+    monkeypatch.setattr(Pixels, "encode", lambda *_: references)
+    before = queries.copy()
+    assert same_bits(fitted(references).match(queries), oracle(before, references))
+    assert np.array_equal(queries, before)
+
+
+ASLEEP = SimpleNamespace(submit=lambda *_: Future())  # helpers that never come: no answer waits for them
+
+
+@pytest.mark.parametrize(("n_references", "n_threads", "helpers"), [(1, 2, None), (301, 5, None), (30, 2, ASLEEP)])
+def test_any_number_of_threads_gives_the_same(
+    n_references: int, n_threads: int, helpers, monkeypatch: pytest.MonkeyPatch, threads: None
+) -> None:
+    monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1)
+    if helpers is not None:
+        monkeypatch.setattr(sad, "_helpers", lambda: helpers)
+    torch.set_num_threads(n_threads)
+    references, queries = codes(n_references, 784, seed=1), codes(9, 784, seed=2)
+    assert same_bits(fitted(references).match(queries), oracle(queries, references))
+
+
+@pytest.mark.parametrize(
+    ("n_threads", "n_references", "n_queries", "others"),
+    [(2, 3300, 1, 0), (2, 3300, 128, 1), (2, 27_592, 1, 1), (1, 3300, 128, 0)],
+)
+def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(
+    n_threads: int, n_references: int, n_queries: int, others: int, monkeypatch: pytest.MonkeyPatch, threads: None
+) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        helpers = Mock(wraps=pool)
+        monkeypatch.setattr(sad, "_helpers", lambda: helpers)
+        torch.set_num_threads(n_threads)
+        fitted(codes(n_references, 784, seed=1)).match(codes(n_queries, 784, seed=2))
+    assert helpers.submit.call_count == others
+
+
+def test_several_threads_may_match_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1 << 16)
+    references = codes(300, 784, seed=1)
+    method = fitted(references)
+    asked = [codes(1 + n % 5, 784, seed=n) for n in range(40)]
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(method.match, asked))
+    assert all(same_bits(scores, oracle(queries, references)) for queries, scores in zip(asked, answers, strict=True))
+
+
+def test_matching_takes_little_more_memory_than_its_scores() -> None:
+    method, queries = fitted(codes(3000, 784, seed=1)), codes(128, 784, seed=2)
+    method.match(queries)  # the first call makes threads
+    tracemalloc.start()
+    scores = method.match(queries)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < scores.nbytes + 200_000
+
+
+@pytest.mark.parametrize(("shape", "dtype"), [((2, 9), "uint8"), ((10,), "uint8"), ((2, 10), "float32")])
+def test_codes_that_do_not_fit_the_map_are_refused(shape: tuple[int, ...], dtype: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"{dtype} {shape}")):
+        fitted(codes(3, 10, seed=1)).match(np.zeros(shape, dtype))
 
 
 @needs_corridor
-def test_raw_sad_on_corridor_finds_47_of_111():
+def test_raw_sad_on_corridor_finds_47_of_111() -> None:
     # Regression anchor of the spec (metrics.md): 28x28 INTER_AREA grey.
     assert right(scored(SAD(preprocessing="grey"))) == 47
 
 
+@pytest.mark.extended
 @needs_corridor
-def test_sad_on_nordland_64x32_reaches_the_recall_and_the_intervals_of_independent_code(ranks):
+def test_sad_on_nordland_64x32_reaches_the_recall_and_the_intervals_of_independent_code() -> None:
+    root = str(SHARED / "data" / "nordland_64x32")
+    places = {"stride": 1, "places": 2761, "query_places": 2761, "first_query_place": 0, "frame_multiple": 10}
+    dataset = nordland(root=root, references=["winter"], **places)
+    scores = SAD().fit(dataset.references, dataset.places).query(dataset.queries)
+    ranks = np.count_nonzero(scores > np.diagonal(scores)[:, None], axis=1)
     # Source of the rates: table "Orientation on real frames" of the VPRTempo rules document.
     rates = [float(np.mean(ranks < n)) for n in (1, 5, 10, 25)]
     assert rates == pytest.approx([0.2503, 0.4006, 0.4636, 0.5531], abs=0.003)
     bounds = [block_bootstrap(ranks == 0, block) for block in (1, 10, 50, 100)]
     half_widths = [(found.high - found.low) / 2 for found in bounds]
     assert half_widths == pytest.approx([0.016, 0.028, 0.046, 0.061], abs=0.0015)
-
-
-@needs_corridor
-def test_frames_of_nordland_64x32_are_alike_over_many_more_than_ten_and_the_interval_knows(ranks):
+    # Frames are alike over many more than ten, and the interval knows.
     found = share_interval(ranks == 0)
     assert found.kind == "blocks"
     assert 50 < found.block <= 158  # 3 sqrt(2761)

@@ -40,9 +40,7 @@ NETWORK = PublishedNetwork(
     arguments={"height": None, "width": None},
     alike_in_half=0.995,
     wrong={
-        "aggregator.dust_bin": None,
         "backbone.model.norm.weight": None,
-        "aggregator.linear.weight": (3, 3),
         "aggregator.score.3.bias": (8,),
         "aggregator.cluster_features.0.weight": (32, 64, 1, 1),
     },
@@ -52,7 +50,6 @@ NETWORK = PublishedNetwork(
     },
     refused=[("need more: set method.height and method.width to 42", {}, (14, 98))],
     forms={"under state_dict": lambda tensors: {"epoch": 3, "state_dict": dict(tensors)}, "biased": biased},
-    contract={"height": 42, "width": 56},
 )
 
 

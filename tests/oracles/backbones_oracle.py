@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 Tensors = Mapping[str, Tensor]
@@ -202,15 +202,6 @@ def vgg16(tensors: Tensors, prefix: str, x: Tensor, last: int = 30) -> Tensor:
         else:
             x = functional.max_pool2d(x, 2) if number in VGG16_POOLS else x.clamp(min=0)
     return x
-
-
-def one_convolution(_: int) -> nn.Sequential:
-    """A network of one convolution, to stand in VGG16's place where a test asks many times."""
-    return nn.Sequential(nn.Conv2d(3, 512, 16, stride=16))
-
-
-def one_convolution_checkpoint(prefix: str = "") -> dict[str, Tensor]:
-    return {f"{prefix}0.weight": Draw().normal(512, 3, 16, 16, scale=1 / 16), f"{prefix}0.bias": torch.zeros(512)}
 
 
 def residuals(features: Tensor, assignment: Tensor, centroids: Tensor) -> Tensor:

@@ -63,7 +63,7 @@ class PublishedNetwork:
     beside: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
     tolerance: float = 1e-5
     alike_in_half: float = 0.99  # the least cosine in bfloat16
-    #: Tensors without which, or in which shape, the file is refused by their names.
+    #: Tensors without which, or in which shape, the file is refused by their names, besides the first one.
     wrong: Mapping[str, tuple[int, ...] | None] = field(default_factory=dict)
     #: By name: arguments, image and the keyword arguments under which `expected` gives its descriptor.
     options: Mapping[str, tuple[Mapping[str, Any], Image, Mapping[str, Any]]] = field(default_factory=dict)
@@ -71,10 +71,6 @@ class PublishedNetwork:
     refused: Sequence[tuple[str, Mapping[str, Any], tuple[int, int]]] = ()
     #: By name: what makes another form of the same file of its tensors.
     forms: Mapping[str, Callable[[Tensors], Mapping[str, Any]]] = field(default_factory=dict)
-    #: Options under which the contract is checked, and what makes the network smaller for it.
-    contract: Mapping[str, Any] = field(default_factory=dict)
-    contract_patches: Mapping[str, Any] = field(default_factory=dict)
-    draw_for_contract: Callable[[], Tensors] | None = None
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -121,30 +117,18 @@ class PublishedNetwork:
 
     def check_contract(self, folder: Path, **options: Any) -> set[str]:
         """Put the method to every rule; returns the rules that it is excepted from. The network is read once."""
-        draw = self.draw_for_contract
-        with pytest.MonkeyPatch.context() as patch:
-            for target, value in self.contract_patches.items():
-                patch.setattr(target, value)
-            path = self.write(folder / "contract.weights", draw()) if draw else self.file(folder)
-            config = composed(f"method={self.name}") | dict(self.contract) | options
-            for name, file in ({"weights": path} | {name: write(path) for name, write in self.beside.items()}).items():
-                config[name]["path"] = str(file)
-            made = registry.make_method(config)
-            assert isinstance(made, NeuralDescriptor)
-            network = made.load(path)
-            patch.setattr(type(made), "load", lambda *_: network)
-            results = [result for result in conformance.check(config) if result.reason != "it keeps no network"]
-        assert [str(result) for result in results if result.state == "broken"] == []
-        return {result.rule for result in results if result.state == "excepted"}
+        config = composed(f"method={self.name}") | dict(self.arguments) | options
+        path = self.file(folder)
+        for name, file in ({"weights": path} | {name: write(path) for name, write in self.beside.items()}).items():
+            config[name]["path"] = str(file)
+        return excepted(config, registry.make_method(config).load(path))
 
     def checks(self) -> Iterator[tuple[str, Callable[[Path], None]]]:
         """Yield each check's name and what runs it, given a folder that files may be written to."""
         yield "descriptors", self._has_the_descriptors_of_the_slow_computation
         yield "batches", self._neither_batch_nor_repetition_changes_a_descriptor
         yield "half precision", self._half_the_precision_keeps_the_descriptor
-        yield "contract", self._keeps_the_contract
-        for name, shape in self.wrong.items():
-            yield f"{name} {shape or 'missing'}", partial(self._names, name, shape)
+        yield "wrong tensors", self._names_wrong_tensors
         for name, option in self.options.items():
             yield f"option {name}", partial(self._has_the_descriptors_under, *option)
         for told, arguments, size in self.refused:
@@ -178,14 +162,15 @@ class PublishedNetwork:
             half = network(seen.to(torch.bfloat16)).float()
         assert torch.nn.functional.cosine_similarity(half, exact).min() > self.alike_in_half
 
-    def _keeps_the_contract(self, folder: Path) -> None:
-        assert self.check_contract(folder) == set()
-
-    def _names(self, name: str, shape: tuple[int, ...] | None, folder: Path) -> None:
-        changed = {key: tensor for key, tensor in self.tensors.items() if key != name}
-        changed |= {} if shape is None else {name: torch.zeros(shape)}
-        shown = re.sub(r"^(module\.|model\.)?(backbone\.model\.|backbone\.)?", "", name)  # a part may be left out
-        assert shown in self.refusal(self.write(folder / "changed.weights", changed))
+    def _names_wrong_tensors(self, folder: Path) -> None:
+        method, path = self.method(folder / "none"), folder / "x.pth"
+        tensors = {name.removeprefix("module."): tensor for name, tensor in self.tensors.items()}
+        for name, shape in {next(iter(tensors)): None, "other.weight": (3, 3), **self.wrong}.items():
+            changed = {key: tensor for key, tensor in tensors.items() if key != name}
+            changed |= {} if shape is None else {name: torch.zeros(shape)}
+            shown = re.sub(r"^(model\.)?(backbone\.model\.|backbone\.)?", "", name)  # a part may be left out
+            with pytest.raises(BadInput, match=f"x.pth.*{re.escape(shown)}"):
+                method.loaded(changed, path)
 
     def _has_the_descriptors_under(
         self, arguments: Mapping[str, Any], seen: Image, how: Mapping[str, Any], folder: Path
@@ -200,6 +185,32 @@ class PublishedNetwork:
     def _reads(self, form: Callable[[Tensors], Mapping[str, Any]], folder: Path) -> None:
         method = self.method(saved(folder / "form.weights", form(self.tensors)))
         assert distance(encoded(method, *self.images), self.codes(folder)) < 1e-5
+
+
+class SmallNetwork(torch.nn.Module):
+    """Stands in a large network's place: means over nine parts of one convolution; remembers what it sees."""
+
+    mean: tuple[float, ...] | None = None  # what NetVLAD asks for
+    seen: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.convolution = torch.nn.Conv2d(3, 32, 8, stride=8)
+        self.convolution.weight.data = torch.randn(32, 3, 8, 8, generator=torch.Generator().manual_seed(0))
+        self.register_buffer("centres", torch.zeros(1))  # what AnyLoc sets
+
+    def forward(self, images: Tensor) -> Tensor:
+        self.seen = images
+        return torch.nn.functional.adaptive_avg_pool2d(self.convolution(images), 3).flatten(1)
+
+
+def excepted(config: Mapping[str, Any], network: torch.nn.Module) -> set[str]:
+    """Put the method of a configuration, with a network in its file's place, to every rule; returns the exceptions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(registry.make_method(config)), "load", lambda *_: network)
+        results = [result for result in conformance.check(config) if result.reason != "it keeps no network"]
+    assert [str(result) for result in results if result.state == "broken"] == []
+    return {result.rule for result in results if result.state == "excepted"}
 
 
 def with_checks(*networks: PublishedNetwork) -> pytest.MarkDecorator:
