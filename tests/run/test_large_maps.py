@@ -17,7 +17,7 @@ from vprbench.api import descriptor
 from vprbench.api.arrays import Places, Scores
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
-from vprbench.metrics.ranking import Outcome, outcome, ranked_places
+from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
 from vprbench.run import descriptors, fitting, runner, shortlist
 from vprbench.run.record import Run
 from vprbench.storage import shards
@@ -48,8 +48,27 @@ def on(method: DescriptorMethod, **changes: Any) -> Run:
     return run_of(method, dataset, QUICK, **{"depth": DEPTH, **changes})
 
 
+def only(places: Any, scores: Scores, n_places: int) -> Scores:
+    """Return scores under which no other places than these are candidates."""
+    found = np.full((len(scores), n_places), -np.inf, np.float32)
+    np.put_along_axis(found, places.astype(np.int64), scores, axis=1)
+    return found
+
+
 def same(one: Outcome, other: Outcome) -> bool:
     return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Outcome))
+
+
+def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates() -> None:
+    generator = np.random.default_rng(0)
+    scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
+    scores[generator.random(scores.shape) < 0.3] = -np.inf
+    scores[7] = -np.inf
+    positives = [generator.integers(0, 40, generator.integers(0, 5)) for _ in scores]
+    places, best = ranked_places(scores, 9)
+    found = outcome_of_best(best, places.astype(np.int64), positives, 40)
+    assert same(found, outcome(only(places, best, 40), positives))
+    assert (found.above == 40).any()
 
 
 @pytest.mark.usefixtures("large")
@@ -60,9 +79,7 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     places, best = ranked_places(scores, DEPTH)
     assert np.array_equal(run.top_places, places)
     np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
-    only = np.full_like(scores, -np.inf)
-    np.put_along_axis(only, places.astype(np.int64), run.top_scores, axis=1)
-    assert same(run.outcome, outcome(only, run.positives))
+    assert same(run.outcome, outcome(only(places, run.top_scores, N_PLACES), run.positives))
     assert run.outcome.n_places == N_PLACES
     assert run.scores is None
     assert "audit" not in kinds(run)

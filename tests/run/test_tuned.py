@@ -27,13 +27,14 @@ NOT_TUNED = "# Mine\n_target_: vprbench.methods.sad.SAD\npatch: 5\n"
 MINE = f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: 5-11}}\n"
 UPPER = "# On mine\ndefaults: [mine, _self_]\nwidth: 14\n"
 NOTE = "tuned on places 5-11 of synthetic"
-QUICK = ["dataset.places=40", "dataset.first_query_place=2", *RUN]
+UNTIMED = [*RUN, "timing=none"]
+QUICK = ["dataset.places=40", "dataset.first_query_place=2", *UNTIMED]
 QUERIES = 31  # 2 to 4 and 12 to 39
-Print = Callable[[list[str]], str]
+PlugIn = Callable[[str, str], None]
 
 
 @pytest.fixture
-def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlugIn:
     """Return what registers a yaml of another package; runs are made in a folder without a process of their own."""
     folder = tmp_path / "conf"
     (folder / "method").mkdir(parents=True)
@@ -49,17 +50,15 @@ def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, s
     return registered
 
 
-@pytest.fixture
-def printed(plug_in: Callable[[str, str], None], capsys: pytest.CaptureFixture[str]) -> Print:
-    def of(options: list[str]) -> str:
-        assert main([*options, *QUICK]) == 0
-        return capsys.readouterr().out
-
-    return of
+def printed(capsys: pytest.CaptureFixture[str], *options: str) -> Any:
+    capsys.readouterr()
+    assert main([*options, *QUICK]) == 0
+    text = capsys.readouterr().out
+    return json.loads(text) if "output=json" in options else text.splitlines()
 
 
-def only_run() -> Run:
-    (run,) = Store(Path("results"), read_only=True).runs()
+def only_run(method: str = "mine") -> Run:
+    (run,) = (run for run in Store(Path("results"), read_only=True).runs() if run.method == method)
     return run
 
 
@@ -79,51 +78,35 @@ def wilson(share: float, n: int) -> tuple[float, float]:
     return (share + z * z / (2 * n) - half) / (1 + z * z / n), (share + z * z / (2 * n) + half) / (1 + z * z / n)
 
 
-def csv_lines(name: str, field: str, value: str) -> list[dict[str, str]]:
-    with Path("results", name).open(encoding="utf-8", newline="") as file:
-        lines = [line for line in csv.DictReader(file) if line[field] == value]
-    assert lines
-    return lines
-
-
 def told_elsewhere(text: str) -> list[float]:
     """Return R@1, the ends of its interval and how many queries a note names."""
     found = re.search(r"([\d.]+) \[([\d.]+), ([\d.]+)\] on the (\d+) queries", text)
     return [] if found is None else [*map(float, found.groups())]
 
 
-@pytest.mark.parametrize("asked", [["method=mine", "method.patch=7"], ["method=upper"]])
-def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(printed: Print, asked: list[str]) -> None:
-    lines = printed([*asked, "wide=true"]).splitlines()
+def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_says_so_only_now(
+    plug_in: PlugIn, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plug_in("mine", NOT_TUNED)
+    told = printed(capsys, "method=upper", "output=json")
+    assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
+    assert {told[name] for name in told if "elsewhere" in name} == {None}
+    before = only_run("upper")
+    plug_in("mine", MINE)
+    lines = printed(capsys, "method=upper", "wide=true")
     line = next(line for line in lines if line.startswith(f"note: {NOTE}"))
-    told = json.loads(printed([*asked, "output=json"]))
+    told = printed(capsys, "method=upper", "output=json")
     assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
-    declared = {"dataset": "synthetic", "places": "5-11", "also_in": {}}
-    assert told["tuned_on"] == only_run().tuned_on == declared
-    assert "tuned_on" not in only_run().config["method"]
-    there = hits(only_run(), range(2, 40), range(5, 12))
+    now = only_run("upper")
+    assert (before.tuned_on, before.environment) == ({}, now.environment)
+    assert told["tuned_on"] == now.tuned_on == {"dataset": "synthetic", "places": "5-11", "also_in": {}}
+    assert "tuned_on" not in now.config["method"]
+    there = hits(now, range(2, 40), range(5, 12))
     numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
     assert (numbers[0], told["queries_elsewhere"]) == (pytest.approx(np.mean(there)), len(there))
     assert told_elsewhere(line) == pytest.approx([*(100 * number for number in numbers), QUERIES], abs=0.051)
     row = "{:.1f} [{:.1f}, {:.1f}]".format(*(100 * number for number in numbers))
     assert any(f" elsewhere {row} " in line for line in lines)
-    if told["recall_at_1_interval"] == "independent":
-        assert numbers[1:] == pytest.approx(wilson(numbers[0], QUERIES))
-    told = json.loads(printed(["method=sad", "output=json"]))
-    assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
-    assert {told[name] for name in told if "elsewhere" in name} == {None}
-
-
-def test_a_run_that_was_stored_before_its_yaml_declared_it_is_told_when_it_is_asked_for(
-    plug_in: Callable[[str, str], None], printed: Print
-) -> None:
-    plug_in("mine", NOT_TUNED)
-    printed(["method=mine"])
-    before = only_run()
-    plug_in("mine", MINE)
-    assert json.loads(printed(["method=mine", "output=json"]))["from_store"]
-    assert (before.tuned_on, only_run().tuned_on) == ({}, registry.entries("method")["mine"].tuned_on)
-    assert only_run().environment == before.environment
 
 
 @pytest.mark.parametrize(
@@ -133,18 +116,11 @@ def test_a_run_that_was_stored_before_its_yaml_declared_it_is_told_when_it_is_as
             (["method=upper", option], "{dataset: a, places: b}", "method.tuned_on=")
             for option in ("method.tuned_on=null", "~method.tuned_on", "method.tuned_on.dataset=street")
         ),
-        *(
-            (["method=mine"], declared, "mine")
-            for declared in ("nordland", "{dataset: nordland}", "{dataset: a, places: b, colour: red}")
-        ),
+        *((["method=mine"], declared, "mine") for declared in ("nordland", "{dataset: a, places: b, colour: red}")),
     ],
 )
 def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(
-    plug_in: Callable[[str, str], None],
-    capsys: pytest.CaptureFixture[str],
-    asked: list[str],
-    declared: str,
-    named: str,
+    plug_in: PlugIn, capsys: pytest.CaptureFixture[str], asked: list[str], declared: str, named: str
 ) -> None:
     plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
     assert main([*asked, *QUICK]) == 2
@@ -153,36 +129,25 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
     assert list(Store(Path("results"), read_only=True).runs()) == []
 
 
-def test_row_table_comparison_page_and_python_give_one_number_on_the_other_places(
-    printed: Print, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked = ["rows=[SAD]", "methods=[mine]", "columns=[route]", *RUN]
+@pytest.mark.usefixtures("plug_in")
+def test_table_and_comparison_give_one_number_on_the_other_places(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["rows=[]", "methods=[mine]", "columns=[route]", *RUN]
     assert main(["table", *asked, "name=told"]) == 0
-    (run,) = (run for run in Store(Path("results"), read_only=True).runs() if run.method == "mine")
-    there = hits(run, range(4, 20), range(5, 12))
+    there = hits(only_run(), range(4, 20), range(5, 12))
     share, ends = float(np.mean(there)), wilson(float(np.mean(there)), 9)  # too few for blocks
     shown = f"{100 * share:.1f} [{100 * ends[0]:.1f}, {100 * ends[1]:.1f}]"
-    assert len(there) == 9
     note = f"{NOTE}, in no contest; {shown} on the 9 queries of other places"
-    for line in (line for line in csv_lines("told.csv", "row", "mine") if line["value"]):
+    with Path("results", "told.csv").open(encoding="utf-8", newline="") as file:
+        lines = [line for line in csv.DictReader(file) if line["row"] == "mine" and line["value"]]
+    assert any(line["unit"] == "%" for line in lines)
+    for line in lines:
         assert (line["best"], note in line["notes"]) == ("False", True)
-        numbers = [line[name] for name in ("elsewhere", "elsewhere_low", "elsewhere_high")]
-        known = [float(number) for number in numbers if number]
+        known = [float(line[name]) for name in ("elsewhere", "elsewhere_low", "elsewhere_high") if line[name]]
         assert known == (pytest.approx([100 * share, *(100 * end for end in ends)]) if line["unit"] == "%" else [])
-    assert not any(line["elsewhere"] for line in csv_lines("told.csv", "row", "SAD"))
-    (line,) = csv_lines("told-runs.csv", "method", "mine")
-    assert (line["tuned_on"], float(line["recall_at_1_elsewhere"])) == (note, pytest.approx(share))
-    (line,) = csv_lines("told-runs.csv", "method", "sad")
-    assert (line["tuned_on"], line["recall_at_1_elsewhere"]) == ("", "")
-    assert main(["report", *asked, "name=told", "stored=true"]) == 0
-    for file, times in (("told.md", 2), ("told.tex", 2), ("report-told.html", 3)):  # cell, note, and that of the run
-        assert Path("results", file).read_text(encoding="utf-8").count(shown) >= times
     capsys.readouterr()
     data = ["dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4"]
-    assert main(["compare", "methods=sad,mine", *data, *RUN, "wide=true", "stored=true"]) == 0
-    printed_lines = capsys.readouterr().out.splitlines()
-    assert f"note: mine: {note}" in printed_lines
-    assert any(line.startswith("mine ") and f"elsewhere {shown}" in line for line in printed_lines)
+    assert main(["compare", "methods=mine", *data, *RUN, "wide=true", "stored=true"]) == 0
+    assert f"note: mine: {note}" in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.parametrize(
@@ -228,28 +193,17 @@ def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_i
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
-        "hyperdimensional_oriented",
-        "gabor",
-        "gabor_binary",
-        "oriented_binary",
-    ],
-)
-def test_tuned_settings_say_where_they_were_found(name: str) -> None:
-    declared = registry.entries("method")[name].tuned_on
+def test_tuned_settings_say_where_they_were_found() -> None:
     listed = published_frames()
     last = [frame for frame in listed if frame % 10 == 0][999]
-    assert (declared["dataset"], declared["places"]) == ("nordland_64x32", "0-999")
-    for dataset, stride in (
-        ("nordland", 8),
-        ("nordland_27k", 1),
-        ("nordland_patchnetvlad", 1),
-        ("nordland_vprbench", 1),
-    ):
+    also = {}
+    for dataset, stride in (("", 8), ("_27k", 1), ("_patchnetvlad", 1), ("_vprbench", 1)):
         shown = [place for place, frame in enumerate(listed[::stride]) if frame <= last]
-        assert declared["also_in"].pop(dataset) == f"0-{shown[-1]}"
-    assert declared["also_in"] == {}
+        also[f"nordland{dataset}"] = f"0-{shown[-1]}"
+    for name in (
+        *(f"vprtempo_{kind}{size}" for kind in ("tuned", "oriented") for size in ("", "_ensemble")),
+        *("hyperdimensional_oriented", "gabor", "gabor_binary", "oriented_binary"),
+    ):
+        declared = registry.entries("method")[name].tuned_on
+        assert declared == {"dataset": "nordland_64x32", "places": "0-999", "also_in": also}
     assert registry.entries("method")["vprtempo"].tuned_on == {}
