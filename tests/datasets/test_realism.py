@@ -23,10 +23,7 @@ PLACES = 2761  # of the real frames
 PATCH = 8
 
 # R@1 of the real frames, winter found again in summer, published beside them (nordland_64x32/README.md).
-REAL = {100: 0.41, 200: 0.355, 400: 0.29, 800: 0.2675}
-# Measured on 800 of the real frames: of the right pairs, and of the most similar wrong pair of each query.
-REAL_RIGHT, REAL_WRONG = 0.904, 0.842
-REAL_ERRORS_WITHIN_TEN_PLACES = 0.02
+REAL = {100: 0.41, 200: 0.355, 400: 0.29}
 
 each_source = pytest.mark.parametrize("source", ["railway", pytest.param("nordland", marks=needs_nordland)])
 
@@ -71,15 +68,11 @@ def normalised(frames):
     return ((patches - mean) / np.where(spread > 0, spread, 1)).reshape(n, -1)
 
 
-def differences(source, count, **asked):
-    """Return how much SeqSLAM says that winter (rows) and summer (columns) differ: means of absolute differences."""
-    winter, summer = (normalised(subset(source, season, count, **asked)) for season in ("winter", "summer"))
-    return np.stack([np.abs(summer - query).mean(axis=1) for query in winter])
-
-
 def recall(source, count, **asked):
-    """Return the share of winter's frames whose most similar frame in summer is of the same place."""
-    return (differences(source, count, **asked).argmin(axis=1) == np.arange(count)).mean()
+    """Return the share of winter's frames whose most similar frame in summer, as SeqSLAM sees, is of the same place."""
+    winter, summer = (normalised(subset(source, season, count, **asked)) for season in ("winter", "summer"))
+    found = [np.abs(summer - query).mean(axis=1).argmin() for query in winter]
+    return np.mean(found == np.arange(count))
 
 
 @needs_nordland
@@ -91,20 +84,6 @@ def test_seqslams_differences_find_on_real_frames_what_was_published_with_them(c
 @pytest.mark.parametrize(("count", "seed"), [(100, 0), (200, 0), (100, 1)])
 def test_winter_is_found_again_in_summer_as_often_as_on_real_frames(count, seed):
     assert recall("railway", count, **{"seed": seed} if seed else {}) == pytest.approx(REAL[count], abs=0.08)
-
-
-@pytest.mark.extended
-@each_source
-def test_right_and_wrong_pairs_differ_as_much_as_real_ones_and_wrong_answers_lie_as_far_away(source):
-    for count in (400, 800):
-        assert recall(source, count) == pytest.approx(REAL[count], abs=0.08)
-    apart = differences(source, 800)
-    right = apart.diagonal().copy()
-    off = np.abs(apart.argmin(axis=0) - np.arange(800))
-    assert (off[off > 0] <= 10).mean() == pytest.approx(REAL_ERRORS_WITHIN_TEN_PLACES, abs=0.04)
-    np.fill_diagonal(apart, np.inf)
-    assert np.median(right) == pytest.approx(REAL_RIGHT, abs=0.03)
-    assert np.median(apart.min(axis=0)) == pytest.approx(REAL_WRONG, abs=0.03)
 
 
 def rates(source, count, methods):

@@ -33,7 +33,6 @@ from scipy.ndimage import map_coordinates
 
 import vprbench.datasets.oxford_robotcar as robotcar
 from vprbench.api.dataset import Dataset
-from vprbench.cli import main
 from vprbench.datasets.oxford_robotcar import kept
 from vprbench.datasets.oxford_robotcar.calibration import (
     STEREO_LEFT,
@@ -183,6 +182,9 @@ def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_wher
     found = dataset(root)
     assert sorted(root.rglob("*")) == before
     assert not processings
+    assert any(note.startswith("frames of sun, rain, dusk: ") for note in found.notes)
+    assert any("can reach 100.00 %" in note for note in found.notes)
+    assert found.protocol["also_tolerance_places"] == [1, 2, 3]
     assert shows_all(found)
     assert shows_all(dataset(root))
     assert len(processings) == 11
@@ -358,16 +360,3 @@ def test_raw_frames_of_a_traverse_that_is_map_and_query_are_read_for_both(root: 
     write_table(tmp_path / "one" / "models", *grid())
     found = dataset(tmp_path / "one", references=["sun"], query="sun")
     assert (found.queries[0] == found.references[1]).all()
-
-
-def test_a_run_on_raw_frames_tells_tolerances_calibration_and_ceiling(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    quick = ["timing.minimum_seconds=0", "timing.sample=3", "timing.minimum_queries=3", "threads=1"]
-    small = [f"dataset.{name}={value}" for name, value in TINY.items()]
-    asked = ["method=sad", "dataset=oxford_robotcar", f"dataset.root={root}", f"results={tmp_path / 'results'}"]
-    assert main([*asked, *small, *quick]) == 0
-    told = capsys.readouterr().out
-    assert "R@1 within 1, 2, 3 places: " in told
-    assert "note: frames of sun, rain, dusk: " in told
-    assert "can reach 100.00 %" in told
