@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import suppress
 from contextvars import Context
 from itertools import count
 
@@ -30,20 +30,10 @@ class Interrupted(Exception):
     """In place of whatever ends a training."""
 
 
-@contextmanager
-def interrupted(by=Interrupted):
-    """Go on after the error that the block has to end with."""
-    try:
-        yield
-    except by:
-        return
-    raise AssertionError("nothing interrupted the block")
-
-
 def interrupt(root, what=WHAT, **parts):
     """Leave a training with some parts; returns its folder."""
     before = set(root.iterdir())
-    with interrupted(), checkpoints.training(what, root) as kept:
+    with suppress(Interrupted), checkpoints.training(what, root) as kept:
         for name, arrays in parts.items():
             kept.put(name, arrays)
         raise Interrupted
@@ -51,14 +41,9 @@ def interrupt(root, what=WHAT, **parts):
     return home
 
 
-@pytest.fixture
-def clock():
-    return Clock()
-
-
 def spend(root, clock, *steps, then=0.0):
     """Spend seconds on parts, be interrupted after some more; returns what had been spent when this began."""
-    with interrupted(), checkpoints.training(WHAT, root, clock.seconds) as kept:
+    with suppress(Interrupted), checkpoints.training(WHAT, root, clock.seconds) as kept:
         for path in root.glob("*/*.safetensors"):
             kept.get(path.stem)
         before = kept.seconds
@@ -97,7 +82,7 @@ ARRAYS = {
 
 @pytest.mark.parametrize("end", [ValueError, KeyboardInterrupt, SystemExit])
 def test_whatever_ends_a_training_early_leaves_its_arrays_as_they_were(tmp_path, end):
-    with interrupted(end), checkpoints.training({"seed": 1, "rates": (0.1, 0.2)}, tmp_path) as kept:
+    with suppress(end), checkpoints.training({"seed": 1, "rates": (0.1, 0.2)}, tmp_path) as kept:
         kept.put("part", ARRAYS)
         raise end
     with checkpoints.training({"rates": [0.1, 0.2], "seed": 1}, tmp_path) as kept:
@@ -150,7 +135,8 @@ def test_names_that_are_no_files_and_anything_but_arrays_of_numbers_are_refused(
     ],
     ids=["shorter", "zeroed", "another number", "of somebody else"],
 )
-def test_a_damaged_part_is_trained_anew_and_the_others_are_not(tmp_path, damage, caplog, clock):
+def test_a_damaged_part_is_trained_anew_and_the_others_are_not(tmp_path, damage, caplog):
+    clock = Clock()
     spend(tmp_path, clock, ("first", 5), ("second", 7))
     (first,) = tmp_path.glob("*/first.safetensors")
     damage(first)
@@ -170,7 +156,7 @@ def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path, monkeypatch):
         raise OSError(errno.EMFILE, "Too many open files")
 
     interrupt(tmp_path, part=FOUR)
-    with monkeypatch.context() as patch, interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
+    with monkeypatch.context() as patch, suppress(Interrupted), checkpoints.training(WHAT, tmp_path) as kept:
         patch.setattr(tensors, "safe_open", refuse)
         assert kept.get("part") is None
         raise Interrupted
@@ -229,14 +215,16 @@ def test_the_folder_is_the_one_that_was_chosen_or_in_the_users_cache(tmp_path, m
 # Honest seconds
 
 
-def test_the_time_of_interrupted_runs_counts_once_until_the_last_part_of_each(tmp_path, clock):
+def test_the_time_of_interrupted_runs_counts_once_until_the_last_part_of_each(tmp_path):
+    clock = Clock()
     assert spend(tmp_path, clock, ("first", 5), ("second", 7), then=3) == 0
     assert spend(tmp_path, clock, ("third", 4), then=100) == 12
     assert spend(tmp_path, clock, ("third", 3), ("third", 2)) == 16  # put again, it keeps what it replaces
     assert spend(tmp_path, clock) == 21
 
 
-def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path, clock):
+def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp_path):
+    clock = Clock()
     with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         Context().run(spend, tmp_path, clock, ("first", 5), ("second", 7))
         assert kept.seconds == 0
@@ -244,7 +232,8 @@ def test_a_part_that_another_run_finishes_meanwhile_counts_where_it_is_taken(tmp
         assert kept.seconds == 5
 
 
-def test_a_ledger_tells_what_was_taken_over(tmp_path, clock):
+def test_a_ledger_tells_what_was_taken_over(tmp_path):
+    clock = Clock()
     spend(tmp_path, clock, ("first", 5), ("second", 7))
     with checkpoints.ledger() as resumed:
         with checkpoints.training(WHAT, tmp_path) as kept:
@@ -257,7 +246,8 @@ def test_a_ledger_tells_what_was_taken_over(tmp_path, clock):
     assert resumed.seconds == 12
 
 
-def test_a_ledger_inside_another_is_the_same_and_its_own_parts_are_no_time_of_others(tmp_path, clock):
+def test_a_ledger_inside_another_is_the_same_and_its_own_parts_are_no_time_of_others(tmp_path):
+    clock = Clock()
     with checkpoints.ledger() as outer:
         for what in (WHAT, {"another": 1}):
             with checkpoints.ledger() as inner, checkpoints.training(what, tmp_path, clock.seconds) as kept:
@@ -271,8 +261,9 @@ def test_a_ledger_inside_another_is_the_same_and_its_own_parts_are_no_time_of_ot
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_is_interrupted_in_its_second_training_keeps_the_first(tmp_path, clock):
-    with interrupted(), checkpoints.ledger():
+def test_a_run_that_is_interrupted_in_its_second_training_keeps_the_first(tmp_path):
+    clock = Clock()
+    with suppress(Interrupted), checkpoints.ledger():
         with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
             clock.spend(5)
             kept.put("part", FOUR)
@@ -287,8 +278,9 @@ def test_a_run_that_is_interrupted_in_its_second_training_keeps_the_first(tmp_pa
     assert list(tmp_path.iterdir()) == [home]  # whose error was caught
 
 
-def test_a_training_that_is_opened_twice_in_a_ledger_goes_on_with_its_own(tmp_path, clock):
-    with interrupted(), checkpoints.ledger() as resumed:
+def test_a_training_that_is_opened_twice_in_a_ledger_goes_on_with_its_own(tmp_path):
+    clock = Clock()
+    with suppress(Interrupted), checkpoints.ledger() as resumed:
         with checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
             clock.spend(5)
             kept.put("first", FOUR)
@@ -311,7 +303,7 @@ def test_what_was_kept_before_the_disk_was_full_stays_and_the_training_goes_on(t
 
     home = interrupt(tmp_path, **{"module-0": module(0)})
     monkeypatch.setattr(checkpoints, "replace_bytes", full_disk)
-    with interrupted(), checkpoints.training(WHAT, tmp_path) as kept:
+    with suppress(Interrupted), checkpoints.training(WHAT, tmp_path) as kept:
         for number in range(3):
             kept.put(f"module-{number}", module(number + 1))
         raise Interrupted
@@ -369,14 +361,15 @@ def test_a_folder_that_another_process_removes_is_made_again_and_given_up_in_the
     assert len(said(caplog)) == 1
 
 
-def test_threads_that_keep_parts_at_once_lose_none_and_their_time_is_that_on_the_wall(tmp_path, clock):
+def test_threads_that_keep_parts_at_once_lose_none_and_their_time_is_that_on_the_wall(tmp_path):
+    clock = Clock()
     together = threading.Barrier(8)
 
     def one(number):
         together.wait()
         kept.put(f"module-{number}", module(number))
 
-    with interrupted(), checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
+    with suppress(Interrupted), checkpoints.training(WHAT, tmp_path, clock.seconds) as kept:
         clock.spend(8)
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(one, range(8)))

@@ -67,15 +67,10 @@ def test_references_are_encoded_in_blocks_and_in_order():
     method = Colour().fit(plain(*colours), np.arange(150))
     assert sum(method.encoded) == 150
     assert max(method.encoded) < 150
+    descriptors = method.encode(plain(*colours))
+    scores = Colour().fit_descriptors(descriptors, np.arange(150)).match(descriptors)
+    assert np.array_equal(scores, method.match(descriptors))
     assert method.query(plain(*colours[::-1])).argmax(axis=1).tolist() == list(range(150))[::-1]
-
-
-def test_descriptors_that_are_encoded_already_give_the_same_map():
-    method = Colour()
-    descriptors = method.encode(plain(RED, GREEN, OLIVE))
-    scores = method.fit_descriptors(descriptors, np.array([0, 1, 1])).match(descriptors)
-    assert np.array_equal(scores, Colour().fit(plain(RED, GREEN, OLIVE), np.array([0, 1, 1])).match(descriptors))
-    assert method.encoded == [3]
 
 
 def test_without_references_or_after_a_failed_fit_there_is_no_map():
@@ -194,11 +189,6 @@ def test_a_place_is_worth_its_most_similar_image(places):
         assert (found.tolist(), found.shape[1]) == (np.array(expected)[:n].tolist(), max(places) + 1)
 
 
-def test_places_are_counted_and_a_query_may_have_several_right_places_or_none():
-    assert dataset(places=np.array([0, 1, 0, 1])).n_places == 2
-    assert dataset(positives=(np.array([0, 3]), np.array([], np.int64))).n_places == 4
-
-
 @pytest.mark.parametrize(
     ("parts", "wanted"),
     [
@@ -220,6 +210,7 @@ def test_places_are_counted_and_a_query_may_have_several_right_places_or_none():
     ],
 )
 def test_parts_of_a_dataset_that_do_not_fit_are_refused_with_their_numbers(parts, wanted):
-    with pytest.raises(BadInput, match=re.escape(wanted)) as error:
+    with pytest.raises(BadInput, match=re.escape(wanted)):
         dataset(**parts)
-    assert "\n" not in str(error.value)
+    assert dataset(places=np.array([0, 1, 0, 1])).n_places == 2
+    assert dataset(positives=(np.array([0, 3]), np.array([], np.int64))).n_places == 4

@@ -2,12 +2,12 @@
 
 import io
 import struct
+import zlib
 
 import numpy as np
 import pytest
 from PIL import EpsImagePlugin, PngImagePlugin
 from PIL import Image as PillowImage
-from png_files import chunk, png_of, saved
 
 from vprbench.api import decoding, png
 from vprbench.api.decoding import read_image
@@ -19,6 +19,23 @@ HEIGHT, WIDTH = 37, 50
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "frame.png"
+
+
+def chunk(kind, content):
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def png_of(rows, width, height, *, bits=8, colour=2, interlaced=0, extra=b""):
+    """A PNG of rows as they stand in the file, each after the byte that names its filter."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced))
+    return png.SIGNATURE + header + extra + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+def saved(pixels, mode=None, kind="PNG", **options):
+    file = io.BytesIO()
+    image = PillowImage.fromarray(pixels)
+    (image if mode is None else image.convert(mode)).save(file, kind, **options)
+    return file.getvalue()
 
 
 def noise(*shape, seed=0):
@@ -165,10 +182,9 @@ def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path(pat
 
 
 def test_a_missing_file_and_a_folder_are_named(tmp_path, path):
-    with pytest.raises(BadInput, match=r"frame\.png does not exist"):
-        read_image(path)
-    with pytest.raises(BadInput, match="cannot be read as an image"):
-        read_image(tmp_path)
+    for wrong, named in ((path, r"frame\.png does not exist"), (tmp_path, "cannot be read as an image")):
+        with pytest.raises(BadInput, match=named):
+            read_image(wrong)
 
 
 def test_no_image_starts_another_program(path, monkeypatch):

@@ -154,17 +154,11 @@ def test_the_best_of_an_index_are_compared_again_exactly(kind):
     assert 55 < found.sum(1).mean() <= 60
     np.testing.assert_allclose(scores[found], exact[found], atol=1e-7)
     assert (scores.argmax(1) == exact.argmax(1)).mean() >= 0.99
-
-
-@pytest.mark.parametrize("kind", ["ivfpq", "rabitq"])
-def test_of_more_lists_more_is_found(kind):
-    exact = oracle(CODES, REFERENCES, PLACES).argmax(1)
-    one, all_of_them = (
-        (Search(REFERENCES, PLACES, kind, rerank=100, probes=probes).scores(CODES).argmax(1) == exact).mean()
-        for probes in (1, 1000)
-    )
-    assert 0.2 < one < all_of_them
-    assert all_of_them > 0.99
+    if kind in ("ivfpq", "rabitq"):  # of fewer lists less is found
+        few = Search(REFERENCES, PLACES, kind, rerank=60, probes=1).scores(CODES)
+        many = Search(REFERENCES, PLACES, kind, rerank=60, probes=1000).scores(CODES)
+        one, all_of_them = ((each.argmax(1) == exact.argmax(1)).mean() for each in (few, many))
+        assert 0.2 < one < 0.99 < all_of_them
 
 
 def peak_bytes(work):
@@ -248,11 +242,9 @@ def test_few_references_are_enough(kind, n_images):
     np.testing.assert_allclose(scores, references @ references[:n_images].T, atol=0.01)
 
 
-def test_product_codes_say_how_many_references_they_need_and_nothing_else(capfd):
+def test_product_codes_print_nothing(capfd):
     Search(REFERENCES[:256], np.arange(256), "ivfpq")
     assert capfd.readouterr() == ("", "")
-    with pytest.raises(ValueError, match=r"256.*255.*sq8"):
-        Search(REFERENCES[:255], np.arange(255), "ivfpq")
 
 
 # What it refuses
@@ -265,16 +257,13 @@ def test_product_codes_say_how_many_references_they_need_and_nothing_else(capfd)
         ({"probes": -1}, r"probes=-1.*0 or more"),
         ({"places": np.arange(3)}, r"\(2000, 64\) .*\(3,\)"),
         ({"references": np.zeros((0, 4), np.float32)}, "0 came"),
+        ({"references": REFERENCES[:255], "places": np.arange(255), "kind": "ivfpq"}, "256.*255.*sq8"),
     ],
 )
 def test_what_cannot_be_searched_is_refused(spoilt, wanted):
     with pytest.raises(ValueError, match=wanted):
         Search(**{"references": REFERENCES, "places": PLACES, **spoilt})
-
-
-@pytest.mark.parametrize("kind", ["exact", "sq8", "hnsw"])
-def test_codes_of_another_length_are_refused(kind):
-    index = Search(REFERENCES[:300], np.arange(300), kind)
+    index = Search(REFERENCES, PLACES)
     for answer in (index.scores, lambda codes: index.nearest(codes, 1)):
         with pytest.raises(ValueError, match=r"\(2.*63\).*\(n_queries.*64\)"):
             answer(np.zeros((2, 63), np.float32))
