@@ -1,12 +1,14 @@
-"""The report in a real browser: it shows the right frames, filters, sorts, and works from the keyboard."""
+"""The report in a browser: it shows the right frames, filters, sorts, and works from the keyboard and on a phone."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_table import table
 from playwright.sync_api import Page, expect
 from report_page import (
     N_QUERIES,
@@ -15,6 +17,7 @@ from report_page import (
     TEMPO_WRONG,
     UNANSWERABLE,
     answered,
+    drawn_figure,
     hostile_section,
     journey_run,
     journey_section,
@@ -25,33 +28,42 @@ from report_page import (
     query_colour,
     right_place,
 )
-from report_reader import Reader, choose, colours, contrasts, listed, widest
+from report_reader import Reader, choose, colours, contrasts, current, focused, listed, queries_of, widest
 
-from vprbench.paper.page.page import Section, page
+from vprbench.paper.page.page import Picture, Section, page
 from vprbench.paper.selection import Series
+from vprbench.paper.table import formats
+from vprbench.run.record import Run
 
 MINUS = "\N{MINUS SIGN}"
-ORDERS = {"route": "along the route", "lowest": "by margin, lowest first", "highest": "by margin, highest first"}
+ROUTE, HIGHEST = "along the route", "by margin, highest first"
+LEFT_OUT = re.compile(f"^{1 + [note.code for note in table().notes].index('left out')}$")
+WIDE = "unbroken" * 40
+PHONE = {"viewport": {"width": 360, "height": 740}}
 
 pytest_plugins = ["report_browser"]
+pytestmark = pytest.mark.extended
 
 
-def test_the_page_loads_without_a_complaint_and_asks_for_nothing_else(reader: Reader) -> None:
+def one(run: Run, title: str = "Journey", name: str = "SAD") -> Section:
+    return Section(title, (Series(name, False, (run,)),), None)
+
+
+# Failures, query by query
+
+
+def test_the_page_asks_for_nothing_else_and_opens_with_the_surest_errors_of_the_first_method(reader: Reader) -> None:
     tab = reader.read(made_up_page())
     expect(tab.locator("#queries > li")).to_have_count(len(SAD_WRONG))
     assert [url for url in reader.requests if not url.startswith("data:")] == [tab.url.partition("#")[0]]
-    assert tab.url.startswith("file://")
-
-
-def test_it_opens_with_the_failures_of_the_first_method_the_surest_error_first(tab: Page) -> None:
     assert listed(tab) == sorted(SAD_WRONG, key=lambda query: -SAD_WRONG[query])
     expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
     tied = tab.locator("#queries > li").nth(listed(tab).index(20))
     expect(tied).to_contain_text("tied Query 20")
     expect(tied).to_contain_text("shares ranks 1 to 2 of 60")
     assert colours(tied)[1:] == [place_colour(mistaken_place(20)), place_colour(right_place(20))]
-    for order, queries in (("highest", [20, 30, 10, 3, 11]), ("route", [3, 10, 11, 20, 30])):
-        choose(tab, order=ORDERS[order])
+    for order, queries in ((HIGHEST, [20, 30, 10, 3, 11]), (ROUTE, [3, 10, 11, 20, 30])):
+        choose(tab, order=order)
         assert listed(tab) == queries
     choose(tab, method_a="VPRTempo, seed 1")
     assert listed(tab) == [10]
@@ -60,106 +72,12 @@ def test_it_opens_with_the_failures_of_the_first_method_the_surest_error_first(t
 def test_a_known_failure_shows_its_query_the_retrieved_and_the_right_frame(tab: Page) -> None:
     row = tab.locator("#queries > li").nth(listed(tab).index(10))
     assert colours(row) == [query_colour(10), place_colour(mistaken_place(10)), place_colour(right_place(10))]
-    assert row.locator("figcaption").all_inner_texts() == [
-        "Query\ndusk/00010.png",
-        "Retrieved\nnoon/00022.png\nplace 22\nscore 0.625",
-        "True\nnoon/00015.png\nplace 15\nscore 0.5",
-    ]
-    expect(row).to_contain_text("wrong Query 10")
-    expect(row).to_contain_text(f"margin {MINUS}0.125")
-    expect(row).to_contain_text("ranks 2 of 60")
-    expect(row).to_contain_text("7 places off")
-    assert row.locator("img").evaluate_all("all => all.map(e => e.alt)") == [
-        "Query: dusk/00010.png",
-        "Retrieved: noon/00022.png",
-        "True: noon/00015.png",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("kind", "queries"),
-    [
-        ("A right", [q for q in range(N_QUERIES) if q not in SAD_WRONG and q != UNANSWERABLE]),
-        ("A tied", [20]),
-        ("without a right place", [UNANSWERABLE]),
-        ("all queries", [*range(N_QUERIES)]),
-    ],
-)
-def test_a_filter_keeps_its_queries_and_says_how_many(tab: Page, kind: str, queries: list[int]) -> None:
-    choose(tab, kind=kind, order=ORDERS["route"])
-    assert listed(tab) == queries[:10]
-    expect(tab.locator("#status")).to_have_text(f"1 to {min(10, len(queries))} of {len(queries)}: {kind}")
-    expect(tab.locator("#kind option:checked")).to_have_text(f"{kind} ({len(queries)})")
-
-
-def test_a_right_b_wrong_shows_exactly_those_queries_with_the_frames_of_both(tab: Page) -> None:
-    expect(tab.locator("#kind option[value=a-not-b]")).to_be_disabled()
-    choose(tab, method_b="VPRTempo, seed 0", kind="A right, B wrong")
-    assert listed(tab) == sorted(set(TEMPO_WRONG) - set(SAD_WRONG)) == [40]
-    right, mistaken = place_colour(right_place(40)), place_colour(mistaken_place(40))
-    assert colours(tab.locator("#queries > li")) == [query_colour(40), right, mistaken, right]
-    choose(tab, kind="A wrong, B right", order=ORDERS["route"])
-    assert listed(tab) == [3, 11, 20, 30]
-    choose(tab, kind="A and B wrong")
-    assert listed(tab) == [10]
-    choose(tab, kind="A right, B wrong")
-    choose(tab, method_b="nothing")
-    expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
-
-
-def test_comparing_tells_the_score_and_the_rank_of_the_right_place_by_both(tab: Page) -> None:
-    choose(tab, method_b="VPRTempo, seed 0")
-    row = tab.locator("#queries > li").nth(listed(tab).index(3))
-    assert row.locator("figcaption").all_inner_texts()[-1] == (
-        "True\nnoon/00008.png\nplace 8\nscore by A 0.5, by B 0.5"
-    )
-    assert row.locator(".facts li").all_inner_texts() == [
-        f"A wrong: margin {MINUS}0.25, the right place ranks 2 of 60, 7 places off",
-        "B right: margin 0.375, the right place ranks 1 of 60",
-    ]
-
-
-def test_comparing_methods_that_prefer_different_right_places_names_that_of_the_score(reader: Reader) -> None:
-    no = -np.inf
-    a = answered([[0.75, 0.5, 0.25, 0.125], [0.5, no, no, 0.25]], [[1, 2], [2]])
-    b = answered([[0.75, 0.25, 0.5, 0.125], [0.5, no, 0.25, 0.25]], [[1, 2], [2]])
-    series = (Series("SAD", False, (a,)), Series("GCL", False, (b,)))
-    tab = reader.read(page("", [], [Section("Journey", series, None)]))
-    choose(tab, method_b="GCL", order=ORDERS["route"])
-    rows = tab.locator("#queries > li")
-    expect(rows.nth(0).locator("figcaption").last).to_contain_text("score by A 0.5, by B 0.5 for place 2")
-    expect(rows.nth(1).locator("figcaption").last).to_contain_text("score by A none, by B 0.25")
-
-
-def test_of_several_reference_images_of_a_place_the_page_says_which_is_shown(reader: Reader) -> None:
-    run = journey_run(SAD_WRONG, n_references=120)
-    several = Section("Twice", (Series("SAD", False, (run,)),), journey_thumbnails())
-    once = Section("Once", (Series("SAD", False, (journey_run(SAD_WRONG, n_references=60),)),), journey_thumbnails())
-    tab = reader.read(page("", [], [several, once]))
-    expect(tab.locator("#first-references")).to_have_text(
-        "The frame of a place is always its first reference image, of the traverse noon; "
-        "the methods learnt its other reference images too."
-    )
-    choose(tab, dataset="Once")
-    expect(tab.locator("#first-references")).to_be_hidden()
-
-
-def test_margins_that_are_infinite_or_missing_sort_to_their_ends(reader: Reader) -> None:
-    no = -np.inf
-    scores = [[0.5, 0.25, 0.125], [0.5, no, 0.25], [0.5, no, no], [0.5, 0.25, 0.0], [no, no, no], [0.5, 0.25, 0.0]]
-    run = answered(scores, [[0], [1], [0], [1], [0], []])
-    tab = reader.read(page("", [], [Section("Journey", (Series("SAD", False, (run,)),), None)]))
-    choose(tab, kind="all queries")
-    assert listed(tab) == [1, 3, 0, 2, 4, 5]
-    choose(tab, order=ORDERS["highest"])
-    assert listed(tab) == [2, 0, 3, 1, 4, 5]
-    rows = tab.locator("#queries > li")
-    expect(rows.nth(0)).to_contain_text("no wrong place is a candidate")
-    expect(rows.nth(3)).to_contain_text("the right place is no candidate")
-    expect(rows.nth(4)).to_contain_text("no place was retrieved")
-
-
-def test_a_query_without_a_right_place_shows_none(tab: Page) -> None:
+    told = ["Query\ndusk/00010.png", "Retrieved\nnoon/00022.png\nplace 22\nscore 0.625"]
+    assert row.locator("figcaption").all_inner_texts() == [*told, "True\nnoon/00015.png\nplace 15\nscore 0.5"]
+    for text in ("wrong Query 10", f"margin {MINUS}0.125", "ranks 2 of 60", "7 places off"):
+        expect(row).to_contain_text(text)
+    alternatives = ["Query: dusk/00010.png", "Retrieved: noon/00022.png", "True: noon/00015.png"]
+    assert row.locator("img").evaluate_all("all => all.map(e => e.alt)") == alternatives
     choose(tab, kind="without a right place")
     row = tab.locator("#queries > li")
     expect(row).to_contain_text("no right place Query 49")
@@ -167,29 +85,41 @@ def test_a_query_without_a_right_place_shows_none(tab: Page) -> None:
     expect(row.locator(".no-frame")).to_have_text("no right place")
 
 
-def test_a_margin_that_is_only_bounded_says_so(reader: Reader) -> None:
-    run = replace(answered([[0.875, 0.75, 0.5, 0.25]], [[3]], depth=2), scores=None)
-    tab = reader.read(page("", [], [Section("Journey", (Series("SAD", False, (run,)),), None)]))
-    expect(tab.locator("#queries > li")).to_contain_text(f"margin at most {MINUS}0.125")
-    expect(tab.locator("#queries > li")).to_contain_text("score at most 0.75")
+def test_a_filter_keeps_its_queries_and_says_how_many(tab: Page) -> None:
+    choose(tab, order=ROUTE)
+    right = [q for q in range(N_QUERIES) if q not in SAD_WRONG and q != UNANSWERABLE]
+    kinds = {"A right": right, "A tied": [20], "without a right place": [UNANSWERABLE], "all queries": [*range(50)]}
+    for kind, queries in kinds.items():
+        choose(tab, kind=kind)
+        assert listed(tab) == queries[:10]
+        expect(tab.locator("#status")).to_have_text(f"1 to {min(10, len(queries))} of {len(queries)}: {kind}")
+        expect(tab.locator("#kind option:checked")).to_have_text(f"{kind} ({len(queries)})")
+    choose(tab, method_a="VPRTempo, seed 0", kind="A tied")
+    expect(tab.locator("#status")).to_contain_text("No query is left")
+    expect(tab.locator("#along")).to_be_disabled()
+    tab.locator("#lanes svg").first.click()
+    assert listed(tab) == []
 
 
-def test_without_frames_their_names_stand_in_their_places(reader: Reader) -> None:
-    tab = reader.read(made_up_page([journey_section()]))
-    expect(tab.locator("#frames-missing")).to_contain_text("The frames of this dataset are not stored")
-    row = tab.locator("#queries > li").nth(listed(tab).index(10))
-    assert row.locator(".no-frame").all_text_contents() == ["query 10", "place 22", "place 15"]
-
-
-def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader: Reader) -> None:
-    swapped = journey_thumbnails(queries=tuple(reversed(journey_thumbnails().queries)))
-    other = Section("Other", (Series("GCL", False, (journey_run({4: 0.25}),)),), swapped)
-    tab = reader.read(made_up_page([journey_section(thumbnails=journey_thumbnails()), other]))
-    choose(tab, dataset="Other")
-    assert listed(tab) == [4]
-    assert colours(tab.locator("#queries > li"))[0] == query_colour(N_QUERIES - 1 - 4)
-    choose(tab, dataset="Journey")
-    assert colours(tab.locator("#queries > li").first)[0] == query_colour(11)
+def test_two_methods_show_the_queries_of_one_or_both_with_their_frames_scores_and_ranks(tab: Page) -> None:
+    expect(tab.locator("#kind option[value=a-not-b]")).to_be_disabled()
+    choose(tab, method_b="VPRTempo, seed 0")
+    row = tab.locator("#queries > li").nth(listed(tab).index(3))
+    last = row.locator("figcaption").all_inner_texts()[-1]
+    assert last == "True\nnoon/00008.png\nplace 8\nscore by A 0.5, by B 0.5"
+    assert row.locator(".facts li").all_inner_texts() == [
+        f"A wrong: margin {MINUS}0.25, the right place ranks 2 of 60, 7 places off",
+        "B right: margin 0.375, the right place ranks 1 of 60",
+    ]
+    choose(tab, kind="A right, B wrong")
+    assert listed(tab) == sorted(set(TEMPO_WRONG) - set(SAD_WRONG)) == [40]
+    right, mistaken = place_colour(right_place(40)), place_colour(mistaken_place(40))
+    assert colours(tab.locator("#queries > li")) == [query_colour(40), right, mistaken, right]
+    for kind, queries in (("A wrong, B right", [3, 11, 20, 30]), ("A and B wrong", [10]), ("A right, B wrong", [40])):
+        choose(tab, kind=kind, order=ROUTE)
+        assert listed(tab) == queries
+    choose(tab, method_b="nothing")
+    expect(tab.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
 
 
 def test_opening_a_query_shows_its_best_three_places(tab: Page) -> None:
@@ -199,10 +129,8 @@ def test_opening_a_query_shows_its_best_three_places(tab: Page) -> None:
     expect(button).to_have_attribute("aria-expanded", "false")
     button.click()
     expect(button).to_have_attribute("aria-expanded", "true")
-    assert row.locator(".more h4").all_text_contents() == [
-        "Best places of A, SAD",
-        "Best places of B, VPRTempo, seed 0",
-    ]
+    heads = ["Best places of A, SAD", "Best places of B, VPRTempo, seed 0"]
+    assert row.locator(".more h4").all_text_contents() == heads
     roles = row.locator(".more .frames").first.locator(".role").all_text_contents()
     assert roles == ["1. wrong", "2. right", "3. wrong"]
     assert colours(row.locator(".more .frames").nth(1))[0] == place_colour(right_place(11))
@@ -210,31 +138,308 @@ def test_opening_a_query_shows_its_best_three_places(tab: Page) -> None:
     expect(row.locator(".more")).to_have_count(0)
 
 
-# Looks
+def test_margins_that_are_infinite_missing_or_bounded_say_so_and_sort_to_their_ends(reader: Reader) -> None:
+    no = -np.inf
+    scores = [[0.5, 0.25, 0.125], [0.5, no, 0.25], [0.5, no, no], [0.5, 0.25, 0.0], [no, no, no], [0.5, 0.25, 0.0]]
+    bounded = replace(answered([[0.875, 0.75, 0.5, 0.25]], [[3]], depth=2), scores=None)
+    sections = [one(answered(scores, [[0], [1], [0], [1], [0], []])), one(bounded, "Bounded")]
+    tab = reader.read(page("", [], sections))
+    choose(tab, kind="all queries")
+    assert listed(tab) == [1, 3, 0, 2, 4, 5]
+    choose(tab, order=HIGHEST)
+    assert listed(tab) == [2, 0, 3, 1, 4, 5]
+    rows = tab.locator("#queries > li")
+    expect(rows.nth(0)).to_contain_text("no wrong place is a candidate")
+    expect(rows.nth(3)).to_contain_text("the right place is no candidate")
+    expect(rows.nth(4)).to_contain_text("no place was retrieved")
+    choose(tab, dataset="Bounded")
+    for text in (f"margin at most {MINUS}0.125", "score at most 0.75"):
+        expect(tab.locator("#queries > li")).to_contain_text(text)
 
-WIDE = "unbroken" * 40
+
+def test_methods_that_prefer_different_right_places_name_that_of_the_score(reader: Reader) -> None:
+    no = -np.inf
+    a = answered([[0.75, 0.5, 0.25, 0.125], [0.5, no, no, 0.25]], [[1, 2], [2]])
+    b = answered([[0.75, 0.25, 0.5, 0.125], [0.5, no, 0.25, 0.25]], [[1, 2], [2]])
+    series = (Series("SAD", False, (a,)), Series("GCL", False, (b,)))
+    tab = reader.read(page("", [], [Section("Journey", series, None)]))
+    choose(tab, method_b="GCL", order=ROUTE)
+    rows = tab.locator("#queries > li")
+    expect(rows.nth(0).locator("figcaption").last).to_contain_text("score by A 0.5, by B 0.5 for place 2")
+    expect(rows.nth(1).locator("figcaption").last).to_contain_text("score by A none, by B 0.25")
+
+
+def test_several_datasets_are_chosen_between_and_their_frames_kept_apart(reader: Reader) -> None:
+    swapped = journey_thumbnails(queries=tuple(reversed(journey_thumbnails().queries)))
+    other = replace(one(journey_run({4: 0.25}, n_references=120), "Other", "GCL"), thumbnails=swapped)
+    whole = journey_section(thumbnails=journey_thumbnails())
+    once = replace(
+        whole,
+        series=tuple(
+            replace(each, runs=tuple(replace(run, n_references=60) for run in each.runs)) for each in whole.series
+        ),
+    )
+    tab = reader.read(made_up_page([once, other, journey_section("No frames")]))
+    first = tab.locator("#first-references")
+    expect(first).to_be_hidden()
+    choose(tab, dataset="Other")
+    assert listed(tab) == [4]
+    assert colours(tab.locator("#queries > li"))[0] == query_colour(N_QUERIES - 1 - 4)
+    expect(first).to_have_text(
+        "The frame of a place is always its first reference image, of the traverse noon; "
+        "the methods learnt its other reference images too."
+    )
+    choose(tab, dataset="Journey")
+    assert colours(tab.locator("#queries > li").first)[0] == query_colour(11)
+    choose(tab, dataset="No frames")
+    expect(tab.locator("#frames-missing")).to_contain_text("The frames of this dataset are not stored")
+    row = tab.locator("#queries > li").nth(listed(tab).index(10))
+    assert row.locator(".no-frame").all_text_contents() == ["query 10", "place 22", "place 15"]
+
+
+# Strip, slider, keys and pages
+
+
+def test_the_strip_shows_hits_and_misses_and_leads_to_the_nearest_query_that_is_shown(tab: Page) -> None:
+    choose(tab, method_b="VPRTempo, seed 0")
+    lanes = tab.locator("#lanes .lane")
+    bars = [
+        (0, "wrong", {*SAD_WRONG} - {20}),
+        (1, "wrong", {*TEMPO_WRONG}),
+        (0, "tied", {20}),
+        (2, "shown", {*SAD_WRONG}),
+    ]
+    for lane, kind, queries in bars:
+        assert queries_of(lanes.nth(lane).locator(f".bars.{kind}").get_attribute("d") or "") == queries
+    expect(lanes.nth(0)).to_contain_text("A, SAD: 44 right, 4 wrong, 1 tied, 1 no right place")
+    strip = tab.locator("#lanes svg").first
+    box = strip.bounding_box()
+    assert box is not None
+    strip.click(position={"x": box["width"] * 32.5 / N_QUERIES, "y": box["height"] / 2})
+    assert (current(tab), focused(tab)) == (30, "query-30")
+
+
+def test_the_slider_steps_from_one_shown_query_to_the_next_along_the_route(tab: Page) -> None:
+    slider = tab.locator("#along")
+    slider.focus()
+    assert current(tab) == 11
+    keys = ("ArrowRight", 20), ("ArrowLeft", 11), ("ArrowLeft", 10), ("End", 30), ("End", 30), ("Home", 3)
+    for key, query in keys:
+        slider.press(key)
+        assert (current(tab), slider.input_value()) == (query, str(query))
+    expect(slider).to_have_attribute("aria-valuetext", "query 3: wrong")
+    box = slider.bounding_box()
+    assert box is not None
+    for x, query in [(box["width"] - 3, 30), (3, 3)]:
+        slider.click(position={"x": x, "y": box["height"] / 2})
+        assert current(tab) == query
+
+
+def test_tab_goes_from_the_controls_over_the_slider_to_one_query_and_on(tab: Page) -> None:
+    tab.locator("#method-a").focus()
+    visited = []
+    for _ in range(6):
+        visited.append(focused(tab))
+        tab.keyboard.press("Tab")
+        outline = tab.evaluate("getComputedStyle(document.activeElement).outline")
+        assert ("solid" in outline, "3px" in outline) == (True, True)
+    assert visited == ["method-a", "method-b", "kind", "order", "along", "query-11"]
+    assert not focused(tab).startswith("query-")
+    tab.locator("#query-11").focus()
+    tab.keyboard.press("ArrowDown")
+    for expanded in ("true", "false"):
+        tab.keyboard.press("Enter")
+        expect(tab.locator("#query-3")).to_have_attribute("aria-expanded", expanded)
+
+
+def test_arrow_keys_walk_the_list_over_the_ends_of_its_pages_which_buttons_turn(tab: Page) -> None:
+    choose(tab, kind="all queries", order=ROUTE)
+    tab.locator("#query-0").focus()
+    for key, query in [("ArrowDown", 1), ("ArrowRight", 2), ("ArrowUp", 1), ("End", 49), ("Home", 0), ("ArrowUp", 0)]:
+        tab.keyboard.press(key)
+        assert (current(tab), focused(tab)) == (query, f"query-{query}")
+    for _ in range(10):
+        tab.keyboard.press("ArrowDown")
+    assert (focused(tab), listed(tab)) == ("query-10", [*range(10, 20)])
+    tab.keyboard.press("ArrowLeft")
+    assert listed(tab) == [*range(10)]
+    back, on = tab.locator("#previous-page"), tab.locator("#next-page")
+    expect(back).to_have_attribute("aria-disabled", "true")
+    expect(on).to_have_attribute("aria-disabled", "false")
+    for _ in range(4):
+        on.click()
+    assert (listed(tab), current(tab)) == ([*range(40, 50)], 40)
+    expect(tab.locator("#page-number")).to_have_text("Page 5 of 5")
+    expect(on).to_have_attribute("aria-disabled", "true")
+    on.dispatch_event("click")
+    assert current(tab) == 40
+    back.click()
+    assert listed(tab) == [*range(30, 40)]
+    for name, query in [("next-page", 40), ("previous-page", 0)]:  # the focus stays at the ends
+        tab.locator(f"#{name}").focus()
+        for _ in range(5):
+            tab.keyboard.press("Enter")
+        assert (focused(tab), current(tab)) == (name, query)
+
+
+def test_of_thousands_of_queries_ten_are_in_the_page_at_a_time(reader: Reader) -> None:
+    run = answered(np.eye(2700, 30, dtype=np.float32), [[query % 30] for query in range(2700)], scores=None)
+    tab = reader.read(page("", [], [one(run)]))
+    choose(tab, kind="all queries")
+    expect(tab.locator("#queries > li")).to_have_count(10)
+    expect(tab.locator("#page-number")).to_have_text("Page 1 of 270")
+
+
+# The whole report: findings, tabs, links, the table, its footnotes and the figures
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    """A report of two datasets, with a real table and two figures."""
+    other = one(journey_run(dict.fromkeys(range(30), 0.25)), "Other")
+    pictures = [Picture(name, "What is drawn.", drawn_figure()) for name in ("speed", "recall")]
+    return page(formats.html(table()), pictures, [journey_section(thumbnails=journey_thumbnails()), other])
+
+
+@pytest.fixture(params=[1280, 360])
+def report(request: pytest.FixtureRequest, text: str, reader: Reader) -> Iterator[Page]:
+    """The report on a screen so many pixels wide, which never scrolls sideways."""
+    tab = reader.read(text, viewport={"width": request.param, "height": 740})
+    yield tab
+    assert widest(tab) <= request.param
+
+
+def test_tabs_are_walked_by_arrow_keys_over_their_ends_and_change_findings_and_failures(report: Page) -> None:
+    heads = report.locator("h2").all_text_contents()
+    assert heads[:4] == ["Findings", "Failures, query by query", "Table", "Figures"]
+    found = report.locator("#findings p:visible")
+    assert 2 <= found.count() <= 3
+    expect(found.first).to_contain_text("VPRTempo")
+    tabs = report.get_by_role("tablist", name="Datasets").get_by_role("tab")
+    tabs.first.focus()
+    for key, chosen in [("ArrowRight", 1), ("ArrowRight", 0), ("ArrowLeft", 1), ("Home", 0), ("End", 1)]:
+        report.keyboard.press(key)
+        assert focused(report) == f"dataset-{chosen}"
+        selected = tabs.evaluate_all("all => all.map(e => [e.ariaSelected, e.tabIndex])")
+        assert selected == [["true", 0] if i == chosen else ["false", -1] for i in range(2)]
+        expect(report.get_by_role("tabpanel")).to_have_accessible_name(["Journey", "Other"][chosen])
+        assert len(listed(report)) == [len(SAD_WRONG), 10][chosen]
+    expect(found).to_have_count(1)
+    expect(found).to_contain_text("SAD")
+
+
+def test_a_copied_link_shows_what_was_seen_and_one_to_what_is_not_there_what_is(report: Page) -> None:
+    assert "#" not in report.url
+    start = report.url
+    choose(report, dataset="Other", order=ROUTE)
+    choose(report, kind="A right")
+    report.locator("#next-page").click()
+    report.locator("#queries button").nth(4).click()
+    seen = current(report), listed(report)
+    expect(report).to_have_url(re.compile(f"query={seen[0]}"))
+    other = report.context.new_page()
+    other.goto(report.url)
+    assert (current(other), listed(other)) == seen
+    expect(other.locator("#query-44")).to_be_in_viewport()
+    expect(other.locator("#kind option:checked")).to_contain_text("A right")
+    choose(other, dataset="Journey", method_b="VPRTempo, seed 0", kind="A wrong, B right")
+    expect(other).to_have_url(re.compile("b=VPRTempo"))
+    report.goto(other.url)
+    assert listed(report) == listed(other) == [3, 11, 20, 30]
+    report.goto("about:blank")
+    report.goto(f"{start}#dataset=No&a=No&b=No&show=a-not-b&sort=No&query=No")
+    expect(report.locator("#status")).to_have_text("1 to 5 of 5: A wrong, ties included")
+
+
+def names(tab: Page) -> list[str]:
+    """The rows that are seen, in their order."""
+    return tab.locator("#table tbody tr:visible th").all_text_contents()
+
+
+def test_the_table_is_sorted_by_any_column_and_back_and_filtered_by_a_word(report: Page) -> None:
+    before = names(report)
+    heads = report.locator("#table th[aria-sort]")
+    for order, first in (("descending", ["VPRTempo", "SAD"]), ("ascending", ["SAD", "VPRTempo"]), ("none", before)):
+        heads.nth(1).get_by_role("button").press("Enter")
+        expect(heads.nth(1)).to_have_attribute("aria-sort", order)
+        assert names(report)[: len(first)] == first
+    assert sorted(names(report)) == sorted(before)
+    heads.nth(3).get_by_role("button").click()
+    assert names(report)[:2] == ["VPRTempo", "SAD"]
+    heads.first.get_by_role("button").click()
+    assert names(report) == sorted(before)
+    word = report.get_by_label("Rows with the word")
+    for text, left in (("vpr", ["VPRSNN", "VPRTempo"]), ("spiking", ["VPRSNN", "VPRTempo"]), ("gcl ", ["GCL"])):
+        word.fill(text)
+        assert names(report) == left
+        expect(report.locator("#rows")).to_have_text(f"{len(left)} of {len(before)} rows")
+    word.fill("")
+    assert names(report) == sorted(before)
+
+
+def test_a_footnote_is_shown_on_hover_and_on_focus_until_escape(report: Page) -> None:
+    mark = report.locator("#table sup a", has_text=LEFT_OUT).first
+    note = report.get_by_role("tooltip")
+    expect(note).to_be_hidden()
+    for show in (mark.hover, mark.focus):
+        report.mouse.move(0, 0)
+        show()
+        expect(note).to_contain_text("set FULL=1")
+        box, size = note.bounding_box(), report.viewport_size
+        assert box is not None
+        assert size is not None
+        assert 0 <= box["x"] <= size["width"] - box["width"]
+        report.keyboard.press("Escape")
+        expect(note).to_be_hidden()
+
+
+def test_a_tap_shows_a_footnote_and_stays_at_the_cell(text: str, reader: Reader) -> None:
+    tab = reader.read(text, **PHONE, has_touch=True)
+    tab.locator("#table sup a", has_text=LEFT_OUT).first.tap()
+    expect(tab.get_by_role("tooltip")).to_contain_text("set FULL=1")
+    assert "#" not in tab.url
+
+
+def test_a_figure_is_enlarged_by_click_or_enter_and_closed_again(report: Page) -> None:
+    image, button = report.locator("#large-recall img"), report.get_by_role("button", name="Enlarge figure recall")
+    cross = report.locator("#large-recall .close")
+    button.scroll_into_view_if_needed()
+    small = image.bounding_box()
+    assert small is not None
+    for enlarge, close in (
+        (button.click, lambda: report.keyboard.press("Escape")),
+        (lambda: button.press("Enter"), cross.click),
+    ):
+        enlarge()
+        expect(cross).to_be_visible()
+        large = image.bounding_box()
+        assert large is not None
+        assert large["width"] > 1.5 * small["width"]
+        close()
+        assert image.bounding_box() == small
+
+
+# Looks and trust
 
 
 def test_a_phone_of_360_pixels_never_scrolls_sideways(reader: Reader) -> None:
-    table = TABLE.replace("<td>none</td>", "<td>none</td>" * 20).replace("Measured here", WIDE)
+    wide = TABLE.replace("<td>none</td>", "<td>none</td>" * 20).replace("Measured here", WIDE)
     names = journey_thumbnails(query_names=(WIDE,) * N_QUERIES)
-    given = replace(
-        journey_section(WIDE, names), series=(*journey_section().series, Series(WIDE, False, (journey_run({}),)))
-    )
-    tab = reader.read(page(table, [], [given, journey_section("Other")], WIDE), viewport={"width": 360, "height": 740})
+    series = (*journey_section().series, Series(WIDE, False, (journey_run({}),)))
+    given = replace(journey_section(WIDE, names), series=series)
+    tab = reader.read(page(wide, [], [given, journey_section("Other")], WIDE), **PHONE)
     assert widest(tab) <= 360
     tab.locator("#queries button").first.click()
     assert widest(tab) <= 360
-    choose(tab, method_b=WIDE, kind="all queries")
-    assert widest(tab) <= 360
-    choose(tab, dataset="Other")
-    assert widest(tab) <= 360
+    for chosen in ({"method_b": WIDE, "kind": "all queries"}, {"dataset": "Other"}):
+        choose(tab, **chosen)
+        assert widest(tab) <= 360
 
 
 @pytest.mark.parametrize("look", ["light", "dark", "print"])
 def test_every_text_stands_out_from_its_ground(reader: Reader, look: str) -> None:
     tab = reader.read(made_up_page([journey_section()]), color_scheme="light" if look == "light" else "dark")
-    choose(tab, method_b="VPRTempo, seed 0", kind="all queries", order=ORDERS["route"])
+    choose(tab, method_b="VPRTempo, seed 0", kind="all queries", order=ROUTE)
     tab.locator("#query-3").click()
     if look == "print":
         tab.emulate_media(media="print")
@@ -245,9 +450,6 @@ def test_every_text_stands_out_from_its_ground(reader: Reader, look: str) -> Non
     found = contrasts(tab)
     assert len(found) > 100
     assert {text: ratio for text, ratio in found.items() if ratio < 4.5} == {}
-
-
-# Trust
 
 
 def test_hostile_names_stay_text(reader: Reader) -> None:
@@ -262,9 +464,8 @@ def test_hostile_names_stay_text(reader: Reader) -> None:
 
 def test_without_javascript_everything_else_is_there_and_the_page_says_what_is_not(reader: Reader) -> None:
     tab = reader.read(made_up_page(), java_script_enabled=False)
-    expect(tab.locator("noscript p")).to_be_visible()
     expect(tab.locator("noscript p")).to_contain_text("frames of single queries, their filters and the strip")
     expect(tab.locator("#browsing")).to_be_hidden()
-    expect(tab.locator("#table table")).to_be_visible()
-    expect(tab.locator("#figures img")).to_be_visible()
+    for seen in ("noscript p", "#table table", "#figures img"):
+        expect(tab.locator(seen)).to_be_visible()
     expect(tab.locator("#protocol")).to_contain_text("60 places")

@@ -69,20 +69,49 @@ class Parsed(HTMLParser):
         return json.loads(self.inside["script"][number])
 
 
-def test_the_page_holds_the_table_unchanged_and_every_figure_with_its_caption() -> None:
+def embedded(text: str) -> dict[str, Any]:
+    """Return the frames that a page holds."""
+    frames: dict[str, Any] = Parsed(text).data("frames-0")
+    return frames
+
+
+def section(*runs: Run, thumbnails: Thumbnails | None = None, title: str = "Journey") -> Section:
+    """Return a section of one method with a run a seed."""
+    return Section(title, (Series("SAD", False, runs),), thumbnails)
+
+
+def pictured(text: str) -> bytes:
+    (image,) = Parsed(text).all("img")
+    return base64.b64decode(str(image["src"]).removeprefix("data:image/png;base64,"))
+
+
+def test_the_page_holds_its_table_figures_and_sentences_and_refers_to_nothing_outside_itself() -> None:
     text = made_up_page()
-    assert TABLE in text
     parsed = Parsed(text)
-    (image,) = parsed.all("img")
-    assert image["src"] is not None
-    png = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
-    assert Image.open(io.BytesIO(png)).size == (1200, 500)
-    sentences = ("How long a query takes, on Abacus 9.", "Made from 3 stored runs.")
-    for told in (*sentences, report.TRAINING_TIME, report.METHOD):
-        assert told in parsed.text
+    assert TABLE in text
+    assert Image.open(io.BytesIO(pictured(text))).size == (1200, 500)
+    sentences = "How long a query takes, on Abacus 9.", "Made from 3 stored runs.", report.TRAINING_TIME, report.METHOD
+    assert [told for told in sentences if told not in parsed.text] == []
     without_runs = report.page(TABLE, [], [Section("Journey", (), None)])
-    assert TABLE in without_runs
-    assert "query by query" not in without_runs
+    assert (TABLE in without_runs, "query by query" in without_runs) == (True, False)
+    addresses = [a[name] for _, a in parsed.elements for name in ("src", "href", "action", "srcset") if name in a]
+    assert len(addresses) > 5
+    assert all(address is not None and address.startswith(("#", "data:")) for address in addresses)
+    assert not any(word in parsed.inside["style"][0] for word in ("url(", "@import"))
+    ids = [attributes["id"] for _, attributes in parsed.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {str(link["href"])[1:] for link in parsed.all("a")} <= set(ids)
+
+
+def test_the_policy_allows_this_script_and_this_style_alone() -> None:
+    parsed = Parsed(made_up_page())
+    (policy,) = [meta["content"] for meta in parsed.all("meta") if "http-equiv" in meta]
+    rules = dict(rule.strip().split(" ", 1) for rule in str(policy).split(";"))
+    running = [text for a, text in zip(parsed.all("script"), parsed.inside["script"], strict=True) if "type" not in a]
+    for kind, texts in (("script", running), ("style", parsed.inside["style"])):
+        (digest,) = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts]
+        assert rules[f"{kind}-src"] == f"'sha256-{digest}'"
+    assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
 
 
 @pytest.mark.parametrize("n_pictures", [0, 1])
@@ -107,116 +136,56 @@ def test_a_large_figure_takes_fewer_bytes_and_looks_the_same(colours: int, alpha
         Image.fromarray(pixels, "RGBA").save(written, "PNG", compress_level=1)
     png = written.getvalue()
     assert len(png) > 200_000
-    (image,) = Parsed(report.page(TABLE, [Picture("frames", "Frames.", png)], [])).all("img")
-    small = base64.b64decode(str(image["src"]).removeprefix("data:image/png;base64,"))
+    small = pictured(report.page(TABLE, [Picture("frames", "Frames.", png)], []))
     assert small == png if colours == 256 else len(small) < len(png)
     seen = np.where(alpha == 255, pixels[..., :3], 255)
     np.testing.assert_array_equal(Image.open(io.BytesIO(small)).convert("RGB"), seen)
 
 
-def test_the_page_refers_to_nothing_outside_itself() -> None:
-    parsed = Parsed(made_up_page())
-    addresses = [a[name] for _, a in parsed.elements for name in ("src", "href", "action", "srcset") if name in a]
-    assert len(addresses) > 5
-    assert all(address is not None and address.startswith(("#", "data:")) for address in addresses)
-    assert "url(" not in parsed.inside["style"][0]
-    assert "@import" not in parsed.inside["style"][0]
-
-
-def test_every_link_inside_the_page_has_its_target() -> None:
-    parsed = Parsed(made_up_page())
-    ids = [attributes["id"] for _, attributes in parsed.elements if "id" in attributes]
-    assert len(ids) == len(set(ids))
-    assert {str(link["href"])[1:] for link in parsed.all("a")} <= set(ids)
-
-
-def test_the_policy_allows_this_script_and_this_style_alone() -> None:
-    parsed = Parsed(made_up_page())
-    (policy,) = [meta["content"] for meta in parsed.all("meta") if "http-equiv" in meta]
-    assert policy is not None
-    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
-    running = [text for a, text in zip(parsed.all("script"), parsed.inside["script"], strict=True) if "type" not in a]
-    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in running]
-    assert rules["script-src"] == f"'sha256-{digests[0]}'"
-    assert len(digests) == 1
-    style = base64.b64encode(hashlib.sha256(parsed.inside["style"][0].encode()).digest()).decode()
-    assert rules["style-src"] == f"'sha256-{style}'"
-    assert (rules["default-src"], rules["img-src"]) == ("'none'", "data:")
-
-
-def test_hostile_names_are_text_everywhere() -> None:
-    picture = Picture(HOSTILE, HOSTILE, b"")
-    text = report.page("", [picture], [hostile_section()], title=HOSTILE, made_from=HOSTILE)
+def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_written() -> None:
+    text = report.page("", [Picture(HOSTILE, HOSTILE, b"")], [hostile_section()], title=HOSTILE, made_from=HOSTILE)
     harmless, parsed = Parsed(made_up_page()), Parsed(text)
     assert HOSTILE not in text
     assert len(parsed.all("script")) == len(harmless.all("script"))
     assert all(image["src"] == "data:image/png;base64," for image in parsed.all("img"))
-    (section,) = parsed.data("answers")
-    assert section["queryNames"][0] == section["title"] == section["runs"][0]["name"] == HOSTILE
-
-
-def test_a_name_that_is_no_text_does_not_keep_the_page_from_being_written() -> None:
+    (told,) = parsed.data("answers")
+    assert told["queryNames"][0] == told["title"] == told["runs"][0]["name"] == HOSTILE
     run = journey_run(SAD_WRONG, notes=(Note("dataset", "folder caf\udce9"),))
-    text = report.page("", [], [Section("caf\udce9", (Series("SAD", False, (run,)),), None)])
+    text = report.page("", [], [section(run, title="caf\udce9")])
     assert "folder caf?" in text
     text.encode()
 
 
 def test_a_section_of_two_datasets_is_refused() -> None:
-    runs = (journey_run({}, 0), journey_run({}, 1, fingerprint="e" * 64))
     with pytest.raises(ValueError, match="Journey are of different images"):
-        report.page("", [], [Section("Journey", (Series("SAD", False, runs),), None)])
+        report.page("", [], [section(journey_run({}, 0), journey_run({}, 1, fingerprint="e" * 64))])
 
 
 def test_a_page_of_anybodys_data_bears_its_name_and_speaks_of_no_paper() -> None:
     text = report.page("", [Picture("speed", "Rates.", b"")], [journey_section()], title="My street")
-    parsed = Parsed(text)
     assert "<title>My street</title>" in text
     assert "<h1>My street</h1>" in text
-    assert "paper" not in parsed.text.lower()
-    assert "table ii" not in parsed.text.lower()
-
-
-def test_while_the_page_is_made_it_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    section = sized_section(60, 40, 2, noise(40, 60, quality=90))
-    whole = report.page("", [], [section])
-    monkeypatch.setattr(report, "MOST_BYTES", len(whole.encode()) - sum(map(len, embedded(whole)["queries"])) // 2)
-    heard: dict[str, list[float]] = {}
-    with listening(lambda stage, done: heard.setdefault(stage, []).append(done)):
-        report.page("", [], [section])
-    assert [len(shares) for shares in heard.values()] == [2, 100]
-    assert all(shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 1 for shares in heard.values())
+    assert not any(word in Parsed(text).text.lower() for word in ("paper", "table ii"))
 
 
 # Frames
 
 
-def embedded(text: str) -> dict[str, Any]:
-    frames: dict[str, Any] = Parsed(text).data("frames-0")
-    return frames
-
-
-def test_a_frame_stands_in_the_page_once_for_all_methods() -> None:
+def test_a_frame_stands_in_the_page_once_and_one_that_no_query_shows_not_at_all() -> None:
     text = made_up_page()
     frame = base64.b64encode(drawn_frame(place_colour(15))).decode()  # the right place of query 10, which all miss
     assert text.count(frame) == 1
     assert embedded(text)["places"]["15"] == frame
-
-
-def test_frames_that_no_query_shows_are_left_out() -> None:
     first_two = answered([[0.5, 0.25, 0.125, 0, 0, 0], [0.25, 0.5, 0.125, 0, 0, 0]], [[4], [1]])
-    kept = journey_thumbnails()
-    text = report.page("", [], [Section("Journey", (Series("SAD", False, (first_two,)),), kept)])
-    assert set(embedded(text)["places"]) == {"0", "1", "2", "4"}
-    assert len(embedded(text)["queries"]) == 2
+    kept = embedded(report.page("", [], [section(first_two, thumbnails=journey_thumbnails())]))
+    assert ({*kept["places"]}, len(kept["queries"])) == ({"0", "1", "2", "4"}, 2)
 
 
 def test_without_thumbnails_the_page_says_so_and_names_nothing() -> None:
-    several = Section("Journey", (Series("SAD", False, (journey_run({}, n_references=120),)),), None)
-    text = made_up_page([several])
-    (section,) = Parsed(text).data("answers")
-    assert section["framesMissing"].startswith("The frames of this dataset are not stored")
-    assert (section["queryNames"], section["placeNames"], section["firstReferences"]) == (None, None, "")
+    text = made_up_page([section(journey_run({}, n_references=120))])
+    (told,) = Parsed(text).data("answers")
+    assert told["framesMissing"].startswith("The frames of this dataset are not stored")
+    assert (told["queryNames"], told["placeNames"], told["firstReferences"]) == (None, None, "")
     assert embedded(text) == {"queries": [], "places": {}}
 
 
@@ -225,16 +194,16 @@ def test_of_frames_that_are_kept_in_part_the_others_are_named_and_the_page_says_
     queries = tuple(frame if query == 10 else b"" for query, frame in enumerate(whole.queries))
     places = tuple(frame if place == 15 else b"" for place, frame in enumerate(whole.references))
     text = made_up_page([journey_section(thumbnails=journey_thumbnails(queries=queries, references=places))])
-    (section,) = Parsed(text).data("answers")
-    assert section["framesMissing"].startswith("Of this large dataset some frames are stored")
-    assert section["placeNames"]["22"] == "noon/00022.png"
+    (told,) = Parsed(text).data("answers")
+    assert told["framesMissing"].startswith("Of this large dataset some frames are stored")
+    assert told["placeNames"]["22"] == "noon/00022.png"
     kept = embedded(text)
     assert list(kept["places"]) == ["15"]
     assert [query for query, frame in enumerate(kept["queries"]) if frame] == [10]
 
 
-def noise(n_queries: int, n_places: int, quality: int = 1, height: int = 54) -> Thumbnails:
-    """Return thumbnails of so many bytes each: eight frames of noise, again and again."""
+def noisy(n_places: int, n_queries: int, n_methods: int, quality: int = 1, height: int = 54) -> Section:
+    """Return runs of noise, whose numbers are as long as numbers get, with eight frames of noise again and again."""
     frames = []
     for seed in range(8):
         written = io.BytesIO()
@@ -243,53 +212,49 @@ def noise(n_queries: int, n_places: int, quality: int = 1, height: int = 54) -> 
         frames.append(written.getvalue())
     names = tuple(f"images-{number:05d}.png" for number in range(n_places))
     queries, places = (tuple(itertools.islice(itertools.cycle(frames), n)) for n in (n_queries, n_places))
-    return Thumbnails(names[:n_queries], names, (), queries, places)
-
-
-def sized_section(n_places: int, n_queries: int, n_methods: int, thumbnails: Any) -> Section:
-    """Return runs of noise, whose numbers are as long as numbers get."""
-    random = np.random.default_rng(0)
-    first = n_places - n_queries
-    series = []
+    random, series = np.random.default_rng(0), []
+    right = [[n_places - n_queries + query] for query in range(n_queries)]
     for method in range(n_methods):
         scores = random.random((n_queries, n_places), np.float32) - 10
-        run = answered(
-            scores, [[first + query] for query in range(n_queries)], depth=100, scores=None, n_references=2 * n_places
-        )
+        run = answered(scores, right, depth=100, scores=None, n_references=2 * n_places)
         series.append(Series(f"method {method}", False, (run,)))
-    return Section("Railway", tuple(series), thumbnails)
+    return Section("Railway", tuple(series), Thumbnails(names[:n_queries], names, (), queries, places))
 
 
 def test_a_page_of_3300_places_and_six_methods_with_figures_stays_below_10_mb() -> None:
-    frames = noise(2700, 3300, height=39)
-    assert np.mean([len(frame) for frame in frames.references]) > 5e6 / 6000  # all of them are 5 MB
-    pictures = [Picture(f"figure-{i}", "A caption.", bytes(100_000)) for i in range(8)]
-    text = report.page(TABLE, pictures, [sized_section(3300, 2700, 6, frames)])
+    given = noisy(3300, 2700, 6, height=39)
+    assert given.thumbnails is not None
+    frames = given.thumbnails.references
+    assert np.mean([len(frame) for frame in frames]) > 5e6 / 6000  # all of them are 5 MB
+    text = report.page(TABLE, [Picture(f"figure-{i}", "A caption.", bytes(100_000)) for i in range(8)], [given])
     assert len(text.encode()) < 10_000_000
     kept = embedded(text)
     assert [len(kept["queries"]), len(kept["places"])] == [2700, 3300]
-    assert base64.b64decode(kept["queries"][5]) == frames.queries[5]
+    assert base64.b64decode(kept["queries"][5]) == given.thumbnails.queries[5]
 
 
 def test_where_the_frames_are_too_large_all_of_them_become_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If none fits, names stand in their places."""
-    section = sized_section(60, 40, 2, noise(40, 60, quality=90))
-    text = report.page("", [], [section])
+    """If none fits, names stand in their places; the page says how far it is meanwhile."""
+    given = noisy(60, 40, 2, quality=90)
+    text = report.page("", [], [given])
     most = len(text.encode()) - sum(map(len, embedded(text)["queries"])) // 2
     monkeypatch.setattr(report, "MOST_BYTES", most)
-    text = report.page("", [], [section])
+    heard: dict[str, list[float]] = {}
+    with listening(lambda stage, done: heard.setdefault(stage, []).append(done)):
+        text = report.page("", [], [given])
     assert len(text.encode()) <= most
     assert len(embedded(text)["queries"]) == 40
     assert Image.open(io.BytesIO(base64.b64decode(embedded(text)["queries"][0]))).size == (96, 54)
+    assert [len(shares) for shares in heard.values()] == [2, 100]
+    assert all(shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 1 for shares in heard.values())
     monkeypatch.setattr(report, "MOST_BYTES", 1000)
-    text = report.page("", [], [section])
+    text = report.page("", [], [given])
     (told,) = Parsed(text).data("answers")
-    assert told["firstReferences"] == ""
+    assert (told["firstReferences"], told["queryNames"][3], embedded(text)["queries"]) == ("", "images-00003.png", [])
     assert told["framesMissing"].startswith("This page would be too large with frames")
-    assert (told["queryNames"][3], embedded(text)["queries"]) == ("images-00003.png", [])
 
 
-# Words
+# What is told of the runs
 
 
 @pytest.mark.parametrize(
@@ -313,39 +278,40 @@ def test_the_last_finding_counts_what_all_and_what_some_missed(
     assert (found[-1] == sentence) is (sentence is not None)
 
 
-@pytest.mark.parametrize(
-    ("timing", "told"),
-    [({"rates": False}, "Query rates were not timed"), ({"total_seconds": 5.0}, "within 5 s for all batch sizes")],
-)
-def test_a_protocol_says_whether_and_how_long_rates_were_timed(timing: dict[str, Any], told: str) -> None:
+def timed(**changes: Any) -> Run:
     run = journey_run({})
-    run = replace(run, config={**run.config, "timing": {**run.config["timing"], **timing}})
-    assert dict(words.protocol([run]))["Timing"].endswith(told)
+    return replace(run, config={**run.config, "timing": {**run.config["timing"], **changes}})
 
 
-def test_the_protocol_is_told_in_words() -> None:
-    protocol = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 2, "places": 9}
-    protocol |= {"first_query_place": 4, "repeated_images": {"spring": 1, "fall": 0}, "unmatched": None}
-    positives = [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4]]
-    run = answered(np.eye(3, 9), positives, protocol=protocol, n_references=18, fingerprint="abcd" * 16)
-    facts = dict(words.protocol([run]))
-    assert facts["Dataset"] == "journey, images abcdabcdabcdabcd"
-    assert facts["Map"] == "9 places, from 18 reference images (spring and fall)"
-    assert facts["Queries"] == "3 images (summer)"
-    assert facts["Right places"] == (
-        "A place up to 2 places from the one that the query shows is right. A query has 3 to 5 of them."
-    )
-    assert facts["Also recorded"] == "first query place: 4; repeated images: spring 1, fall 0"
-    assert facts["Timing"].startswith("At least 2 s and 64 queries from a sample of 256 images in memory")
+JOURNEY = {"references": ["spring", "fall"], "query": "summer", "tolerance_places": 2, "places": 9}
+JOURNEY |= {"first_query_place": 4, "repeated_images": {"spring": 1, "fall": 0}, "unmatched": None}
+WITHIN = answered(np.eye(2, 3), [[0, 1], []], protocol={"queries": "rain", "radius_metres": 25.0})
+THREE = answered(
+    np.eye(3, 9), [[0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 3, 4]], protocol=JOURNEY, n_references=18, fingerprint="abcd" * 16
+)
 
 
-def test_other_kinds_of_ground_truth_are_told_too() -> None:
-    within = answered(np.eye(2, 3), [[0, 1], []], protocol={"queries": "rain", "radius_metres": 25.0})
-    assert dict(words.protocol([within]))["Right places"] == (
-        "A place within 25 m of the query is right. A query has 2 of them. 1 query has none and cannot be answered."
-    )
-    listed = answered(np.eye(2, 3), [[0], [1]], protocol={})
-    assert dict(words.protocol([listed]))["Right places"] == "One for each query."
+@pytest.mark.parametrize(
+    ("run", "term", "told"),
+    [
+        (THREE, "Dataset", "journey, images abcdabcdabcdabcd"),
+        (THREE, "Map", "9 places, from 18 reference images (spring and fall)"),
+        (THREE, "Queries", "3 images (summer)"),
+        (
+            THREE,
+            "Right places",
+            "A place up to 2 places from the one that the query shows is right. A query has 3 to 5 of them.",
+        ),
+        (THREE, "Also recorded", "first query place: 4; repeated images: spring 1, fall 0"),
+        (THREE, "Timing", "At least 2 s and 64 queries from a sample of 256 images in memory"),
+        (timed(rates=False), "Timing", "Query rates were not timed"),
+        (timed(total_seconds=5.0), "Timing", "within 5 s for all batch sizes"),
+        (WITHIN, "Right places", "A place within 25 m of the query is right. A query has 2 of them. 1 query has none"),
+        (answered(np.eye(2, 3), [[0], [1]], protocol={}), "Right places", "One for each query."),
+    ],
+)
+def test_the_protocol_is_told_in_words(run: Run, term: str, told: str) -> None:
+    assert told in dict(words.protocol([run]))[term]
 
 
 def on(run: Run, **changes: Any) -> Run:
@@ -378,33 +344,16 @@ def test_each_machine_is_told_once_with_what_ran_on_it() -> None:
     assert little_facts == {"Processor": "Abacus 1", "Commit": "not recorded", "Runs": "HOG (journey)"}
 
 
-def test_notes_name_their_run_and_its_seed_where_there_are_several() -> None:
-    runs = (
-        journey_run({}, 0, notes=(Note("audit", "audit failed"),)),
-        journey_run({}, 1, notes=(Note("noisy", "noisy"), Note("caching", "caching"))),
-    )
-    assert words.notes([("Journey", Series("VPRTempo", True, runs))]) == (
-        ("Journey: VPRTempo, seed 0", "audit failed"),
-        ("Journey: VPRTempo, seed 1", "noisy"),
-        ("Journey: VPRTempo, seed 1", "caching"),
-    )
-    assert "two carts passed" in Parsed(made_up_page()).text
-
-
 def test_machines_and_notes_are_of_everything_measured_not_only_of_what_is_browsed() -> None:
     run = journey_run({}, notes=(Note("dataset", "the clock was not locked"),))
     on_gpu = on(replace(run, config={**run.config, "device": "cuda"}), processor="Difference Engine")
     browsed = journey_section()
-    measured = [("Journey", browsed.series[0]), ("Journey", Series("VPRTempo", True, (on_gpu,)))]
-    text = Parsed(report.page(TABLE, [], [browsed], measured=measured)).text
-    known = (
-        "Difference Engine",
-        "Abacus 9",
-        "Journey: VPRTempo, on cuda",
-        "the clock was not locked",
-        "two carts passed",
-    )
-    assert [told for told in known if told not in text] == []
+    seeds = (journey_run({}, 0, notes=(Note("audit", "audit failed"),)), journey_run({}, 1))
+    measured = [("Journey", Series("VPRTempo", True, runs)) for runs in ((on_gpu,), seeds)]
+    text = Parsed(report.page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
+    machines = "Difference Engine", "Abacus 9"
+    notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "audit failed"
+    assert [told for told in (*machines, *notes) if told not in text] == []
     assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
 
 
@@ -418,6 +367,6 @@ def test_machines_and_notes_are_of_everything_measured_not_only_of_what_is_brows
     ],
 )
 def test_which_of_several_reference_images_is_shown_is_told(references: int, names: list[str], sentence: str) -> None:
-    told_of_it = words.first_references([journey_run({}, n_references=references)], names)
-    assert sentence in told_of_it
-    assert bool(told_of_it) == bool(sentence)
+    told = words.first_references([journey_run({}, n_references=references)], names)
+    assert sentence in told
+    assert bool(told) == bool(sentence)
