@@ -1,20 +1,31 @@
-"""VPRTempo networks drawn at random, inputs to show them, and the two ways of asking."""
+"""VPRTempo networks drawn at random or trained on a little world, inputs to show them, and the two ways of asking."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 
+from vprbench.api.images import Images
+from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import Query
+from vprbench.methods.vprtempo.rules import RuleSet
+from vprbench.plugins.rules import Journey
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.float32]  # (n_queries, n_pixels)
 Ask = Callable[[Query, Spikes], Spikes]
+
+WORLD = Journey.draw(0)
+REFERENCES, QUERIES = Images.from_arrays(WORLD.references), Images.from_arrays(WORLD.queries)
+SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}  # modules of 8, 8 and 4 places
+RULE_SETS = pytest.mark.parametrize("rules", get_args(RuleSet))
 
 N_PIXELS = 20
 SIZES = pytest.mark.parametrize("sizes", [[5, 5, 3], [7], [1], [2, 1]], ids=str)  # places of each module
@@ -70,3 +81,9 @@ def in_a_batch(query: Query, spikes: Spikes) -> Spikes:
 
 
 WAYS = pytest.mark.parametrize("ask", [one_by_one, in_a_batch])
+
+
+@cache
+def fitted(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> Any:
+    """Return what has learnt the little world; tests share it, so they change nothing in it."""
+    return kind(**{**SMALL, **arguments}).fit(REFERENCES, WORLD.places)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from vprbench.methods.vprtempo.query import asking
 from vprbench.methods.vprtempo.rules import PAPER, RULES
 
 N_PLACES = 24
-PLACES = np.arange(N_PLACES)
+SMALL: dict[str, Any] = {"height": 12, "width": 12, "max_module": 10}
 
 
 def frames(seed: int) -> Images:
@@ -30,8 +31,9 @@ def frames(seed: int) -> Images:
     return Images.from_arrays(list(scenes.clip(0, 255).astype(np.uint8)))
 
 
+@cache
 def small(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> VPRTempo:
-    return kind(**{"height": 12, "width": 12, "max_module": 10, **arguments}).fit(frames(1), PLACES)
+    return kind(**SMALL, **arguments).fit(frames(1), np.arange(N_PLACES))
 
 
 def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.float32]:
@@ -39,23 +41,18 @@ def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_no_rule_set_calibrates_on_its_own(rules: str) -> None:
-    assert not RULES[rules].calibrated_scores  # type: ignore[index]
-
-
-@pytest.mark.parametrize("rules", RULES)
-def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(rules: str) -> None:
+def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(
+    rules: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain = small(rules=rules)
+    assert not plain.chosen_rules().calibrated_scores
     over_references = plain.query(frames(1)).astype(np.float64)
     mean, spread = over_references.mean(0), over_references.std(0)
     expected = (plain.query(frames(2)) - mean) / np.maximum(spread, 0.01 * spread.mean())
     assert scores(rules=rules, calibrated_scores=True) == pytest.approx(expected, rel=1e-3, abs=1e-3)
-
-
-def test_several_blocks_of_references_count_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = scores(calibrated_scores=True)
-    monkeypatch.setattr("vprbench.methods.vprtempo.query._BLOCK", 7)
-    assert scores(calibrated_scores=True) == pytest.approx(whole, rel=1e-4, abs=1e-4)
+    monkeypatch.setattr("vprbench.methods.vprtempo.query._BLOCK", 7)  # several blocks of references count as one
+    anew = small.__wrapped__(rules=rules, calibrated_scores=True)
+    assert anew.query(frames(2)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
 def test_a_place_louder_than_others_no_longer_wins_every_query() -> None:
@@ -75,14 +72,15 @@ def test_a_place_louder_than_others_no_longer_wins_every_query() -> None:
     assert asking([calibrated], PAPER).scores(references).argmax(1).tolist() == [0, 1]
 
 
-@pytest.mark.parametrize("silent", [1, 2])
-def test_places_that_never_answer_are_divided_by_no_zero(silent: int) -> None:
-    network = Network(
-        torch.ones(1, 1, 1), torch.zeros(1, 1), torch.zeros(1, 1), (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),)
-    )
-    sums = torch.tensor([0.0, 0.0 if silent == 2 else 4.0], dtype=torch.float64)
-    calibrated = network.calibrated(sums, 2 * sums, 4)
-    assert np.isfinite(asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))).all()
+def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1() -> None:
+    nothing = torch.zeros(1, 1)
+    network = Network(torch.ones(1, 1, 1), nothing, nothing, (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),))
+    for loud, least in ((0.0, 1.0), (4.0, 0.005)):
+        sums = torch.tensor([0.0, loud], dtype=torch.float64)
+        calibrated = network.calibrated(sums, 2 * sums, 4)  # of scores 0, 0, 2 and 2 the spread is 1
+        found = asking([calibrated], PAPER).scores(np.array([[0.5]], np.float32))
+        assert np.isfinite(found).all()
+        assert found[0, 0] == pytest.approx(0.25 / least)
 
 
 def test_an_ensemble_averages_scores_calibrated_member_by_member() -> None:
@@ -94,15 +92,9 @@ def test_an_ensemble_averages_scores_calibrated_member_by_member() -> None:
 @pytest.mark.parametrize("rules", ["paper", "reference"])
 def test_int8_scores_are_calibrated_as_those_of_the_float_network(rules: str) -> None:
     exact = scores(rules=rules, calibrated_scores=True)
-    assert np.abs(scores(VPRTempoInt8, rules=rules, calibrated_scores=True) - exact).max() < 0.25
-    assert np.corrcoef(scores(VPRTempoInt8, rules=rules, calibrated_scores=True).ravel(), exact.ravel())[0, 1] > 0.999
-
-
-def test_the_calibration_is_stored_with_the_network() -> None:
-    trained = small(calibrated_scores=True)
-    restored = VPRTempo(height=12, width=12, max_module=10, calibrated_scores=True).restore(trained.state())
-    assert np.array_equal(restored.query(frames(2)), trained.query(frames(2)))
-    assert set(trained.state()) - set(small().state()) == {"score_mean", "score_spread"}
+    found = scores(VPRTempoInt8, rules=rules, calibrated_scores=True)
+    assert np.abs(found - exact).max() < 0.25
+    assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.999
 
 
 def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
@@ -113,13 +105,13 @@ def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
     assert asking(members, rules).scores(codes) == pytest.approx((apart[0] + apart[1]) / 2, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("calibrated", [False, True])
-def test_a_stored_network_is_restored_as_calibrated_as_it_was_trained(calibrated: bool) -> None:
-    stored = small(calibrated_scores=calibrated).state()
-    with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
-        VPRTempo(height=12, width=12, max_module=10, calibrated_scores=not calibrated).restore(stored)
-
-
-def test_a_calibration_holds_for_the_way_of_asking_that_it_was_made_with() -> None:
-    assert "query_rule" in VPRTempo().query_arguments
-    assert "query_rule" not in VPRTempo(calibrated_scores=True).query_arguments
+def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with() -> None:
+    trained = small(calibrated_scores=True)
+    assert set(trained.state()) - set(small().state()) == {"score_mean", "score_spread"}
+    restored = VPRTempo(**SMALL, calibrated_scores=True).restore(trained.state())
+    assert np.array_equal(restored.query(frames(2)), scores(calibrated_scores=True))
+    for calibrated in (False, True):
+        with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
+            VPRTempo(**SMALL, calibrated_scores=not calibrated).restore(small(calibrated_scores=calibrated).state())
+    assert VPRTempo().query_arguments == {"engine", "query_rule", "silent_winner"}
+    assert VPRTempo(calibrated_scores=True).query_arguments == {"engine"}

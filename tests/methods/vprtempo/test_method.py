@@ -1,9 +1,10 @@
-"""VPRTempo as a method: its query against a slow oracle, its arguments, its seeds and what it refuses."""
+"""VPRTempo as a method: its modules, its arguments, its seeds and what it refuses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import torch
 import yaml
 from checkout import ROOT
+from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
@@ -20,34 +22,13 @@ from vprbench.methods.vprtempo.layer import Layer
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import asking
-from vprbench.methods.vprtempo.rules import (
-    PAPER,
-    RULES,
-    V1,
-    QueryRule,
-    Rules,
-    RuleSet,
-)
+from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
 from vprbench.plugins.rules import Journey
 
-Floats = npt.NDArray[np.float64]
 
-N_PLACES = 20
-SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}  # modules of 8, 8 and 4 places
-WORLD = Journey.draw(0)
-YAML = ROOT / "conf" / "method" / "vprtempo.yaml"
-
-
-def images(arrays: Sequence[npt.NDArray[np.uint8]]) -> Images:
-    return Images.from_arrays(list(arrays))
-
-
-def fitted(**arguments: Any) -> VPRTempo:
-    return VPRTempo(**{**SMALL, **arguments}).fit(images(WORLD.references), WORLD.places)
-
-
+@cache
 def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
-    return fitted(**arguments).query(images(WORLD.queries))
+    return fitted(**arguments).query(QUERIES)
 
 
 # --- seeds and modules ------------------------------------------------------------------------------------------
@@ -65,31 +46,22 @@ def test_places_come_module_by_module_and_without_the_padding_of_the_last(query_
     assert found == pytest.approx([0.05, 0.1, 0.15, 0.2, 0.25])
 
 
-@pytest.mark.parametrize("rules", get_args(RuleSet))
-def test_references_are_mostly_recognised(rules: RuleSet) -> None:
-    scores = fitted(rules=rules).query(images(WORLD.references[:N_PLACES]))
-    assert np.mean(scores.argmax(1) == np.arange(N_PLACES)) > 0.5
+@RULE_SETS
+def test_references_are_mostly_recognised_and_the_seed_decides_about_the_scores(rules: RuleSet) -> None:
+    found = fitted.__wrapped__(rules=rules, seed=1)
+    winners = found.query(REFERENCES[:20]).argmax(1)
+    assert np.mean(winners == np.arange(20)) > 0.5
+    assert np.array_equal(found.query(QUERIES), scores_of(rules=rules, seed=1))
+    assert not np.allclose(scores_of(rules=rules, seed=1), scores_of(rules=rules, seed=0), rtol=0.01)
 
 
-@pytest.mark.parametrize("rules", get_args(RuleSet))
-def test_the_seed_decides_about_the_scores(rules: RuleSet) -> None:
-    one, again, other = (scores_of(rules=rules, seed=seed) for seed in (1, 1, 0))
-    assert np.array_equal(one, again)
-    assert not np.allclose(one, other, rtol=0.01)
-
-
-def test_the_first_module_learns_the_same_whether_or_not_others_follow() -> None:
+def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_others_follow() -> None:
     first = np.flatnonzero(WORLD.places < 8)
-    alone = VPRTempo(**SMALL).fit(images([WORLD.references[i] for i in first]), WORLD.places[first])
-    queries = images(WORLD.queries)
-    assert fitted().query(queries)[:, :8] == pytest.approx(alone.query(queries), abs=1e-6)
-
-
-def test_modules_draw_differently() -> None:
+    alone = VPRTempo(**SMALL).fit(REFERENCES[first], WORLD.places[first])
+    assert scores_of()[:, :8] == pytest.approx(alone.query(QUERIES), abs=1e-6)
     # The same references in both modules: equal draws would give equal scores.
-    half = WORLD.references[:8]
-    twice = VPRTempo(**SMALL).fit(images([*half, *half]), np.arange(16))
-    scores = twice.query(images(WORLD.queries))
+    half = np.tile(np.arange(8), 2)
+    scores = VPRTempo(**SMALL).fit(REFERENCES[half], np.arange(16)).query(QUERIES)
     assert not np.allclose(scores[:, :8], scores[:, 8:], rtol=0.01)
 
 
@@ -108,63 +80,41 @@ def another_value(name: str) -> Any:
     return said + 1
 
 
-@pytest.mark.parametrize("rules", get_args(RuleSet))
-def test_arguments_of_none_leave_the_rules_as_they_are(rules: RuleSet) -> None:
-    assert VPRTempo(rules=rules).chosen_rules() == RULES[rules]
-
-
-@pytest.mark.parametrize("name", CHOICES)
-def test_an_argument_replaces_the_one_choice_of_its_name(name: str) -> None:
-    value = another_value(name)
-    assert VPRTempo(rules="paper", **{name: value}).chosen_rules() == replace(PAPER, **{name: value})
-
-
-def test_the_arguments_of_one_version_turn_the_paper_into_it() -> None:
+def test_an_argument_replaces_the_one_choice_of_its_name_and_none_leaves_the_rules_as_they_are() -> None:
+    for rules in get_args(RuleSet):
+        assert VPRTempo(rules=rules).chosen_rules() == RULES[rules]
+    for name in CHOICES:
+        value = another_value(name)
+        assert VPRTempo(rules="paper", **{name: value}).chosen_rules() == replace(PAPER, **{name: value})
     choices = {name: getattr(V1, name) for name in CHOICES}
     assert np.array_equal(scores_of(rules="paper", **choices), scores_of(rules="v1"))
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"preprocessing": "A"},
-        {"height": 13},
-        {"width": 13},
-        {"patch": 5},
-        {"max_module": 10},
-        {"features_per_pixel": 1.5},
-        {"epochs": 3},
-        {"stdp_rate": 0.004},
-        {"itp_rate": 0.1},
-        {"threshold_max": 0.4},
-        {"rate_min": 0.3},
-        {"rate_max": 0.8},
-        {"p_excitatory": 0.2},
-        {"p_inhibitory": 0.4},
-        # No query here is silent: silent_winner has tests of its own above.
-        *({name: another_value(name)} for name in CHOICES if name not in ("silent_winner", "clip")),
-        {"clip": 0.1},
-    ],
-    ids=lambda arguments: next(iter(arguments)),
-)
-def test_every_argument_changes_the_scores(arguments: dict[str, Any]) -> None:
+OTHER_VALUES: dict[str, Any] = {
+    **{"preprocessing": "A", "height": 13, "width": 13, "patch": 5, "max_module": 10, "features_per_pixel": 1.5},
+    **{"epochs": 3, "stdp_rate": 0.004, "itp_rate": 0.1, "threshold_max": 0.4, "rate_min": 0.3, "rate_max": 0.8},
+    **{"p_excitatory": 0.2, "p_inhibitory": 0.4, "output_norm": 2.0},
+    # No query here is silent: silent_winner has a test of its own in test_query.py.
+    **{name: another_value(name) for name in CHOICES if name != "silent_winner"},
+    "clip": 0.1,
+}
+
+
+@pytest.mark.parametrize("name", OTHER_VALUES)
+def test_every_argument_changes_the_scores(name: str) -> None:
     # The modules train for 64 steps, so that annealing every 100 would never act.
     usual = {"annealing_interval": 10}
-    assert not np.allclose(scores_of(**{**usual, **arguments}), scores_of(**usual), rtol=1e-3)
+    assert not np.allclose(scores_of(**{**usual, name: OTHER_VALUES[name]}), scores_of(**usual), rtol=1e-3)
 
 
-def test_the_configuration_has_every_argument_and_its_default() -> None:
-    configured = yaml.safe_load(YAML.read_text())
+def test_the_configuration_has_every_argument_and_its_default_of_table_1() -> None:
+    configured = yaml.safe_load((ROOT / "conf" / "method" / "vprtempo.yaml").read_text())
     own = {field.name: field.default for field in fields(VPRTempo) if not field.name.startswith("_")}
     assert set(configured) - {"_target_", "tags"} == set(own)
     for name in set(own) - {"seed", "device"}:
         assert configured[name] == own[name], name
-
-
-def test_the_defaults_are_those_of_table_1() -> None:
-    method = VPRTempo()
-    table = (method.threshold_max, method.stdp_rate, method.itp_rate, method.rate_min, method.rate_max)
-    assert (*table, method.p_excitatory, method.p_inhibitory) == (0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5)
+    table = ("threshold_max", "stdp_rate", "itp_rate", "rate_min", "rate_max", "p_excitatory", "p_inhibitory")
+    assert [own[name] for name in table] == [0.5, 0.005, 0.15, 0.2, 0.9, 0.1, 0.5]
     assert (PAPER.constant_input, V1.constant_input) == (0.1, 0.1)
 
 
@@ -185,6 +135,7 @@ def test_the_defaults_are_those_of_table_1() -> None:
         ({"clip": 0.0}, r"method\.clip=0"),
         ({"annealing_interval": 0}, r"method\.annealing_interval=0"),
         ({"rules": "reference", "equal_output_weights": True}, "equal_output_weights"),
+        ({"output_rule": "covariance", "query_rule": "linear"}, r"method\.query_rule=linear"),
     ],
     ids=str,
 )
@@ -193,32 +144,32 @@ def test_arguments_under_which_there_is_no_network_are_refused_by_name(arguments
         fitted(**arguments)
 
 
-def test_exactly_one_module_of_places_is_accepted() -> None:
+def test_the_least_and_the_most_that_an_argument_may_be_are_accepted() -> None:
+    VPRTempo(
+        **{"max_module": 1, "epochs": 1, "stdp_rate": 0.0, "output_stdp_rate": 0.0, "itp_rate": 0.0},
+        **{"threshold_max": 0.0, "rate_min": 0.9, "p_excitatory": 0.0, "p_inhibitory": 1.0, "annealing_interval": 1},
+        **{"constant_input": 0.0, "homeostasis_gain": 0.0},
+    ).check(1)
     assert scores_of(max_module=20).shape == (len(WORLD.queries), 20)
 
 
-@pytest.mark.parametrize("rules", get_args(RuleSet))
-def test_absurd_learning_rates_raise_a_diverged_training(rules: RuleSet) -> None:
+@RULE_SETS
+def test_a_diverged_training_is_an_error_and_leaves_the_method_unfitted(rules: RuleSet) -> None:
+    method = VPRTempo(**SMALL, rules=rules).restore(fitted(rules=rules).state())
+    method.stdp_rate = 50.0
     with pytest.raises(TrainingDivergedError, match="training diverged"):
-        fitted(rules=rules, stdp_rate=50.0)
+        method.fit(REFERENCES, WORLD.places)
+    with pytest.raises(NotFittedError):
+        method.query(QUERIES)
 
 
-@pytest.mark.parametrize(("size", "n_alike"), [((48, 64), 11), ((48, 64), 20), ((1, 1), 20)])
+@pytest.mark.parametrize(("size", "n_alike"), [((48, 64), 11), ((1, 1), 20)])
 def test_references_that_show_nothing_are_called_so_and_no_diverged_training(
     size: tuple[int, int], n_alike: int
 ) -> None:
     empty = [np.zeros((*size, 3), np.uint8)] * n_alike
     with pytest.raises(BadInput, match=f"{n_alike} of 20 images.* same input"):
-        VPRTempo(**SMALL).fit(images([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
-
-
-def test_a_diverged_training_leaves_the_method_unfitted() -> None:
-    method = fitted()
-    method.stdp_rate = 50.0
-    with pytest.raises(TrainingDivergedError):
-        method.fit(images(WORLD.references), WORLD.places)
-    with pytest.raises(NotFittedError):
-        method.query(images(WORLD.queries))
+        VPRTempo(**SMALL).fit(Images.from_arrays([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
 
 
 # --- inputs -----------------------------------------------------------------------------------------------------
@@ -235,13 +186,13 @@ def torch_warns_every_time() -> Iterator[None]:
 
 @pytest.mark.usefixtures("torch_warns_every_time")
 def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_takes_unwritable_places() -> None:
-    world, untouched = Journey.draw(0), Journey.draw(0)
+    world = Journey.draw(0)
     world.places.flags.writeable = False  # as the harness gives them
     before = torch.random.get_rng_state()
-    VPRTempo(**SMALL).fit(images(world.references), world.places)
+    VPRTempo(**SMALL).fit(Images.from_arrays(world.references), world.places)
     assert torch.equal(torch.random.get_rng_state(), before)
-    assert np.array_equal(np.stack(world.references), np.stack(untouched.references))
-    assert np.array_equal(world.places, untouched.places)
+    assert np.array_equal(np.stack(world.references), np.stack(WORLD.references))
+    assert np.array_equal(world.places, WORLD.places)
 
 
 @pytest.mark.parametrize("variant", ["A", "B", "C"])
@@ -250,7 +201,7 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: 
     # the step of C rounds a level of k to the next of 0, M / 255, 2 M / 255 ... M, M the image's largest level.
     image = np.full((12, 12, 3), 150, np.uint8)
     image[3, 3] = 100
-    shown = images([*WORLD.queries, image])
+    shown = Images.from_arrays([*WORLD.queries, image])
     levels = PatchNormalisation(variant, 12, 12, 7)(shown).astype(np.float64)
     largest = levels.max(1, keepdims=True)
     assert 127 < largest[-1] < 255
@@ -264,7 +215,7 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: 
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
-@pytest.mark.parametrize("rules", get_args(RuleSet))
+@RULE_SETS
 def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules: RuleSet) -> None:
     # The CPU learns module after module, a GPU all of them at once; what rounding parts is no difference in rank.
     on_cpu, on_cuda = (scores_of(rules=rules, device=device) for device in ("cpu", "cuda"))
@@ -275,17 +226,11 @@ def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules:
 # --- initial output weights -------------------------------------------------------------------------------------
 
 
-def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for() -> None:
+def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     # Nothing is learnt at rate 0, so equal weights of both signs cancel and leave no score at all; drawn ones scale.
+    monkeypatch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
     still = {"stdp_rate": 0.0, "itp_rate": 0.0, "rules": "paper", "query_rule": "linear"}
-    unit, double = (untested(**still, output_norm=norm).state()["outputs_0"] for norm in (1.0, 2.0))
+    unit, double = (fitted(**still, output_norm=norm).state()["outputs_0"] for norm in (1.0, 2.0))
     assert double == pytest.approx(2 * unit, rel=1e-5, abs=2.1e-6)  # the smallest weight is 1e-6
     assert np.abs(unit).sum(1).max() <= 2.0
-    assert not untested(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()
-
-
-def untested(**arguments: Any) -> VPRTempo:
-    """Train without asking whether the result can be trusted."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
-        return fitted(**arguments)
+    assert not fitted(**still, output_norm=2.0, equal_output_weights=True).state()["outputs_0"].any()

@@ -6,51 +6,52 @@ import json
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 
-from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
-from vprbench.plugins.rules import Journey
 from vprbench.run.store import Store
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
-SIDE = 12  # pixels
-WORLD = Journey.draw(0)
-QUERIES = Images.from_arrays(WORLD.queries)
-RULES = pytest.mark.parametrize("rules", get_args(RuleSet))
+SIDE = SMALL["height"]
 
 
 def method(**arguments: Any) -> VPRTempo:
-    return VPRTempo(**{"max_module": 8, "height": SIDE, "width": SIDE, **arguments})
-
-
-def fitted(**arguments: Any) -> VPRTempo:
-    return method(**arguments).fit(Images.from_arrays(WORLD.references), WORLD.places)
+    return VPRTempo(**{**SMALL, **arguments})
 
 
 # --- what state gives, restore takes ----------------------------------------------------------------------------
 
 
-@RULES
-def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet) -> None:
-    trained = fitted(rules=rules)
-    restored = method(rules=rules).restore(trained.state())
+@pytest.mark.parametrize(
+    ("rules", "max_module"), [("paper", 8), ("reference", 8), ("v1", 8), ("reference", 1)], ids=str
+)
+def test_a_restored_network_scores_to_the_bit_as_the_trained_one(rules: RuleSet, max_module: int) -> None:
+    trained = fitted(rules=rules, max_module=max_module)
+    state = {name: array.copy() for name, array in trained.state().items()}
+    assert len(state) == 3 + 2 * -(-20 // max_module)
+    for array in state.values():
+        array.flags.writeable = False
+    restored = method(rules=rules, max_module=max_module).restore(state)
+    assert {name: array.tobytes() for name, array in restored.state().items()} == {
+        name: array.tobytes() for name, array in state.items()
+    }
+    for array in state.values():
+        array.flags.writeable = True
+        array[:] = 7  # which the network does not follow
     assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
     x = trained.encode(QUERIES)[1:2]
     assert np.array_equal(restored.match(x), trained.match(x))
-    assert {name: array.tobytes() for name, array in restored.state().items()} == {
-        name: array.tobytes() for name, array in trained.state().items()
-    }
 
 
 def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and_float32() -> None:
@@ -63,29 +64,12 @@ def test_the_arrays_are_the_layers_of_each_module_without_padding_contiguous_and
     assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in state.values())
 
 
-def test_arrays_may_be_unwritable_and_later_changes_of_them_are_not_followed() -> None:
-    trained = fitted()
-    state = {name: array.copy() for name, array in trained.state().items()}
-    for array in state.values():
-        array.flags.writeable = False
-    restored = method().restore(state)
-    for array in state.values():
-        array.flags.writeable = True
-        array[:] = 7
-    assert np.array_equal(restored.query(QUERIES), trained.query(QUERIES))
-
-
-def test_more_than_ten_modules_keep_their_order() -> None:
-    trained = fitted(max_module=1)
-    assert len(trained.state()) == 3 + 2 * 20
-    assert np.array_equal(method(max_module=1).restore(trained.state()).query(QUERIES), trained.query(QUERIES))
-
-
 def test_restoring_and_training_forget_the_network_before() -> None:
-    wanted = fitted(seed=1)
-    assert np.array_equal(fitted().restore(wanted.state()).query(QUERIES), wanted.query(QUERIES))
-    restored = method(seed=1).restore(fitted().state())
-    restored.fit(Images.from_arrays(WORLD.references), WORLD.places)
+    wanted, restored = fitted(seed=1), method(seed=1)
+    for other in (fitted(), wanted):
+        restored.restore(other.state())
+    assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
+    restored.restore(fitted().state()).fit(REFERENCES, WORLD.places)
     assert np.array_equal(restored.query(QUERIES), wanted.query(QUERIES))
 
 
@@ -282,8 +266,7 @@ FIRST_8 = np.flatnonzero(WORLD.places < 8)  # so few that an untrained output la
 
 @cache
 def trained(**arguments: Any) -> Mapping[str, npt.NDArray[np.float32]]:
-    references = Images.from_arrays([WORLD.references[i] for i in FIRST_8])
-    return method(**{"max_module": 5, **arguments}).fit(references, WORLD.places[FIRST_8]).state()
+    return method(max_module=5, **arguments).fit(REFERENCES[FIRST_8], WORLD.places[FIRST_8]).state()
 
 
 def differing(one: Mapping[str, npt.NDArray[Any]], other: Mapping[str, npt.NDArray[Any]]) -> set[str]:
@@ -291,7 +274,7 @@ def differing(one: Mapping[str, npt.NDArray[Any]], other: Mapping[str, npt.NDArr
     return {name.rstrip("_0123456789") for name, array in one.items() if not np.array_equal(array, other[name])}
 
 
-@RULES
+@RULE_SETS
 def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_rate(rules: RuleSet) -> None:
     slow = trained(rules=rules, stdp_rate=0.003)
     assert not differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.003))
@@ -299,7 +282,7 @@ def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_r
     assert differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.002)) == learnt
 
 
-@RULES
+@RULE_SETS
 @pytest.mark.parametrize("engine", ["fused", "readable"])
 def test_at_a_rate_of_0_neither_the_epochs_nor_what_is_seen_change_the_output_layer(
     rules: RuleSet, engine: str
