@@ -12,6 +12,7 @@ from checkout import ROOT
 
 from vprbench.errors import BadInput
 from vprbench.paper.gather import Chosen, TableRequest, choose, wanted
+from vprbench.paper.missing_runs import MissingRun
 from vprbench.paper.plan import Plan, PlannedColumn, Row, published, read_plan, with_plug_ins
 from vprbench.plugins import registry
 from vprbench.run import compose
@@ -24,57 +25,39 @@ def plan() -> Plan:
     return read_plan(PLAN)
 
 
-@pytest.fixture
-def content() -> Any:
-    return yaml.safe_load(PLAN.read_text(encoding="utf-8"))
-
-
-def written(content: Any, folder: Path) -> Path:
-    path = folder / "table.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
-
-
 def chosen(**asked: Any) -> Chosen:
-    return choose(TableRequest(**asked), lambda options: compose.composed(list(options)))
+    return choose(TableRequest(**{"devices": ["cpu"], **asked}), lambda options: compose.composed(list(options)))
 
 
-def test_the_rows_are_those_of_the_paper_in_its_order(plan: Plan) -> None:
-    assert list(plan.rows) == ["SAD", "NetVLAD", "GCL", "VPRSNN", "VPRTempo"]
-    assert [row.spiking for row in plan.rows.values()] == [False, False, False, True, True]
-    assert [row.training for row in plan.rows.values()] == ["none", "pretrained", "pretrained", "own", "own"]
-    assert [row.boundary for row in plan.rows.values()] == ["match", "encode", "encode", "match", "match"]
+def of_last_row(here: Chosen) -> list[MissingRun]:
+    return [*wanted(here, here.columns[0], here.rows[-1:])]
 
 
-def test_every_row_and_dataset_of_the_paper_has_five_published_numbers(plan: Plan) -> None:
+def test_rows_and_published_numbers_are_those_of_table_two_in_its_order(plan: Plan) -> None:
+    rows = {row.name: (row.spiking, row.training, row.boundary) for row in plan.rows.values()}
+    assert list(rows.items()) == [
+        ("SAD", (False, "none", "match")),
+        ("NetVLAD", (False, "pretrained", "encode")),
+        ("GCL", (False, "pretrained", "encode")),
+        ("VPRSNN", (True, "own", "match")),
+        ("VPRTempo", (True, "own", "match")),
+    ]
     printed = published()
     assert {row for row, _ in printed} == set(plan.rows)
     assert all(tuple(cells) == NAMES for cells in printed.values())
     assert sum(value is None for cells in printed.values() for value in cells.values()) == 8
+    for row, dataset, *numbers in (
+        ("VPRTempo", "Nordland", 56, 60, 353, 1, 1634),
+        ("VPRTempo", "Oxford RobotCar", 37, 3, 1670, 0.3, 1955),
+        ("SAD", "Oxford RobotCar", 37, None, 185, None, 126),
+        ("VPRSNN", "Nordland", 53, 360, 2, None, None),
+        ("GCL", "Oxford RobotCar", 33, 360, 0.4, 360, 75),
+    ):
+        assert list(printed[row, dataset].values()) == numbers
 
 
-@pytest.mark.parametrize(
-    ("row", "dataset", "numbers"),
-    [
-        ("VPRTempo", "Nordland", [56, 60, 353, 1, 1634]),
-        ("VPRTempo", "Oxford RobotCar", [37, 3, 1670, 0.3, 1955]),
-        ("SAD", "Oxford RobotCar", [37, None, 185, None, 126]),
-        ("VPRSNN", "Nordland", [53, 360, 2, None, None]),
-        ("GCL", "Oxford RobotCar", [33, 360, 0.4, 360, 75]),
-    ],
-)
-def test_published_numbers_are_those_of_table_two(row: str, dataset: str, numbers: list[float | None]) -> None:
-    assert list(published()[row, dataset].values()) == numbers
-
-
-def test_the_arguments_of_a_row_come_before_those_that_the_size_needs() -> None:
-    column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
-    assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
-    assert column.arguments(Row("B", "other")) == {}
-
-
-def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
-    methods = registry.entries("method")
+def test_every_row_that_learns_from_a_seed_has_three_and_says_whether_its_scores_are_calibrated(plan: Plan) -> None:
+    methods, calibrated = registry.entries("method"), []
     rows = [*plan.rows.values(), *plan.more_rows.values()]
     assert len({row.name for row in rows}) == len(rows)
     for row in rows:
@@ -82,12 +65,15 @@ def test_every_row_that_learns_from_a_seed_has_three(plan: Plan) -> None:
         assert len({*row.seeds}) == (3 if "seed" in options else 1), row.name
         arguments = {*row.arguments, *(name for column in plan.columns.values() for name in column.arguments(row))}
         assert arguments <= {*options}, row.name
-    for name in (
-        "vprtempo_ensemble",
-        "vprtempo_tuned_ensemble",
-        "vprtempo_oriented_ensemble",
-    ):  # members of seed s, in no two runs: s to s + 4
-        assert len({seed + member for seed in plan.more_rows[name].seeds for member in range(5)}) == 15
+        if "calibrated_scores" in options:
+            asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
+            config = compose.composed([f"method={row.method}", *asked])["method"]
+            assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
+            calibrated += [row.method] * (config["calibrated_scores"] is True)
+    assert sorted(calibrated) == ["vprtempo", "vprtempo_ensemble", "vprtempo_tuned_ensemble"]
+    for kind in ("", "tuned_", "oriented_"):  # members of seed s, in no two runs: s to s + 4
+        seeds = plan.more_rows[f"vprtempo_{kind}ensemble"].seeds
+        assert len({seed + member for seed in seeds for member in range(5)}) == 15
 
 
 def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan: Plan) -> None:
@@ -103,27 +89,19 @@ def test_columns_name_published_datasets_and_say_what_stands_in_for_them(plan: P
     for name, places in (("nordland_vprsnn", 2700), ("railway_vprsnn", 2700), ("street", 450)):
         for method in ("vprtempo", "vprtempo_ensemble"):
             assert places % columns[name].fits[method]["max_module"] == 0
+    column = PlannedColumn("x", "X", (), fits={"little": {"module": 5, "window": 1}})
+    assert column.arguments(Row("A", "little", arguments={"window": 9})) == {"module": 5, "window": 9}
+    assert column.arguments(Row("B", "other")) == {}
 
 
-@pytest.mark.parametrize(("method", "seeds", "training"), [("vprtempo_tuned", (0, 1, 2), "own"), ("hog", (0,), "map")])
-def test_a_method_outside_the_plan_trains_with_its_seeds_where_it_learns_from_one(
-    method: str, seeds: tuple[int, ...], training: str
-) -> None:
-    here = chosen(rows=["SAD"], methods=[method], columns=["nordland_64x32"], devices=["cpu"])
-    assert (here.rows[-1].seeds, here.rows[-1].training) == (seeds, training)
-    assert tuple(run.seed for run in wanted(here, here.columns[0], here.rows[-1:])) == seeds
-
-
-def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(plan: Plan) -> None:
-    calibrated = []
-    for row in (*plan.rows.values(), *plan.more_rows.values()):
-        if "calibrated_scores" in registry.entries("method")[row.method].options:
-            asked = [f"method.{name}={value}" for name, value in row.arguments.items()]
-            config = compose.composed([f"method={row.method}", *asked])["method"]
-            assert ("calibrated" in row.name) == (config["calibrated_scores"] is True)
-            calibrated += [row.method] * (config["calibrated_scores"] is True)
-    ensembles = [f"vprtempo_{kind}ensemble" for kind in ("", "tuned_")]
-    assert sorted(calibrated) == ["vprtempo", *ensembles]
+def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(plan: Plan) -> None:
+    for size in plan.growth.sizes:
+        column = plan.growth.column(size)
+        asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
+        assert asked["dataset.places"] == size
+        assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
+    assert [plan.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
+    assert [plan.growth.column(n).arguments(plan.rows["VPRTempo"]) for n in (100, 3000)] == [{"max_module": 100}, {}]
 
 
 @pytest.mark.parametrize(
@@ -139,16 +117,19 @@ def test_rows_whose_scores_are_calibrated_say_so_and_one_network_is_among_them(p
     ],
 )
 def test_a_plan_that_lacks_a_part_or_means_nothing_is_refused_by_name(
-    changed: dict[str, Any], names: list[str], content: Any, tmp_path: Path
+    changed: dict[str, Any], names: list[str], tmp_path: Path
 ) -> None:
+    content = yaml.safe_load(PLAN.read_text(encoding="utf-8"))
     for group, entries in changed.items():
         if isinstance(entries, dict):
             for name, parts in entries.items():
                 content[group][name] |= parts
         else:
             content[group] = entries
+    path = tmp_path / "table.yaml"
+    path.write_text(yaml.safe_dump({name: value for name, value in content.items() if value is not None}))
     with pytest.raises(BadInput, match=".*".join(names)):
-        read_plan(written({name: value for name, value in content.items() if value is not None}, tmp_path))
+        read_plan(path)
     with pytest.raises(BadInput, match=r"nowhere\.yaml"):
         read_plan(tmp_path / "nowhere.yaml")
 
@@ -172,9 +153,8 @@ def test_a_plug_in_brings_rows_and_columns_that_are_asked_for_by_name(
 ) -> None:
     folders = plugged_in(tmp_path, shelf=PLUG_IN)
     monkeypatch.setattr(registry, "conf_folders", lambda: folders)
-    assert "short" not in [column.planned.name for column in chosen(devices=["cpu"]).columns]
-    here = chosen(rows=["SAD"], methods=["mine"], columns=["short"], devices=["cpu"])
-    (_, made) = wanted(here, here.columns[0], here.rows)
+    assert "short" not in [column.planned.name for column in chosen().columns]
+    (made,) = of_last_row(chosen(rows=["SAD"], methods=["mine"], columns=["short"]))
     assert (made.row.name, made.title, made.dataset["places"]) == ("Mine", "Short route", 12)
     assert "method.patch=9" in made.options()
 
@@ -199,30 +179,30 @@ def test_a_plug_in_that_takes_a_name_or_means_nothing_is_refused(
     assert [name for name in names if name not in str(refused.value)] == []
 
 
-def test_the_sizes_of_the_growth_ask_for_no_more_queries_than_there_are_places(plan: Plan) -> None:
-    for size in plan.growth.sizes:
-        column = plan.growth.column(size)
-        asked = {name: int(value) for name, _, value in (text.partition("=") for text in column.options[-2:])}
-        assert asked["dataset.places"] == size
-        assert 0 < asked["dataset.query_places"] <= size * 9 / 11 + 1
-    assert [plan.growth.column(n).options[-1][-3:] for n in (100, 27_000)] == ["=82", "300"]
-    assert [plan.growth.column(n).arguments(plan.rows["VPRTempo"]) for n in (100, 3000)] == [{"max_module": 100}, {}]
-
-
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("method", "seeds", "training", "options"),
     [
-        ("vprsnn", ["method=vprsnn"]),
-        ("vprsnn_fast", ["method=vprsnn_fast"]),
-        ("vprsnn_all_neurons", ["method=vprsnn", "method.hyperactive_threshold=0"]),
-        ("vprsnn_ensemble", ["method=vprsnn_ensemble"]),
+        ("vprtempo_tuned", (0, 1, 2), "own", ["method=vprtempo_tuned"]),
+        ("hog", (0,), "map", ["method=hog"]),
+        ("vprsnn", (0, 1, 2), "own", ["method=vprsnn"]),
+        ("vprsnn_all_neurons", (0, 1, 2), "own", ["method=vprsnn", "method.hyperactive_threshold=0"]),
+        ("vprsnn_ensemble", (0, 1, 2), "own", ["method=vprsnn_ensemble"]),
     ],
 )
-def test_a_row_of_vprsnn_is_a_run_a_seed_with_its_arguments(name: str, options: list[str]) -> None:
-    here = chosen(rows=["VPRSNN"], methods=[name], columns=["street"], devices=["cpu"], full=True)
-    runs = [*wanted(here, here.columns[0], here.rows[-1:])]
-    assert [run.seed for run in runs] == [0, 1, 2]
+def test_a_method_on_request_is_a_run_a_seed_where_it_learns_from_one(
+    method: str, seeds: tuple[int, ...], training: str, options: list[str]
+) -> None:
+    here = chosen(rows=["VPRSNN"], methods=[method], columns=["nordland_64x32"], full=True)
+    runs = of_last_row(here)
+    assert (here.rows[-1].training, tuple(run.seed for run in runs)) == (training, seeds)
     assert {option for run in runs for option in run.options() if option.startswith("method")} == {*options}
+
+
+@pytest.mark.parametrize("asked", [{"rows": ["Nobody"]}, {"methods": ["nobody"]}, {"columns": ["moon"]}])
+def test_what_the_plan_does_not_know_is_refused_by_name(asked: dict[str, list[str]]) -> None:
+    ((option, (name,)),) = asked.items()
+    with pytest.raises(BadInput, match=f"{option}={name}"):
+        chosen(**asked)
 
 
 def test_rows_of_vprsnn_run_on_the_street_with_one_seed_unless_all_is_to_run_in_full() -> None:
@@ -239,16 +219,17 @@ def test_rows_of_vprsnn_run_on_the_street_with_one_seed_unless_all_is_to_run_in_
     assert not here.slow(street, here.rows[0])
 
 
-@pytest.mark.parametrize(
-    ("given", "columns"),
-    [([], ["railway", "street"]), (["nordland", "robotcar"], ["nordland", "oxford_robotcar"])],
-    ids=["rendered", "real"],
-)
-def test_a_column_on_request_is_not_among_those_that_nobody_named(
-    given: list[str], columns: list[str], tmp_path: Path
-) -> None:
-    here = chosen(**dict.fromkeys(given, str(tmp_path)))
-    assert [column.planned.name for column in here.columns] == columns
+def test_columns_take_the_folder_of_their_frames_and_those_on_request_are_not_among_the_others(tmp_path: Path) -> None:
+    for given, columns in (
+        ([], ["railway", "street"]),
+        (["nordland", "robotcar"], ["nordland", "oxford_robotcar"]),
+    ):
+        here = chosen(**dict.fromkeys(given, str(tmp_path)))
+        assert [column.planned.name for column in here.columns] == columns
+    nordland, held_out = chosen(columns=["nordland_vprsnn", "nordland_64x32_held_out"], nordland=str(tmp_path)).columns
+    assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
+    options = ("protocol", "places", "first_query_place", "query_places")
+    assert [held_out.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]
 
 
 def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all_others() -> None:
@@ -257,10 +238,3 @@ def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all
     assert (dataset.n_places, len(dataset.references), len(dataset.queries)) == (2700, 2 * 2700, 2700)
     assert dataset.held_out is not None
     assert (dataset.held_out.n_places, dataset.held_out.in_map) == (600, False)
-
-
-def test_columns_on_request_take_the_folder_of_their_frames_and_have_their_protocol(tmp_path: Path) -> None:
-    nordland, held_out = chosen(columns=["nordland_vprsnn", "nordland_64x32_held_out"], nordland=str(tmp_path)).columns
-    assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
-    options = ("protocol", "places", "first_query_place", "query_places")
-    assert [held_out.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]

@@ -25,79 +25,77 @@ from vprbench.paper.titles import protocol_words
 from vprbench.run.record import Failure, Run
 
 ROWS = (SAD, VPRTEMPO, PUBLIC)
-
-
-def only(group: list[Group]) -> Group:
-    (one,) = group
-    return one
+FOGGY = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
 
 
 def tempo(seed: int = 0, **changes: Any) -> Run:
     return run("vprtempo", seed, **changes)
 
 
+def lost(seed: int = 0, *more: Any, **changes: Any) -> Failure:
+    return failure("vprtempo", seed, *more, **changes)
+
+
+def grouped(runs: Sequence[Run], failures: Sequence[Failure] = (), *asked: ResolvedColumn) -> list[Group]:
+    return groups(runs, failures, asked or [RAIL], ROWS)
+
+
 def stored_of(row: Row, *runs: Run, failures: Sequence[Failure] = (), column: ResolvedColumn = RAIL) -> RowRuns:
     return of_row(Group(column, 1, runs, tuple(failures)), row, "cpu")
 
 
-def test_runs_belong_to_the_column_with_their_dataset_wherever_its_frames_lay() -> None:
-    elsewhere = run(
-        dataset={**STREET, "root": "/there", "source": "a shop", "_target_": "moved.street"}, fingerprint="s"
-    )
-    larger = run(dataset={**RAILWAY, "places": 20})
-    mine = run()
-    rail, town = groups([larger, elsewhere, mine], [], [RAIL, TOWN], ROWS)
-    assert rail.runs == (mine,)
-    assert town.runs == (elsewhere,)
+MINE = run()
+ELSEWHERE = run(dataset={**STREET, "root": "/there", "source": "a shop", "_target_": "moved.street"}, fingerprint="s")
+LISTED = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
+SAME = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
+FOG = tempo(dataset={**RAILWAY, "fog": 0.5})
+OTHER_NAME = replace(failure(), config={**failure().config, "dataset": {}})
 
 
-def test_lists_and_tuples_and_whole_numbers_of_either_kind_are_the_same_dataset() -> None:
-    asked = ResolvedColumn(RAIL.planned, {"name": "r", "references": ("a", "b"), "places": 10})
-    stored = run(dataset={"places": 10.0, "references": ["a", "b"], "name": "r"})
-    assert only(groups([stored], [], [asked], ROWS)).runs == (stored,)
-
-
-def test_options_that_a_dataset_gained_or_lost_keep_no_run_from_its_column() -> None:
-    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5})
-    older_run, todays = run(), run("vprtempo", dataset={**RAILWAY, "fog": 0.5})
-    other_fog = run(dataset={**RAILWAY, "fog": 0.9})
-    both = only(groups([older_run, todays, other_fog], [], [gained], ROWS))
-    assert both.runs == (older_run, todays)
-    assert only(groups([older_run, todays], [failure()], [RAIL], ROWS)).runs == (older_run, todays)
-    assert options_apart(both) == ()
+@pytest.mark.parametrize(
+    ("runs", "failures", "asked", "found"),
+    [
+        # by the dataset and its options, wherever its frames lay
+        ([run(dataset={**RAILWAY, "places": 20}), ELSEWHERE, MINE], [], [RAIL, TOWN], [[MINE], [ELSEWHERE]]),
+        ([SAME], [], [LISTED], [[SAME]]),
+        # options that the dataset gained or lost keep no run away, but their other values do
+        ([MINE, FOG, run(dataset={**RAILWAY, "fog": 0.9})], [], [FOGGY], [[MINE, FOG]]),
+        ([MINE, FOG], [failure()], [RAIL], [[MINE, FOG]]),
+        # another name is another dataset
+        ([run(dataset={"name": "river"}), run(dataset={**RAILWAY, "name": "river"})], [OTHER_NAME], [RAIL], [[]]),
+    ],
+)
+def test_runs_belong_to_the_column_with_their_dataset(
+    runs: list[Run], failures: list[Failure], asked: list[ResolvedColumn], found: list[list[Run]]
+) -> None:
+    told = grouped(runs, failures, *asked)
+    assert [list(group.runs) for group in told] == found
+    assert [len(group.failures) for group in told] == [failures.count(failure())] + [0] * (len(asked) - 1)
 
 
 def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corruptions() -> None:
     shift, noise = (replace(RAIL, corruption=name) for name in ("shift-1", "noise-2"))
     clean, moved = run(config={"corruption": None}), run(config={"corruption": "shift-1"}, day="2025-09-09")
-    failed = failure("vprtempo", config={"corruption": "noise-2"})
-    found = groups([clean, moved], [failed], [RAIL, shift, noise], ROWS)
+    failed = lost(config={"corruption": "noise-2"})
+    found = grouped([clean, moved], [failed], RAIL, shift, noise)
     assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
 
 
-def test_another_dataset_is_none_of_a_column_whatever_options_they_share() -> None:
-    asked = [run(dataset={"name": "riverside"}), run(dataset={**RAILWAY, "name": "riverside"})]
-    failed = replace(failure(), config={**failure().config, "dataset": {}})
-    assert only(groups(asked, [failed], [RAIL], ROWS)) == Group(RAIL, 1, (), ())
-
-
 def test_runs_of_other_options_in_a_group_of_their_own_are_told_by_these() -> None:
-    gained = ResolvedColumn(RAIL.planned, {**RAILWAY, "fog": 0.5, "root": None})
     before = run(dataset={**RAILWAY, "snow": True}, protocol={"renderer": 1}, day="2025-01-01")
     todays = run(dataset={**RAILWAY, "fog": 0.5}, protocol={"renderer": 2})
-    assert [options_apart(group) for group in groups([before, todays], [], [gained], ROWS)] == [(), ("fog", "snow")]
-    assert options_apart(Group(RAIL, 1, (), ())) == ()
+    assert [options_apart(group) for group in grouped([before, todays], [], FOGGY)] == [(), ("fog", "snow")]
+    assert options_apart(Group(RAIL, 1, (MINE, FOG), ())) == options_apart(Group(RAIL, 1, (), ())) == ()
 
 
 def test_two_protocols_are_two_groups_the_newest_first() -> None:
     old = run(protocol={"query": "summer", "renderer": 1}, day="2025-02-01")
-    new = run("vprtempo", protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
+    new = tempo(protocol={"query": "summer", "renderer": 2}, day="2025-02-02")
     no_row = run("hog", protocol={"query": "night"}, day="2025-06-01")
-    failed = failure()
-    found = groups([old, no_row, new], [failed], [RAIL], ROWS)
-    assert found == [Group(RAIL, 1, (new,), (failed,)), Group(RAIL, 2, (old,), ())]
+    found = grouped([old, no_row, new], [failure()])
+    assert found == [Group(RAIL, 1, (new,), (failure(),)), Group(RAIL, 2, (old,), ())]
     images = run(), run(fingerprint="0" * 64)
-    assert [group.runs for group in groups(images, [], [RAIL], ROWS)] == [(images[0],), (images[1],)]
+    assert [group.runs for group in grouped(images)] == [(images[0],), (images[1],)]
 
 
 @pytest.mark.parametrize(
@@ -121,17 +119,16 @@ def test_the_arguments_that_a_size_needs_are_part_of_the_row() -> None:
 
 def test_a_failure_before_its_arguments_were_known_belongs_where_its_options_say() -> None:
     def early(**changes: Any) -> Failure:
-        failed = failure("vprtempo", **changes)
+        failed = lost(**changes)
         return replace(failed, config={name: value for name, value in failed.config.items() if name != "changed"})
 
     seeded = early(seed=1, config={"overrides": ["method=vprtempo", "+method.seed=1", "method.device=cpu"]})
     failed = early(), seeded, early(changed={"rules": "reference"})
-    found = [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)]
-    assert found == [failed[:2], failed[2:]]
+    assert [stored_of(row, failures=failed).failures for row in (VPRTEMPO, PUBLIC)] == [failed[:2], failed[2:]]
     fits = {"max_module": 450}
     asked = {"method": fits, "changed": fits, "dataset": STREET, "seed": 0, "device": "cpu"}
-    least = replace(failure("vprtempo"), config=asked)
-    assert of_row(only(groups([], [least], [TOWN], ROWS)), VPRTEMPO, "cpu").failures == (least,)
+    least = replace(lost(), config=asked)
+    assert of_row(*grouped([], [least], TOWN), VPRTEMPO, "cpu").failures == (least,)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -145,11 +142,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "machine": {"machine": {**ABACUS, "processor": "Loom 3"}},
     "network": {"network": "5a" * 32, "fit_seconds": None},
 }
-
-
 OLD = [tempo(seed, day="2025-03-03") for seed in (0, 1, 2)]
-
-
 TIMED_OTHERWISE = tempo(2, config={"timing": {"minimum_seconds": 10.0}})
 NEWER = tempo(0, day="2025-03-04", config={"code": "beef"})
 TRAINED = run(day="2025-01-01")
@@ -182,37 +175,41 @@ def test_runs_that_differ_in_more_than_their_seed_are_never_put_together(
     assert (found.missing_seeds, found.aside) == (missing, aside)
 
 
-def test_failures_of_missing_seeds_and_later_ones_are_named_and_earlier_ones_are_not() -> None:
-    stored = tempo(0, day="2025-03-01"), tempo(1, day="2025-03-01")
-    failed = (
-        failure("vprtempo", 0, day="2025-02-01"),  # mended since
-        failure("vprtempo", 1, day="2025-04-01"),
-        failure("vprtempo", 2, "first", day="2025-01-01"),
-        failure("vprtempo", 2, "last", day="2025-01-02"),
-        failure("vprtempo", 2, device="cuda"),
-        failure("vprtempo", 2, changed={"rules": "v1"}),
-        failure("sad", 2),
-    )
-    group = only(groups(stored, failed, [RAIL], ROWS))
-    found = of_row(group, VPRTEMPO, "cpu").failures
-    assert [(each.config["seed"], each.error) for each in found] == [(1, "out of thread"), (2, "last")]
+STORED = tempo(0), tempo(1)
+LATER = [lost(seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
+BROKE = lost(0, "broke", day="2025-03-20")
+THERE = [lost(seed, day="2025-04-01", machine=LOOM) for seed in (0, 2)]
+UNKNOWN = replace(THERE[1], environment={})
+FAILED = [
+    lost(0, day="2025-02-01"),  # mended since
+    lost(1, day="2025-04-01"),
+    lost(2, "first", day="2025-01-01"),
+    lost(2, "last", day="2025-01-02"),
+    lost(2, device="cuda"),
+    lost(2, changed={"rules": "v1"}),
+    failure("sad", 2),
+]
 
 
-def test_what_was_missing_later_says_nothing_of_a_seed_that_is_stored() -> None:
-    lost = [failure("vprtempo", seed, "lost", day="2025-04-01", missing=True) for seed in (0, 2)]
-    broke = failure("vprtempo", 0, "broke", day="2025-03-20")
-    stored = tempo(0), tempo(1)
-    assert stored_of(VPRTEMPO, *stored, failures=lost).failures == (lost[1],)
-    assert stored_of(VPRTEMPO, *stored, failures=[broke, *lost]).failures == (broke, lost[1])
-
-
-def test_failures_of_another_machine_count_only_where_no_run_is_stored() -> None:
-    there = tuple(failure("vprtempo", seed, day="2025-04-01", machine=LOOM) for seed in (0, 2))
-    unknown = replace(there[1], environment={})
-    stored = tempo(0), tempo(1)
-    assert stored_of(VPRTEMPO, *stored, failures=there).failures == ()
-    assert stored_of(VPRTEMPO, *stored, failures=[unknown]).failures == (unknown,)
-    assert stored_of(VPRTEMPO, failures=there).failures == there
+@pytest.mark.parametrize(
+    ("stored", "failures", "told"),
+    [
+        # of missing seeds the last one, and later errors of stored ones
+        (STORED, FAILED, [FAILED[1], FAILED[3]]),
+        # what was missing later says nothing of a seed that is stored
+        (STORED, LATER, LATER[1:]),
+        (STORED, [BROKE, *LATER], [BROKE, LATER[1]]),
+        # failures of another machine count only where no run is stored
+        (STORED, THERE, []),
+        (STORED, [UNKNOWN], [UNKNOWN]),
+        ((), THERE, THERE),
+    ],
+)
+def test_failures_are_told_that_no_run_has_mended(
+    stored: tuple[Run, ...], failures: list[Failure], told: list[Failure]
+) -> None:
+    (group,) = grouped(stored, failures)
+    assert list(of_row(group, VPRTEMPO, "cpu").failures) == told
 
 
 def test_series_are_the_rows_with_runs_under_the_names_of_the_table() -> None:
@@ -224,20 +221,18 @@ def test_series_are_the_rows_with_runs_under_the_names_of_the_table() -> None:
 
 
 def test_accuracy_is_taken_from_the_device_with_more_seeds_and_of_equals_the_cpu() -> None:
-    cpu, gpu = [tempo(seed) for seed in (0, 1, 2)], [tempo(seed, device="cuda") for seed in (0, 1, 2)]
-
-    def taken(*runs: Run) -> list[Run]:
-        failed = tuple(failure("vprtempo", 0, day="2025-04-01", device=device) for device in ("cpu", "cuda"))
+    cpu, gpu = ([tempo(seed, device=device) for seed in (0, 1, 2)] for device in ("cpu", "cuda"))
+    failed = tuple(lost(day="2025-04-01", device=device) for device in ("cpu", "cuda"))
+    for runs, taken in (
+        ([*cpu, *gpu], cpu),
+        ([*cpu[:2], *gpu], gpu),
+        ([*cpu[:2], gpu[0]], cpu[:2]),
+        ([gpu[1]], [gpu[1]]),
+    ):
         for failures in ((), failed[:1], failed[1:]):
-            (one,) = accuracy_series(Group(RAIL, 1, runs, failures), ROWS)
-            assert one.name == "VPRTempo"
-        return [*one.runs]
-
-    assert taken(*cpu, *gpu) == cpu
-    assert taken(*cpu[:2], *gpu) == gpu
-    assert taken(*cpu[:2], *gpu[:1]) == cpu[:2]
-    assert taken(gpu[1]) == [gpu[1]]
-    assert accuracy_series(Group(RAIL, 1, (), (failure("vprtempo"),)), ROWS) == []
+            (one,) = accuracy_series(Group(RAIL, 1, tuple(runs), failures), ROWS)
+            assert (one.name, list(one.runs)) == ("VPRTempo", taken)
+    assert accuracy_series(Group(RAIL, 1, (), (lost(),)), ROWS) == []
 
 
 def test_a_protocol_in_words_leaves_out_the_numbers_that_stand_beside_it() -> None:
