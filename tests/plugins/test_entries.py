@@ -21,15 +21,12 @@ def test_reading_all_entries_imports_neither_hydra_nor_anything_that_computes() 
     assert done.stdout == "set()\n"
 
 
-@pytest.mark.parametrize("entry", [*entries("method").values(), *entries("dataset").values()], ids=lambda e: e.name)
-def test_a_yaml_holds_what_hydra_reads_in_it(entry: Entry) -> None:
-    told, read = OmegaConf.to_container(OmegaConf.load(entry.path)), entry.values()
-    assert isinstance(told, dict)
-    assert {name: read[name] for name in told if name != "weights"} == {n: told[n] for n in told if n != "weights"}
-    assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn", "lens")) else ())
-
-
-def test_published_networks_need_weights() -> None:
+def test_a_yaml_holds_what_hydra_reads_in_it_and_tells_what_computes_by_spikes_or_needs_weights() -> None:
+    for entry in (*entries("method").values(), *entries("dataset").values()):
+        told, read = OmegaConf.to_container(OmegaConf.load(entry.path)), entry.values()
+        assert isinstance(told, dict)
+        assert {name: read[name] for name in told if name != "weights"} == {n: told[n] for n in told if n != "weights"}
+        assert entry.tags == (("spiking",) if entry.name.startswith(("vprtempo", "vprsnn", "lens")) else ())
     needy = {name for name, entry in entries("method").items() if entry.needs_weights}
     assert {"netvlad", "megaloc", "boq_resnet50"} <= needy
     assert not {"sad", "hog", "vprtempo", "densevlad"} & needy

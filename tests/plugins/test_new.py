@@ -78,10 +78,8 @@ def test_a_new_dataset_reads_folders(here: Path) -> None:
     assert main(["method=sad", "dataset=./my_walk.py", "dataset.root=.", "timing=none", "threads=1"]) == 0
 
 
-@pytest.mark.parametrize(
-    "words",
-    ["", "method", "methods mine", "method a b", "method sad", "dataset 3d", "method class", "method mine folder"],
-)
-def test_names_that_cannot_be_used_are_refused(words: str, here: Path) -> None:
-    assert main(["new", *words.split()]) == 2
-    assert [*here.iterdir()] == []
+def test_names_that_cannot_be_used_are_refused(here: Path) -> None:
+    names = ("method", "methods mine", "method a b", "method sad", "dataset 3d", "method class", "method mine folder")
+    for words in ("", *names):
+        assert main(["new", *words.split()]) == 2
+        assert [*here.iterdir()] == []

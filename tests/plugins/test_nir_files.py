@@ -45,15 +45,15 @@ def stored(method: VPRTempo, folder: Path) -> Path:
     return path
 
 
-def loaded(path: Path, method: VPRTempo) -> VPRTempo:
-    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
-    networks.load(path, method, networks.origin(method, arguments, RIDE))
-    return method
+def arguments(method: VPRTempo) -> dict[str, Any]:
+    return {name: value for name, value in vars(method).items() if not name.startswith("_")}
 
 
-def anew(method: VPRTempo, kind: type[VPRTempo] | None = None) -> VPRTempo:
-    arguments = {name: value for name, value in vars(method).items() if not name.startswith("_")}
-    return (kind or type(method))(**arguments)
+def loaded(path: Path, method: VPRTempo, kind: type[VPRTempo] | None = None) -> VPRTempo:
+    """Load a file into a new method with the arguments of another one."""
+    new = (kind or type(method))(**arguments(method))
+    networks.load(path, new, networks.origin(new, arguments(new), RIDE))
+    return new
 
 
 def test_the_layers_of_a_circuit_answer_as_the_network(trained: VPRTempo) -> None:
@@ -65,7 +65,7 @@ def test_the_layers_of_a_circuit_answer_as_the_network(trained: VPRTempo) -> Non
 
 
 def test_a_network_comes_back_from_nir_to_the_bit(trained: VPRTempo, tmp_path: Path) -> None:
-    back = loaded(stored(trained, tmp_path), anew(trained))
+    back = loaded(stored(trained, tmp_path), trained)
     assert np.array_equal(back.query(SEEN), trained.query(SEEN))
     assert {name: array.tobytes() for name, array in back.state().items()} == {
         name: array.tobytes() for name, array in trained.state().items()
@@ -74,7 +74,7 @@ def test_a_network_comes_back_from_nir_to_the_bit(trained: VPRTempo, tmp_path: P
 
 def test_8_bits_load_the_network_that_was_stored_as_nir(tmp_path: Path) -> None:
     method = VPRTempo(**SMALL).fit(RIDE.references, RIDE.places)
-    back = loaded(stored(method, tmp_path), anew(method, VPRTempoInt8))
+    back = loaded(stored(method, tmp_path), method, VPRTempoInt8)
     assert np.allclose(back.query(SEEN), method.query(SEEN), atol=0.02)
 
 
@@ -124,17 +124,17 @@ def test_a_file_that_was_changed_or_is_another_programs_is_refused(tmp_path: Pat
             whole = file[change][...]
             file[change][...] = whole + 1
         with pytest.raises(BadInput, match="is not what was written"):
-            loaded(path, anew(method))
+            loaded(path, method)
         with h5py.File(path, "r+") as file:
             file[change][...] = whole
-    loaded(path, anew(method))
+    loaded(path, method)
     with h5py.File(path, "r+") as file:
         file.attrs.clear()
     with pytest.raises(BadInput, match="was not stored by vprbench"):
-        loaded(path, anew(method))
+        loaded(path, method)
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(BadInput, match="cannot be read as a stored network"):
-        loaded(path, anew(method))
+        loaded(path, method)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins import registry
 from vprbench.plugins.registry import Entry
-from vprbench.run.record import Run
 from vprbench.run.store import Store
 
 
@@ -41,14 +40,14 @@ def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         ("# One\n_target_: a.B\nwidth: 2\nheight: 1\n", ["width", "height"]),
         ("", []),
         ("defaults: [lower, _self_]\n_target_: a.C\nmembers: 5\nwidth: 3\n", ["height", "depth", "width", "members"]),
-        ("defaults: [elsewhere, one, _self_]\nwidth: 2\n", ["width"]),
+        ("defaults: [elsewhere, one, _self_]\nwidth: 2\n", ["width"]),  # nobody registers elsewhere
         ("defaults:\n- override /dataset: nordland\n- _self_\nwidth: 2\n", ["width"]),
     ],
-    ids=["its own", "none", "two below", "one that nobody registers", "a mapping"],
 )
 def test_options_are_the_arguments_once_each_those_of_the_yaml_below_included(method, text: str, options) -> None:
-    method("lowest", "_target_: a.A\nheight: 1\ndepth: 1\n")
+    method("lowest", "_target_: vprbench.methods.sad.SAD\nheight: 1\ndepth: 1\n")
     method("lower", "defaults: [lowest, _self_]\nwidth: 2\nheight: 1\n")
+    assert method("lower", "defaults: [lowest, _self_]\nwidth: 2\nheight: 1\n").target() is SAD
     assert method("one", text).options == options
 
 
@@ -58,17 +57,14 @@ def test_a_yaml_that_names_no_class_is_named(method, text: str) -> None:
         method("broken", text).target()
 
 
-def test_a_yaml_without_a_class_has_that_of_the_yaml_below(method) -> None:
-    method("lower", "_target_: vprbench.methods.sad.SAD\n")
-    assert method("upper", "defaults: [lower, _self_]\nwidth: 3\n").target() is SAD
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"), [("vprtempo", VPRTempo), ("vprtempo_int8", VPRTempoInt8), ("vprtempo_ensemble", VPRTempoEnsemble)]
-)
-def test_the_options_of_a_method_are_the_arguments_of_its_class(name: str, kind: type) -> None:
-    arguments = {field.name for field in fields(kind) if not field.name.startswith("_")}
-    assert set(registry.entries("method")[name].options) == arguments
+def test_the_options_of_a_method_are_the_arguments_of_its_class() -> None:
+    for name, kind in {
+        "vprtempo": VPRTempo,
+        "vprtempo_int8": VPRTempoInt8,
+        "vprtempo_ensemble": VPRTempoEnsemble,
+    }.items():
+        arguments = {field.name for field in fields(kind) if not field.name.startswith("_")}
+        assert set(registry.entries("method")[name].options) == arguments
 
 
 # Changed arguments
@@ -77,29 +73,29 @@ NESTED = "defaults: [lower]\nweights: {file: b.pth}\n"
 LOWER = "# Lower\n_target_: a.B\nwidth: 2\nrate: 1e-3\nsizes: [1, 2]\nnothing: null\nseed: ${seed}\ndevice: ${device}\n"
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {},
-        *({"width": 3}, {"rate": 0.01}, {"sizes": [1, 2, 3]}, {"nothing": 0}, {"width": None}, {"more": 1}),
-    ],
-)
-def test_what_differs_from_the_yaml_is_changed(method, changed: dict[str, object]) -> None:
+def test_what_differs_from_the_yaml_is_changed_but_never_seed_and_device(method) -> None:
     given = {"_target_": "a.B", "width": 2, "rate": 0.001, "sizes": [1, 2], "nothing": None}
-    assert method("lower", LOWER).changed({**given, **changed}) == changed
-
-
-def test_seed_and_device_never_count_as_changed(method) -> None:
-    assert method("lower", LOWER).changed({"seed": 7, "device": "cuda"}) == {}
-    assert method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n").changed({"seed": 7, "device": "cuda"}) == {}
+    lower = method("lower", LOWER)
+    for changed in (
+        {},
+        {"width": 3},
+        {"rate": 0.01},
+        {"sizes": [1, 2, 3]},
+        {"nothing": 0},
+        {"width": None},
+        {"more": 1},
+    ):
+        assert lower.changed({**given, **changed}) == changed
+    for entry in (lower, method("fixed", "_target_: a.B\nseed: 1\ndevice: cpu\n")):
+        assert entry.changed({"seed": 7, "device": "cuda"}) == {}
 
 
 @pytest.mark.parametrize(
     ("text", "given", "changed"),
     [
         (
-            "size: 4\nfile: net_${.size}.pth\nseeds: ['${seed}']\n",
-            {"size": 5, "file": "net_5.pth", "seeds": [3]},
+            "size: 4\nfile: net_${.size}.pth\nall: ['${seed}']\n",
+            {"size": 5, "file": "net_5.pth", "all": [3]},
             {"size": 5},
         ),
         ("defaults: [lower, _self_]\nwidth: 3\n", {"width": 3, "rate": 0.001}, {}),
@@ -144,31 +140,15 @@ def test_what_was_asked_for_on_the_command_line_is_changed(
     assert registry.entries("method")[name].changed(composed(name, *asked)) == wanted
 
 
-# In a stored run
-
-QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing.minimum_seconds=0", "timing.sample=4", "threads=1"]
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def test_a_stored_run_names_the_arguments_that_were_changed_if_a_yaml_registers_its_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def stored() -> Run:
-    (run,) = Store(Path("results")).runs()
-    return run
-
-
-@pytest.mark.usefixtures("here")
-def test_a_stored_run_names_the_arguments_that_were_changed() -> None:
-    assert main(["method=sad", "method.patch=5", "method.width=28", "seed=3", *QUICK]) == 0
-    assert stored().config["changed"] == {"patch": 5}
-
-
-def test_a_run_of_a_method_that_no_yaml_registers_does_not_say_what_was_changed(here: Path) -> None:
-    (here / "own" / "method").mkdir(parents=True)
-    (here / "own" / "method" / "mine.yaml").write_text("_target_: vprbench.methods.sad.SAD\npatch: 5\n")
-    assert main(["--config-dir", str(here / "own"), "method='mine'", *QUICK]) == 0
-    assert stored().method == "mine"
-    assert "changed" not in stored().config
+    (tmp_path / "own" / "method").mkdir(parents=True)
+    (tmp_path / "own" / "method" / "mine.yaml").write_text("_target_: vprbench.methods.sad.SAD\npatch: 5\n")
+    quick = ["dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1"]
+    assert main(["method=sad", "method.patch=5", "method.width=28", "seed=3", *quick]) == 0
+    assert main(["--config-dir", "own", "method='mine'", *quick]) == 0
+    configs = {run.method: run.config for run in Store(Path("results")).runs()}
+    assert configs["sad"]["changed"] == {"patch": 5}
+    assert "changed" not in configs["mine"]
