@@ -52,15 +52,13 @@ def noise(seed: int, places: int = PLACES) -> list[Image]:
         ([*noise(6, 25), *season(0, 25) * 4], season(1, 25) * 5, 0, "too different"),
     ],
 )
-def test_traverses_are_aligned_or_too_different_to_tell(
-    references: Sequence[Image], queries: Sequence[Image], tolerance: int, told: str
-) -> None:
+def test_traverses_are_aligned_or_too_different_to_tell(references, queries, tolerance, told):
     (found,) = compared([references], queries, tolerance=tolerance)
     assert found.level == "note"
     assert re.search(told, found.text)
 
 
-def test_of_several_reference_traverses_the_shifted_one_is_named_and_of_all_the_queries() -> None:
+def test_of_several_reference_traverses_the_shifted_one_is_named_and_of_all_the_queries():
     first, second = compared([season(0)[:57], season(2)[3:]], season(1)[:57])
     assert (first.level, second.level) == ("error", "note")
     assert "what fall shows 3 places earlier" in first.text
@@ -76,7 +74,7 @@ def test_of_several_reference_traverses_the_shifted_one_is_named_and_of_all_the_
     ("first_reference", "first_query", "told"),
     [(0, 3, "3 places later"), (3, 0, "3 places earlier"), (0, 1, "1 place later"), (25, 0, "25 places earlier")],
 )
-def test_a_traverse_that_begins_at_another_place_is_an_error(first_reference: int, first_query: int, told: str) -> None:
+def test_a_traverse_that_begins_at_another_place_is_an_error(first_reference, first_query, told):
     long = 120
     references = season(0, long)[first_reference : first_reference + long - 25]
     queries = season(1, long)[first_query : first_query + long - 25]
@@ -85,7 +83,7 @@ def test_a_traverse_that_begins_at_another_place_is_an_error(first_reference: in
     assert found.text.startswith(f"summer is shifted against spring: all of it shows what spring shows {told} (")
 
 
-def test_a_part_in_the_middle_is_found_with_its_ends_and_is_a_warning_where_it_is_small() -> None:
+def test_a_part_in_the_middle_is_found_with_its_ends_and_is_a_warning_where_it_is_small():
     references, queries = season(0, 400), season(1, 400)
     queries[100:130] = season(1, 400)[105:135]
     (found,) = compared([references], queries)
@@ -93,14 +91,14 @@ def test_a_part_in_the_middle_is_found_with_its_ends_and_is_a_warning_where_it_i
     assert "image 100 to image 129 (30 of 400 queries) show what spring shows 5 places later" in found.text
 
 
-def test_a_shift_within_the_tolerance_is_only_noted() -> None:
+def test_a_shift_within_the_tolerance_is_only_noted():
     (found,) = compared([season(0)[:58]], season(1)[2:], tolerance=2)
     assert found.level == "note"
     assert "all of it shows what spring shows 2 places later" in found.text
     assert found.advice == "the ground truth counts these places as right"
 
 
-def test_every_fifth_frame_as_a_query_is_compared_with_the_place_it_stands_for() -> None:
+def test_every_fifth_frame_as_a_query_is_compared_with_the_place_it_stands_for():
     right = [[place] for place in range(0, 300, 5)]
     (aligned,) = compared([season(0, 300)], season(1, 300)[::5], right)
     (shifted,) = compared([season(0, 300)], season(1, 300)[3::5], right)
@@ -108,7 +106,7 @@ def test_every_fifth_frame_as_a_query_is_compared_with_the_place_it_stands_for()
     assert "all of it shows what spring shows 3 places later" in shifted.text
 
 
-def test_an_unordered_ground_truth_says_nothing_of_shifts() -> None:
+def test_an_unordered_ground_truth_says_nothing_of_shifts():
     order = np.random.default_rng(0).permutation(PLACES)
     (found,) = compared([season(0)], [season(1)[place] for place in order], [[int(place)] for place in order])
     assert (found.level, found.text.startswith("not checked: ")) == ("note", True)

@@ -95,7 +95,7 @@ DOCUMENTED: dict[str, Damage] = {
 
 
 @pytest.mark.parametrize("title", [*SHOWN, *sorted({*DOCUMENTED} - {*SHOWN})])
-def test_the_document_shows_what_the_doctor_says(title: str, tmp_path: Path, spoilt) -> None:
+def test_the_document_shows_what_the_doctor_says(title, tmp_path, spoilt):
     said: list[str] = []
     assert command("little", lambda: spoilt(DOCUMENTED[title]), said.append) == 1
     paragraphs = said[0].replace(str(tmp_path), "/data").split("\n\n")[1:]
@@ -123,7 +123,7 @@ QUICK: dict[str, tuple[Damage, list[str]]] = {
 
 
 @pytest.mark.parametrize("damage", QUICK)
-def test_the_cheap_checks_find(damage: str, tmp_path: Path, spoilt) -> None:
+def test_the_cheap_checks_find(damage, tmp_path, spoilt):
     spoil, expected = QUICK[damage]
     assert coded(quick(spoilt(spoil)), tmp_path) == expected
 
@@ -137,7 +137,7 @@ def test_the_cheap_checks_find(damage: str, tmp_path: Path, spoilt) -> None:
         (b"PK\x03\x04", "a zip archive"),
     ],
 )
-def test_what_a_failed_download_leaves_is_told_from_an_image(spoilt, content: bytes, kind: str) -> None:
+def test_what_a_failed_download_leaves_is_told_from_an_image(spoilt, content, kind):
     (found,) = quick(spoilt(lambda winter, summer: write(summer, ["031.png"], lambda _: content)))
     assert (found.level, found.check) == ("error", "files")
     assert found.text.endswith(f"summer is {kind}: 031.png")
@@ -195,21 +195,21 @@ EXAMINED: dict[str, tuple[Damage, list[str]]] = {
 
 
 @pytest.mark.parametrize("damage", EXAMINED)
-def test_the_look_at_every_frame_finds(damage: str, tmp_path: Path, spoilt) -> None:
+def test_the_look_at_every_frame_finds(damage, tmp_path, spoilt):
     spoil, expected = EXAMINED[damage]
     *found, compared = sorted(coded(examine(spoilt(spoil)), tmp_path), key=lambda code: code.startswith("note align"))
     assert found == expected
     assert (compared == "note alignment: 0 20") == (damage == "no frame of a traverse")  # frames to compare, and needed
 
 
-def test_two_reference_traverses_of_the_same_frames_are_an_error(tmp_path: Path) -> None:
+def test_two_reference_traverses_of_the_same_frames_are_an_error(tmp_path):
     winter, summer = healthy(tmp_path)
     fall = save(tmp_path / "fall", season(0))
     first, *_ = coded(examine(dataset_of([winter, fall], summer)), tmp_path)
     assert first.startswith("error shared frames: 60 60 000 000 001 001")
 
 
-def test_the_cheap_checks_decode_nothing(spoilt) -> None:
+def test_the_cheap_checks_decode_nothing(spoilt):
     dataset = spoilt(lambda *_: {})
 
     def refuse(number: int) -> Image:
@@ -220,9 +220,7 @@ def test_the_cheap_checks_decode_nothing(spoilt) -> None:
     assert quick(Dataset("blind", blind, places, blind, positives, protocol, folders=dataset.folders)) == ()
 
 
-def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(
-    tmp_path: Path, spoilt
-) -> None:
+def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_but_no_notes(tmp_path, spoilt):
     lines = insist(spoilt(lambda *_: {"counts": (55,)}))
     assert lines == tuple(f"{tmp_path / one} holds 60 images; a whole copy has 55" for one in ("winter", "summer"))
     write(tmp_path / "winter", ["000.png"], lambda _: b"")
@@ -235,14 +233,14 @@ def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_b
     assert "\n" not in line
 
 
-def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path: Path) -> None:
+def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path):
     heard: dict[str, float] = {}
     with listening(lambda stage, done: heard.__setitem__(stage, done)):
         examined(*healthy(tmp_path))
     assert heard == {"looking at winter": 1.0, "looking at summer": 1.0}
 
 
-def test_long_text_is_broken_between_words_alone() -> None:
+def test_long_text_is_broken_between_words_alone():
     path = "/data/a-very-long-path-that-must-stay-whole/" * 3
     text = as_text("little", [Finding("warning", "files", f"{'word ' * 30}{path}", "")])
     assert path in text
@@ -260,7 +258,7 @@ def test_long_text_is_broken_between_words_alone() -> None:
     ],
     ids=["healthy", "a warning", "an error", "a dataset that cannot be built"],
 )
-def test_errors_and_warnings_exit_with_1(spoilt, damage: Damage | None, code: int, said: list[str]) -> None:
+def test_errors_and_warnings_exit_with_1(spoilt, damage, code, said):
     def build() -> Dataset:
         if damage is None:
             raise NotThere("winter/000.png is missing: get the frames")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,7 +99,7 @@ FINDINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
 
 
 @pytest.mark.parametrize("lists", FINDINGS)
-def test_the_cheap_checks_find_in_lists(lists: str, tmp_path: Path) -> None:
+def test_the_cheap_checks_find_in_lists(lists, tmp_path):
     given, expected = FINDINGS[lists]
     assert coded(checked(**given), tmp_path) == expected
 
@@ -108,11 +107,11 @@ def test_the_cheap_checks_find_in_lists(lists: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "names", [PLAIN, [f"{number:02d}.png" for number in range(12)], list("gadbhecf"), PLAIN[::-1]], ids=str
 )
-def test_other_orders_are_not_taken_for_dictionary_order(names: Sequence[str]) -> None:
+def test_other_orders_are_not_taken_for_dictionary_order(names):
     assert not [finding for finding in checked(names=names, query_names=names) if finding.check == "order"]
 
 
-def test_the_notes_of_a_dataset_are_shown(tmp_path: Path) -> None:
+def test_the_notes_of_a_dataset_are_shown(tmp_path):
     dataset = Dataset(
         name="noted",
         references=Images.from_arrays([picture(0)] * 2),

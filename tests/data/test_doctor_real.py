@@ -43,7 +43,7 @@ def clean(season: str) -> list[Path]:
     return [NORDLAND / season / name for name in (NORDLAND / "frames_clean_qvpr.txt").read_text().split()]
 
 
-def test_nordland_is_aligned_as_a_whole_and_in_part_and_its_tunnels_are_among_what_is_not_used() -> None:
+def test_nordland_is_aligned_as_a_whole_and_in_part_and_its_tunnels_are_among_what_is_not_used():
     winter, summer = clean("winter"), clean("summer")
     names = tuple(path.name for path in winter)
     found = ride(winter, summer, folders=tuple(FrameFolder(NORDLAND / s, names) for s in ("winter", "summer")))
@@ -57,7 +57,7 @@ def test_nordland_is_aligned_as_a_whole_and_in_part_and_its_tunnels_are_among_wh
         assert not wrong(ride(winter[first : first + 60], summer[first : first + 60]))
 
 
-def test_a_season_of_nordland_shifted_by_3_or_without_a_frame_is_found_by_its_frames() -> None:
+def test_a_season_of_nordland_shifted_by_3_or_without_a_frame_is_found_by_its_frames():
     winter, summer = clean("winter"), clean("summer")
     for one, other, told in ((winter[3:400], summer[:397], "earlier"), (winter[:397], summer[3:400], "later")):
         alignment, names = wrong(ride(one, other))
@@ -73,7 +73,7 @@ def test_a_season_of_nordland_shifted_by_3_or_without_a_frame_is_found_by_its_fr
     assert names[2].endswith(f"the first is {listed[400]}, matched with {winter[400].name}")
 
 
-def test_the_corridor_is_aligned_and_ten_frames_of_gardens_point_are_healthy_but_too_few_to_compare() -> None:
+def test_the_corridor_is_aligned_and_ten_frames_of_gardens_point_are_healthy_but_too_few_to_compare():
     found = ride(*(sorted((DATA / "corridor" / part).glob("*.jpg")) for part in ("ref", "query")), tolerance=2)
     assert not wrong(found)
     assert notes(found, "alignment")[0].startswith("summer and winter are aligned")

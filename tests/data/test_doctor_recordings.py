@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,7 +89,7 @@ FOUND: dict[str, tuple[Damage, list[str]]] = {
 
 
 @pytest.mark.parametrize("damage", FOUND)
-def test_the_doctor_finds_in_a_recording(damage: str, tmp_path: Path) -> None:
+def test_the_doctor_finds_in_a_recording(damage, tmp_path):
     winter, summer = healthy(tmp_path)
     spoil, expected = FOUND[damage]
     recordings = spoil(drive(1)), recorded(drive(2), "summer")

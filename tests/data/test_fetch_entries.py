@@ -8,7 +8,7 @@ import pytest
 from archive_files import zipped
 from checkout import SHARED
 
-from vprbench.data.fetch.entries import Download, downloads, read
+from vprbench.data.fetch.entries import downloads, read
 from vprbench.data.fetch.received import content_sha256, count_files
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
@@ -19,7 +19,7 @@ DATA = SHARED / "data"
 
 
 @pytest.mark.parametrize("entry", KNOWN.values(), ids=KNOWN)
-def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry: Download) -> None:
+def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry):
     assert entry.description
     assert entry.licence
     assert entry.source.startswith("https://")
@@ -60,9 +60,7 @@ def test_an_entry_says_what_a_person_has_to_know_and_its_parts_are_apart(entry: 
         ),
     ],
 )
-def test_a_part_takes_its_files_out_of_an_archive(
-    tmp_path: Path, where: str, folder: str, inside: str, outside: str
-) -> None:
+def test_a_part_takes_its_files_out_of_an_archive(tmp_path, where, folder, inside, outside):
     name, part = where.split()
     wanted, holds = KNOWN[name].parts[part].unpack, KNOWN[name].parts[part].holds
     (tmp_path / "archive.zip").write_bytes(zipped({folder + inside: b"frame", folder + outside: b"other"}))
@@ -72,7 +70,7 @@ def test_a_part_takes_its_files_out_of_an_archive(
 
 
 @pytest.mark.parametrize("folder", ["nordland_64x32/winter", "corridor/ref", "brisbane_events_7x7/sunset1"])
-def test_the_stated_hash_is_that_of_the_frames(folder: str) -> None:
+def test_the_stated_hash_is_that_of_the_frames(folder):
     if not (DATA / folder).is_dir():
         pytest.skip(f"{folder} is not beside the checkout")
     name, _, part = folder.partition("/")
@@ -87,7 +85,7 @@ parts:
 """
 
 
-def test_an_entry_is_named_and_described_by_its_file(tmp_path: Path) -> None:
+def test_an_entry_is_named_and_described_by_its_file(tmp_path):
     (tmp_path / "little.yaml").write_text(HEAD + PART)
     entry = read(tmp_path / "little.yaml")
     assert (entry.name, entry.folder, entry.description) == ("little", "little", "A little journey")
@@ -106,7 +104,7 @@ def test_an_entry_is_named_and_described_by_its_file(tmp_path: Path) -> None:
         ("a: [\n", "little.yaml is no yaml"),
     ],
 )
-def test_a_broken_entry_is_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_a_broken_entry_is_named_in_one_line(tmp_path, text, message):
     (tmp_path / "little.yaml").write_text(text)
     with pytest.raises(BadInput, match=message) as caught:
         read(tmp_path / "little.yaml")

@@ -76,8 +76,8 @@ def url(server: Server) -> str:
 
 @pytest.mark.parametrize("keep_archives", [True, False])
 def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again(
-    server: Server, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, keep_archives: bool
-) -> None:
+    server, url, tmp_path, monkeypatch, capsys, keep_archives
+):
     monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
     root = tmp_path / "little"  # where runs look for it
     assert get(little(url), None, keep_archives=keep_archives) == 0
@@ -95,14 +95,14 @@ def test_a_dataset_gets_into_its_folder_with_a_record_and_is_not_asked_for_again
     assert re.search(r"spring is there already, fetched on \d+-\d+-\d+\.\n.*2 files\n", capsys.readouterr().out)
 
 
-def test_a_file_that_is_no_archive_is_kept_as_it_is(server: Server, root: Path) -> None:
+def test_a_file_that_is_no_archive_is_kept_as_it_is(server, root):
     wanted = Wanted(plain=True, into="drive", unpacked_bytes=len(NOISE))
     part = Part(file="drive.h5", urls=(server.serve("/drive", NOISE),), unpack=wanted, holds={"drive": Held(files=1)})
     assert get(little(parts={"drive": part}), root) == 0
     assert (root / "drive" / "drive.h5").read_bytes() == NOISE
 
 
-def test_parts_that_are_named_or_usual_and_not_there_are_fetched(server: Server, url: str, root: Path) -> None:
+def test_parts_that_are_named_or_usual_and_not_there_are_fetched(server, url, root):
     wanted = Wanted(unpacked_bytes=100)
     summer = Part("summer.tar.gz", (server.serve("/summer", SUMMER),), wanted, {"summer": Held(files=2)})
     both = little(parts={"spring": spring(url), "summer": summer})
@@ -123,8 +123,8 @@ def test_parts_that_are_named_or_usual_and_not_there_are_fetched(server: Server,
 
 
 def test_the_next_address_is_tried_where_a_file_is_gone_another_one_or_damaged_or_its_server_stalls(
-    server: Server, url: str, root: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+    server, url, root, caplog
+):
     gone, stalling = f"{server.url}/gone", server.serve("/stalling", SPRING, stalls_after=0)
     other, damaged = server.serve("/other", zipped({"spring/1.png": b"another"})), server.serve("/cut", SPRING[:-CHUNK])
     for wrong, stated in ((gone, {}), (stalling, {}), (other, {"sha256": SHA256}), (damaged, {})):
@@ -138,8 +138,8 @@ def test_the_next_address_is_tried_where_a_file_is_gone_another_one_or_damaged_o
 
 
 def test_what_a_person_can_do_is_said_where_all_fail_and_nothing_is_asked_for_where_downloads_are_forbidden(
-    server: Server, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    server, root, monkeypatch
+):
     entry = little(f"{server.url}/one", f"{server.url}/two")
     by_hand = f"/two answers 404 .* get the file by hand and store it as {root / 'archives' / 'spring.zip'}$"
     refused(entry, root, by_hand, NotThere)
@@ -173,9 +173,7 @@ def interrupt(entry: Download, root: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert not (root / "spring").exists()
 
 
-def test_an_interrupted_download_is_continued_and_what_was_begun_to_unpack_is_removed(
-    server: Server, url: str, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_download_is_continued_and_what_was_begun_to_unpack_is_removed(server, url, root, monkeypatch):
     interrupt(little(url), root, monkeypatch)
     (root / ".unpacking-12345678" / "spring").mkdir(parents=True)
     server.asked.clear()
@@ -185,7 +183,7 @@ def test_an_interrupted_download_is_continued_and_what_was_begun_to_unpack_is_re
     assert not (root / ".unpacking-12345678").exists()
 
 
-def test_two_fetches_do_not_share_a_folder(server: Server, url: str, root: Path) -> None:
+def test_two_fetches_do_not_share_a_folder(server, url, root):
     root.mkdir(parents=True)
     with FileLock(root / ".fetch.lock"):
         refused(little(url), root, "another fetch is under way in")
@@ -196,9 +194,7 @@ def test_two_fetches_do_not_share_a_folder(server: Server, url: str, root: Path)
 # Archives
 
 
-def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(
-    server: Server, url: str, root: Path
-) -> None:
+def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(server, url, root):
     damaged = server.serve("/damaged", SPRING[:-CHUNK])
     refused(little(damaged), root, r"spring.zip is damaged.*it was deleted: give the same command again")
     assert visible(root) == ["archives"]
@@ -207,9 +203,7 @@ def test_a_damaged_archive_is_deleted_or_replaced_and_the_next_fetch_is_right(
     assert recorded(root)["spring"]["url"] == url
 
 
-def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(
-    server: Server, root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_is_kept(server, root, capsys):
     lines = f"{hashlib.sha256(b'one').hexdigest()}  1.png\n{hashlib.sha256(b'two').hexdigest()}  2.png\n"
     stated = {"spring": Held(sha256=hashlib.sha256(lines.encode()).hexdigest(), files=3)}
     hostile = tarred({"spring/1.png": b"one"}, [special("spring/2.png", b"2", "/etc/passwd")])
@@ -228,9 +222,7 @@ def test_a_hostile_archive_or_one_of_other_folders_or_files_changes_nothing_and_
     assert f"{root / 'spring'}: 2 files, but 3 were expected" in capsys.readouterr().out
 
 
-def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_stated(
-    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_stated(root, monkeypatch, capsys):
     monkeypatch.setenv("VPRBENCH_OFFLINE", "1")
     archive = root / "archives" / "spring.zip"
     archive.parent.mkdir(parents=True)
@@ -255,8 +247,8 @@ def free(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
 
 
 def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for_and_what_is_left_is_not_counted_twice(
-    server: Server, url: str, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    server, url, root, monkeypatch
+):
     needed = 4 * CHUNK + 5_000_000  # what is unpacked, and what is downloaded
     entry = little(parts={"spring": spring(url, about_bytes=5_000_000)})
     free(monkeypatch, needed - 1)
@@ -269,9 +261,7 @@ def test_a_disk_that_is_too_small_is_named_before_anything_is_asked_for_and_what
     assert get(entry, root) == 0
 
 
-def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_asked_for(
-    server: Server, url: str, root: Path, tmp_path: Path
-) -> None:
+def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_asked_for(server, url, root, tmp_path):
     (tmp_path / "disk").mkdir()
     root.mkdir(parents=True)
     (root / "spring").symlink_to(tmp_path / "disk")
@@ -295,9 +285,7 @@ def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_
         (["little", "less"], "dataset=little cannot run yet: summer is missing\n"),
     ],
 )
-def test_the_first_dataset_that_has_its_frames_is_checked(
-    url: str, root: Path, capsys: pytest.CaptureFixture[str], missing: list[str], said: str
-) -> None:
+def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, missing, said):
     def check(name: str, folder: Path) -> tuple[str, ...]:
         assert folder == root
         if name in missing:
@@ -308,9 +296,7 @@ def test_the_first_dataset_that_has_its_frames_is_checked(
     assert said in capsys.readouterr().out
 
 
-def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(root, capsys):
     entry = little(register="Register at https://example.org, and put spring/ into {folder}.\n")
 
     def missing(name: str, folder: Path) -> tuple[str, ...]:
@@ -326,9 +312,7 @@ def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(
     assert "2 frames, as expected" in capsys.readouterr().out
 
 
-def test_the_public_parts_are_fetched_and_those_that_are_gone_do_not_keep_from_the_check(
-    server: Server, url: str, root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_public_parts_are_fetched_and_those_that_are_gone_do_not_keep_from_the_check(server, url, root, capsys):
     entry = little(url, register="Ask its authors.")
     assert get(entry, root) == 2
     assert visible(root) == COMPLETE
@@ -340,9 +324,7 @@ def test_the_public_parts_are_fetched_and_those_that_are_gone_do_not_keep_from_t
     assert re.search(r"/gone answers 404 [^\n]*\n.*\nfine\n$", capsys.readouterr().out)
 
 
-def test_the_command_lists_what_there_is_and_hands_its_options_on(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_lists_what_there_is_and_hands_its_options_on(root, capsys):
     assert fetch_command([]) == 0
     printed = capsys.readouterr().out
     assert "spring (14.2 GB), fall (11.9 GB), summer (11.8 GB), winter (9.6 GB)" in printed

@@ -70,9 +70,7 @@ def interrupt(server: Served, to: Path, after_bytes: int = CHUNK) -> None:
     assert kept_bytes(to) == after_bytes
 
 
-def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_to_the_whole(
-    server: Served, to: Path
-) -> None:
+def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_to_the_whole(server, to):
     heard: list[tuple[str, float]] = []
     with listening(lambda stage, done: heard.append((stage, done))):
         get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
@@ -90,14 +88,14 @@ def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_t
     assert server.net.asked == []
 
 
-def test_what_a_broken_connection_has_brought_is_continued(server: Served, to: Path) -> None:
+def test_what_a_broken_connection_has_brought_is_continued(server, to):
     server.breaks_after = CHUNK
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={n * CHUNK}-" for n in (1, 2, 3)]
 
 
-def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: Served, to: Path) -> None:
+def test_a_continued_download_is_sent_little_more_than_what_is_missing(server, to):
     server.content = CONTENT * 20  # 30 MB
     had = 57 * CHUNK
     interrupt(server, to, had)
@@ -110,9 +108,7 @@ def test_a_continued_download_is_sent_little_more_than_what_is_missing(server: S
     assert sum(whole) < len(server.content) / 2  # answers that were closed once their headers had come
 
 
-def test_a_stalled_server_is_left_and_asked_again_and_one_that_keeps_silent_is_given_up(
-    server: Served, to: Path
-) -> None:
+def test_a_stalled_server_is_left_and_asked_again_and_one_that_keeps_silent_is_given_up(server, to):
     server.stalls_after = 0
     refused(server, to, r"\(.*timed", timeout_seconds=0.1)
     server.stalls_after = 2 * CHUNK
@@ -121,9 +117,7 @@ def test_a_stalled_server_is_left_and_asked_again_and_one_that_keeps_silent_is_g
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
-def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_at_once(
-    to: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_at_once(to, monkeypatch):
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))  # and does not listen
         refused(f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth", to, "refused")
@@ -138,7 +132,7 @@ def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_a
 
 
 @pytest.mark.parametrize("status", [408, 429, 503])
-def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Served, to: Path, status: int) -> None:
+def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server, to, status):
     interrupt(server, to)
     server.statuses = [status, status]
     get(server, to)
@@ -147,9 +141,7 @@ def test_a_passing_refusal_is_waited_out_and_does_not_cost_the_part(server: Serv
 
 
 @pytest.mark.parametrize("status", [403, 404])
-def test_a_lasting_refusal_is_reported_at_once_and_one_that_never_passes_in_the_end(
-    server: Served, to: Path, status: int
-) -> None:
+def test_a_lasting_refusal_is_reported_at_once_and_one_that_never_passes_in_the_end(server, to, status):
     server.statuses = [status] * 9
     refused(server, to, rf"net\.pth answers {status} .* store it as .*weights.net\.pth")
     assert len(server.net.asked) == 1
@@ -158,7 +150,7 @@ def test_a_lasting_refusal_is_reported_at_once_and_one_that_never_passes_in_the_
     assert len(server.net.asked) == 6
 
 
-def test_redirects_are_followed_when_continuing_too(server: Served, to: Path) -> None:
+def test_redirects_are_followed_when_continuing_too(server, to):
     server.net.serve("/newer", location=server.url)
     server.breaks_after = 2 * CHUNK
     get(server.net.serve("/old", location="/newer"), to)
@@ -167,14 +159,12 @@ def test_redirects_are_followed_when_continuing_too(server: Served, to: Path) ->
 
 
 @pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
-def test_only_the_web_is_downloaded_from_by_redirects_too(server: Served, to: Path, target: str) -> None:
+def test_only_the_web_is_downloaded_from_by_redirects_too(server, to, target):
     refused(target, to, "does not start with http")
     refused(server.net.serve("/old", location=target), to, "cannot be followed")
 
 
-def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_always_breaks(
-    server: Served, to: Path
-) -> None:
+def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_always_breaks(server, to):
     interrupt(server, to)
     server.honours_ranges = False
     get(server, to)
@@ -185,7 +175,7 @@ def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_alwa
 
 
 @pytest.mark.parametrize("dated", [False, True])
-def test_a_file_that_changed_meanwhile_comes_whole_in_its_new_version(server: Served, to: Path, dated: bool) -> None:
+def test_a_file_that_changed_meanwhile_comes_whole_in_its_new_version(server, to, dated):
     if dated:
         server.etag, server.modified = None, "Wed, 21 Oct 2015 07:28:00 GMT"
     interrupt(server, to)
@@ -199,7 +189,7 @@ def test_a_file_that_changed_meanwhile_comes_whole_in_its_new_version(server: Se
     assert server.net.ranges() == []
 
 
-def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server: Served, to: Path) -> None:
+def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server, to):
     server.etag = 'W/"weak"'
     interrupt(server, to)
     get(server, to, sha256=SHA256)
@@ -211,7 +201,7 @@ def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server:
     assert to.read_bytes() == OTHER
 
 
-def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server: Served, to: Path) -> None:
+def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server, to):
     interrupt(server, to, 2 * CHUNK)
     server.content = CONTENT[:CHUNK]  # under the old ETag
     get(server, to)
@@ -234,22 +224,20 @@ def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server: Served, to
         (b"", {}, "gave 0 bytes, expected more"),
     ],
 )
-def test_another_file_than_stated_a_web_page_or_nothing_is_deleted_and_named(
-    server: Served, to: Path, content: bytes, stated: dict[str, Any], message: str
-) -> None:
+def test_another_file_than_stated_a_web_page_or_nothing_is_deleted_and_named(server, to, content, stated, message):
     server.content, server.kind = content, "text/html"
     refused(server, to, rf"^{server.url} {message}", **stated)
     assert left_behind(to) == []
 
 
-def test_two_that_want_one_file_download_it_once(server: Served, to: Path) -> None:
+def test_two_that_want_one_file_download_it_once(server, to):
     with ThreadPoolExecutor(2) as threads:
         [*threads.map(lambda _: get(server, to, sha256=SHA256), range(2))]
     assert to.read_bytes() == CONTENT
     assert len(server.net.asked) == 2  # whether a part fits, and the file
 
 
-def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server: Served, to: Path, tmp_path: Path) -> None:
+def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server, to, tmp_path):
     with no_file_may_exceed(CHUNK + 1000):
         refused(server, to, r"\(File.*large\): free")
     get(server, to, sha256=SHA256)
@@ -273,9 +261,7 @@ def drive(server: Served, monkeypatch: pytest.MonkeyPatch) -> str:
     return "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
 
 
-def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(
-    server: Served, drive: str, to: Path
-) -> None:
+def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(server, drive, to):
     form = f'<form id="download-form" action="{server.url}"><input type="hidden" name="confirm" value="t"></form>'
     server.net.serve("/page", f"<html>{form}</html>".encode(), kind="text/html; charset=utf-8")
     server.attached, server.breaks_after = True, 2 * CHUNK
@@ -284,7 +270,7 @@ def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
 
 
-def test_a_file_that_is_not_public_is_reported_in_one_line(server: Served, drive: str, to: Path) -> None:
+def test_a_file_that_is_not_public_is_reported_in_one_line(server, drive, to):
     page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
     server.net.serve("/page", page, kind="text/html; charset=utf-8")
     refused(drive, to, r"\(.*Too.*users")

@@ -30,7 +30,7 @@ def nameless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("variable", FOLDERS)
-def test_a_cache_without_a_home_asks_for_its_variable(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_without_a_home_asks_for_its_variable(variable, monkeypatch):
     with pytest.raises(BadInput, match=f"HOME, or {variable}"):
         FOLDERS[variable]()
     monkeypatch.setenv(variable, "~/kept")
@@ -40,7 +40,7 @@ def test_a_cache_without_a_home_asks_for_its_variable(variable: str, monkeypatch
     assert FOLDERS[variable]() == Path("kept")
 
 
-def test_bad_input_without_a_home_is_told_and_stored(capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input_without_a_home_is_told_and_stored(capsys, monkeypatch):
     monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
     assert main(["method.patch=0", "dataset.places=12", "dataset.first_query_place=0"]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("vprbench: method.patch=0")

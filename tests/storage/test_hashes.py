@@ -9,7 +9,6 @@ import sqlite3
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -79,7 +78,7 @@ def refused(hashes: FileHashes, paths: list[Path]) -> str:
     return str(caught.value)
 
 
-def test_the_hash_of_a_file_is_its_sha256_whatever_its_name(tmp_path: Path, folder: Path) -> None:
+def test_the_hash_of_a_file_is_its_sha256_whatever_its_name(tmp_path, folder):
     paths = [write(tmp_path / "a.png", b""), write(tmp_path / os.fsdecode(b"hiver-\xe9t\xe9.png"), b"abc")]
     for _ in range(2):
         found = later(folder).of(paths)
@@ -88,8 +87,8 @@ def test_the_hash_of_a_file_is_its_sha256_whatever_its_name(tmp_path: Path, fold
 
 @pytest.mark.parametrize("again", [False, True], ids=["another program", "the same one"])
 def test_hashes_come_in_the_order_of_the_files_and_a_second_call_reads_what_came_since_alone(
-    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch, again: bool
-) -> None:
+    tmp_path, folder, read, monkeypatch, again
+):
     (a, b, c, d, e), first = files(tmp_path, 5), later(folder)
     assert [*first.of([])] == []
     assert not folder.exists()
@@ -102,9 +101,7 @@ def test_hashes_come_in_the_order_of_the_files_and_a_second_call_reads_what_came
 
 
 @pytest.mark.parametrize("asked", [[0, 20, 39], [*range(40)], [39, 3, 39, 20]], ids=["few", "all", "some twice"])
-def test_what_is_known_is_found_among_much_or_little_else(
-    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch, asked: list[int]
-) -> None:
+def test_what_is_known_is_found_among_much_or_little_else(tmp_path, folder, read, monkeypatch, asked):
     monkeypatch.setattr(file_hashes, "_ASKED", 3)
     paths = files(tmp_path, 40)
     later(folder).of(paths)
@@ -113,9 +110,7 @@ def test_what_is_known_is_found_among_much_or_little_else(
     assert not read
 
 
-def test_hashes_that_were_read_before_an_error_are_kept(
-    tmp_path: Path, folder: Path, read: Counter[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hashes_that_were_read_before_an_error_are_kept(tmp_path, folder, read, monkeypatch):
     monkeypatch.setattr(file_hashes, "_BATCH", 4)
     paths, digest = files(tmp_path, 10), file_hashes.file_digest
 
@@ -133,9 +128,7 @@ def test_hashes_that_were_read_before_an_error_are_kept(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps no time of change that nobody can set back")
-def test_a_file_is_read_again_once_it_has_another_name_time_inode_or_content(
-    tmp_path: Path, folder: Path, read: Counter[str]
-) -> None:
+def test_a_file_is_read_again_once_it_has_another_name_time_inode_or_content(tmp_path, folder, read):
     path = write(tmp_path / "a.png", b"winter")
     os.utime(path, ns=(0, 0))
     later(folder).of([path])
@@ -160,9 +153,7 @@ def test_a_file_is_read_again_once_it_has_another_name_time_inode_or_content(
 @pytest.mark.parametrize(
     ("seconds", "times_read"), [(0.0, 2), (1.9, 2), (2.1, 1), (-1.9, 2)], ids=["now", "just now", "before", "to come"]
 )
-def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(
-    tmp_path: Path, folder: Path, read: Counter[str], seconds: float, times_read: int
-) -> None:
+def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(tmp_path, folder, read, seconds, times_read):
     (path,) = files(tmp_path, 1)
     os.utime(path, ns=(0, 0))  # the change of its content is long ago, that of its times is not
     now = path.stat().st_ctime_ns + int(seconds * SECOND)
@@ -172,9 +163,7 @@ def test_a_file_that_changed_less_than_two_seconds_ago_is_not_kept(
 
 
 @pytest.mark.parametrize("times", [2, 3])
-def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever(
-    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, times: int
-) -> None:
+def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever(tmp_path, folder, monkeypatch, times):
     path, digest = write(tmp_path / "a.png", b"half"), file_hashes.file_digest
     rest = [b" more"] * times
 
@@ -193,7 +182,7 @@ def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever
 
 
 @pytest.mark.parametrize("name", ["absent.png", "frames"])
-def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path: Path, folder: Path, name: str) -> None:
+def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path, folder, name):
     assert f"{tmp_path / name} cannot be read (" in refused(later(folder), [*files(tmp_path, 2), tmp_path / name])
 
 
@@ -205,13 +194,7 @@ def test_what_cannot_be_read_is_an_error_with_its_path(tmp_path: Path, folder: P
     ],
     ids=["overwritten", "torn"],
 )
-def test_a_damaged_database_is_begun_anew(
-    tmp_path: Path,
-    folder: Path,
-    read: Counter[str],
-    caplog: pytest.LogCaptureFixture,
-    damaged: Callable[[bytes], bytes],
-) -> None:
+def test_a_damaged_database_is_begun_anew(tmp_path, folder, read, caplog, damaged):
     paths = files(tmp_path, 200)
     later(folder).of(paths)
     (database,) = folder.iterdir()
@@ -231,9 +214,7 @@ def ask(folder: Path, *questions: str) -> list[Any]:
         return [[*database.execute(question)] for question in questions][-1]
 
 
-def test_what_is_no_hash_is_not_taken_for_one_and_a_database_of_another_kind_is_left_alone(
-    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_no_hash_is_not_taken_for_one_and_a_database_of_another_kind_is_left_alone(tmp_path, folder, caplog):
     paths = files(tmp_path, 2)
     later(folder).of(paths)
     for stored in ("'text'", "x'1234'"):
@@ -245,13 +226,7 @@ def test_what_is_no_hash_is_not_taken_for_one_and_a_database_of_another_kind_is_
     assert ask(folder, "SELECT recipe FROM files") == [("soup",)]
 
 
-def test_a_locked_database_costs_one_line_and_never_the_hashes(
-    tmp_path: Path,
-    folder: Path,
-    read: Counter[str],
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_locked_database_costs_one_line_and_never_the_hashes(tmp_path, folder, read, caplog, monkeypatch):
     monkeypatch.setattr(file_hashes, "_PATIENCE_SECONDS", 0)
     paths = files(tmp_path, 4)
     later(folder).of(paths[:2])
@@ -273,9 +248,7 @@ def test_a_locked_database_costs_one_line_and_never_the_hashes(
     [lambda folder: folder.write_bytes(b""), lambda folder: (folder / "files-1.sqlite3").mkdir(parents=True)],
     ids=["a file in place of the folder", "a folder in place of the database"],
 )
-def test_where_no_database_can_be_made_the_hashes_are_right(
-    tmp_path: Path, folder: Path, caplog: pytest.LogCaptureFixture, hinder: Callable[[Path], object]
-) -> None:
+def test_where_no_database_can_be_made_the_hashes_are_right(tmp_path, folder, caplog, hinder):
     hinder(folder)
     paths, hashes = files(tmp_path, 3), later(folder)
     assert are_right(hashes, paths)
@@ -293,9 +266,7 @@ print(*(file.sha256.hex() for file in found))
 """
 
 
-def test_several_threads_and_processes_share_the_hashes(
-    tmp_path: Path, folder: Path, read: Counter[str], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_several_threads_and_processes_share_the_hashes(tmp_path, folder, read, caplog):
     paths, hashes = sorted(files(tmp_path, 60)), later(folder)
     command = [sys.executable, "-c", OTHER_PROCESS, str(folder), str(tmp_path / "frames")]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -311,9 +282,7 @@ def test_several_threads_and_processes_share_the_hashes(
 
 
 @pytest.mark.parametrize("chosen", [True, False])
-def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: bool
-) -> None:
+def test_the_folder_is_the_chosen_one_or_in_the_users_cache(tmp_path, monkeypatch, chosen):
     monkeypatch.setattr(platformdirs, "user_cache_path", lambda *names, **_: tmp_path.joinpath(*names))
     monkeypatch.delenv("VPRBENCH_HASHES")
     if chosen:
@@ -325,9 +294,7 @@ def test_the_folder_is_the_chosen_one_or_in_the_users_cache(
     assert [path.name for path in folder.iterdir()] == ["files-1.sqlite3"]
 
 
-def test_hashing_more_files_than_a_batch_is_told_of_once(
-    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hashing_more_files_than_a_batch_is_told_of_once(tmp_path, folder, monkeypatch):
     monkeypatch.setattr(file_hashes, "_BATCH", 4)
     paths, told = files(tmp_path, 13), list[tuple[str, float]]()
     with listening(lambda stage, done: told.append((stage, done))):

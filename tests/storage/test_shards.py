@@ -34,7 +34,7 @@ def written(folder: Path, rows: Array) -> tuple[Shards, list[int]]:
 
 
 @pytest.mark.parametrize("kind", ["files", "memory"])
-def test_shards_hold_the_rows_of_an_array(tmp_path: Path, rows: Array, kind: str) -> None:
+def test_shards_hold_the_rows_of_an_array(tmp_path, rows, kind):
     kept = written(tmp_path, rows)[0] if kind == "files" else Shards.of(rows)
     assert (kept.shape, len(kept), kept.nbytes) == ((N, D), N, rows.nbytes)
     assert [(piece.first, piece.rows().tolist()) for piece in kept.pieces] == [
@@ -46,9 +46,7 @@ def test_shards_hold_the_rows_of_an_array(tmp_path: Path, rows: Array, kind: str
     assert np.array_equal(kept.take(chosen), rows[chosen])
 
 
-def test_what_one_file_has_is_no_copy_and_a_piece_goes_to_another_process_by_its_name(
-    tmp_path: Path, rows: Array
-) -> None:
+def test_what_one_file_has_is_no_copy_and_a_piece_goes_to_another_process_by_its_name(tmp_path, rows):
     kept, _ = written(tmp_path, rows)
     assert isinstance(kept[130:190], np.memmap)
     sent = pickle.dumps(kept.pieces[2])
@@ -56,9 +54,7 @@ def test_what_one_file_has_is_no_copy_and_a_piece_goes_to_another_process_by_its
     assert np.array_equal(pickle.loads(sent).rows(), rows[128:192])
 
 
-def test_finished_shards_stay_and_missing_or_damaged_ones_are_written_anew(
-    tmp_path: Path, rows: Array, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_finished_shards_stay_and_missing_or_damaged_ones_are_written_anew(tmp_path, rows, caplog):
     assert written(tmp_path, rows)[1] == [0, 64, 128, 192, 256]
     assert Shards.find(tmp_path, N) is not None
     files = sorted(tmp_path.glob("*.npy"))
@@ -75,7 +71,7 @@ def test_finished_shards_stay_and_missing_or_damaged_ones_are_written_anew(
 @pytest.mark.parametrize(
     ("n_rows", "least", "most"), [(1, 1, 1), (10_000, 5, 15), (2_800_000, 200, 256), (10**9, 200, 256)]
 )
-def test_there_are_never_many_files(n_rows: int, least: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_are_never_many_files(n_rows, least, most, monkeypatch):
     monkeypatch.setattr(shards, "_LEAST_ROWS", 1024)
     parts = shards.borders(n_rows)
     assert least <= len(parts) <= most

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from vprbench.storage.tensors import Arrays, Seal, plain
+from vprbench.storage.tensors import Seal, plain
 
 SEAL = Seal("about", "digest")
 ARRAYS = {"weights": np.arange(6, dtype=np.int32).reshape(2, 3), "bias": np.zeros(2, np.float32)}
@@ -27,7 +25,7 @@ ARRAYS = {"weights": np.arange(6, dtype=np.int32).reshape(2, 3), "bias": np.zero
     ],
     ids=["nothing", "text", "name", "shape", "type", "number", "array missing"],
 )
-def test_a_change_is_seen(tmp_path: Path, text: str, arrays: Arrays, whole: bool) -> None:
+def test_a_change_is_seen(tmp_path, text, arrays, whole):
     digest = SEAL.metadata("told", ARRAYS)["digest"]
     save_file(dict(arrays), tmp_path / "file", {"about": text, "digest": digest})
     found, read, same = SEAL.read(tmp_path / "file")
@@ -35,7 +33,7 @@ def test_a_change_is_seen(tmp_path: Path, text: str, arrays: Arrays, whole: bool
     assert {name: array.tolist() for name, array in read.items()} == {name: a.tolist() for name, a in arrays.items()}
 
 
-def test_a_file_without_a_text_is_not_whole_and_what_is_no_such_file_is_a_value_error(tmp_path: Path) -> None:
+def test_a_file_without_a_text_is_not_whole_and_what_is_no_such_file_is_a_value_error(tmp_path):
     save_file(ARRAYS, tmp_path / "file")
     text, _, whole = SEAL.read(tmp_path / "file")
     assert (text, whole, SEAL.read_text(tmp_path / "file")) == (None, False, None)
@@ -47,7 +45,7 @@ def test_a_file_without_a_text_is_not_whole_and_what_is_no_such_file_is_a_value_
             read(tmp_path / "nowhere")
 
 
-def test_arrays_are_written_little_endian_row_by_row() -> None:
+def test_arrays_are_written_little_endian_row_by_row():
     given = np.asfortranarray(np.arange(6, dtype=">i4").reshape(2, 3))
     assert plain(given, "x").tobytes() == np.arange(6, dtype="<i4").tobytes()
     for wrong in ([1.0], np.array(["1"])):

@@ -68,7 +68,7 @@ def refused(archive: Path, to: Path, wanted: Wanted, message: str, kind: type[Ba
 
 
 @pytest.mark.parametrize("maker", [*MAKERS, "xz in streams"])
-def test_the_wanted_files_come_out_under_their_names(archive: Path, to: Path, maker: str) -> None:
+def test_the_wanted_files_come_out_under_their_names(archive, to, maker):
     hidden = {"__MACOSX/set/1.png": b"x", "set/spring/._1.png": b"x", "set/.hidden/3.png": b"x"}
     if maker in MAKERS:
         archive.write_bytes(MAKERS[maker]({**hidden, **FILES}))
@@ -85,9 +85,7 @@ def test_the_wanted_files_come_out_under_their_names(archive: Path, to: Path, ma
     assert (heard[0], heard[-1]) == (0.0, 1.0)
 
 
-def test_all_folders_can_be_left_out_and_one_put_in_front_and_a_plain_file_is_wanted_itself(
-    archive: Path, tmp_path: Path
-) -> None:
+def test_all_folders_can_be_left_out_and_one_put_in_front_and_a_plain_file_is_wanted_itself(archive, tmp_path):
     archive.write_bytes(zipped({"a/b/1.png": b"one", "2.png": b"two"}))
     to = tmp_path / "new" / "data"  # is made
     unpack(archive, to, Wanted(unpacked_bytes=100, strip="all", into="fall"))
@@ -96,7 +94,7 @@ def test_all_folders_can_be_left_out_and_one_put_in_front_and_a_plain_file_is_wa
     assert everything(to) == {"fall/1.png": b"one", "fall/2.png": b"two", **plain}
 
 
-def test_what_is_not_approved_or_interrupted_does_not_get_there(archive: Path, to: Path) -> None:
+def test_what_is_not_approved_or_interrupted_does_not_get_there(archive, to):
     archive.write_bytes(zipped(FILES))
     seen = []
 
@@ -121,7 +119,7 @@ OUTSIDE = ["../1.png", "set/../../1.png", "/tmp/1.png", "set/C:1.png", "set\\1.p
 
 @pytest.mark.parametrize("maker", ["zip", "tar"])
 @pytest.mark.parametrize("name", [*OUTSIDE, "../read.me", "set/\x1b[2J.png"])
-def test_a_path_that_leads_out_is_refused_wanted_or_not(archive: Path, to: Path, name: str, maker: str) -> None:
+def test_a_path_that_leads_out_is_refused_wanted_or_not(archive, to, name, maker):
     archive.write_bytes(MAKERS[maker]({**FILES, name: b"x"}))
     refused(archive, to, WANTED, re.escape(ascii(name)))
 
@@ -136,12 +134,12 @@ def test_a_path_that_leads_out_is_refused_wanted_or_not(archive: Path, to: Path,
         (tarfile.GNUTYPE_SPARSE, "no plain file"),
     ],
 )
-def test_a_tar_with_more_than_files_is_refused(archive: Path, to: Path, kind: bytes, said: str) -> None:
+def test_a_tar_with_more_than_files_is_refused(archive, to, kind, said):
     archive.write_bytes(tarred(FILES, [special("set/spring/3.png", kind, "/etc/passwd")]))
     refused(archive, to, WANTED, f"'set/spring/3.png', which is {said}: nothing was unpacked")
 
 
-def test_a_file_is_not_written_through_a_link_that_the_same_tar_made(archive: Path, to: Path, tmp_path: Path) -> None:
+def test_a_file_is_not_written_through_a_link_that_the_same_tar_made(archive, to, tmp_path):
     target = tmp_path / "elsewhere"
     target.mkdir()
     link = special("set/spring", tarfile.SYMTYPE, str(target)).tobuf()
@@ -159,7 +157,7 @@ def test_a_file_is_not_written_through_a_link_that_the_same_tar_made(archive: Pa
         (stat.S_IFREG, zipfile.ZIP_BZIP2, "fill the memory"),  # a compression that knows no bound
     ],
 )
-def test_a_zip_with_more_than_files_is_refused(archive: Path, to: Path, mode: int, compression: int, said: str) -> None:
+def test_a_zip_with_more_than_files_is_refused(archive, to, mode, compression, said):
     info = zipfile.ZipInfo("set/spring/3.png")
     info.external_attr, info.compress_type = (mode | 0o777) << 16, compression
     with zipfile.ZipFile(archive, "w") as made:
@@ -168,7 +166,7 @@ def test_a_zip_with_more_than_files_is_refused(archive: Path, to: Path, mode: in
 
 
 @pytest.mark.parametrize("maker", ["zip", "gz"])
-def test_no_more_bytes_and_files_come_out_than_expected(archive: Path, to: Path, maker: str) -> None:
+def test_no_more_bytes_and_files_come_out_than_expected(archive, to, maker):
     archive.write_bytes(MAKERS[maker]({"set/spring/1.png": bytes(600), "set/spring/2.png": bytes(401)}))
     refused(archive, to, Wanted(unpacked_bytes=1000), "more than 1000 bytes")
     refused(archive, to, Wanted(unpacked_bytes=2000, only="*.jpg", most_files=1), "more than 1 files")
@@ -180,9 +178,7 @@ def test_no_more_bytes_and_files_come_out_than_expected(archive: Path, to: Path,
     [(22, struct.pack("<I", 10), "is damaged, or no archive", DamagedArchive), (6, b"\1", "encrypted", BadInput)],
     ids=["fewer bytes than it holds", "encrypted"],
 )
-def test_a_zip_is_refused_for_what_it_states(
-    archive: Path, to: Path, offset: int, field: bytes, said: str, kind: type[BadInput]
-) -> None:
+def test_a_zip_is_refused_for_what_it_states(archive, to, offset, field, said, kind):
     content = bytearray(zipped({"set/spring/1.png": bytes(1_000_000)}))
     for signature, more in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):  # beside the file, and in the list
         at = content.index(signature) + offset + more
@@ -224,7 +220,7 @@ def memory_stays_below(most_bytes: int) -> Iterator[None]:
     ],
     ids=["name", "name after a folder", "map"],
 )
-def test_an_archive_whose_header_asks_for_the_whole_memory_is_refused(archive: Path, to: Path, content: bytes) -> None:
+def test_an_archive_whose_header_asks_for_the_whole_memory_is_refused(archive, to, content):
     archive.write_bytes(gzip.compress(content, 1))
     with memory_stays_below(12_000_000):
         refused(archive, to, WANTED, "than a header has", DamagedArchive)
@@ -233,7 +229,7 @@ def test_an_archive_whose_header_asks_for_the_whole_memory_is_refused(archive: P
     refused(archive, to, WANTED, "Memory usage limit", DamagedArchive)
 
 
-def test_headers_for_all_files_that_follow_do_not_pile_up(archive: Path, to: Path) -> None:
+def test_headers_for_all_files_that_follow_do_not_pile_up(archive, to):
     headers = [tarfile.TarInfo.create_pax_global_header({f"comment{n}": "x" * 500_000}) for n in range(40)]
     files = [header + empty(f"set/spring/{number}.png") for number, header in enumerate(headers)]
     archive.write_bytes(gzip.compress(b"".join(files) + bytes(1024)))
@@ -252,9 +248,7 @@ def test_headers_for_all_files_that_follow_do_not_pile_up(archive: Path, to: Pat
         ({"1.png": b"one"}, WANTED, "'1.png', expected in 1 folders"),
     ],
 )
-def test_other_files_than_expected_are_refused(
-    archive: Path, to: Path, files: dict[str, bytes], wanted: Wanted, said: str
-) -> None:
+def test_other_files_than_expected_are_refused(archive, to, files, wanted, said):
     archive.write_bytes(tarred(files))
     refused(archive, to, wanted, said)
 
@@ -281,16 +275,12 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("content", DAMAGED.values(), ids=DAMAGED)
-def test_an_archive_that_ends_early_has_a_changed_byte_or_is_none_is_damaged(
-    archive: Path, to: Path, content: bytes
-) -> None:
+def test_an_archive_that_ends_early_has_a_changed_byte_or_is_none_is_damaged(archive, to, content):
     archive.write_bytes(content)
     refused(archive, to, WANTED, "damaged|ends early", DamagedArchive)
 
 
-def test_a_full_disk_is_named_and_what_was_moved_goes_back_where_the_rest_cannot_be(
-    archive: Path, to: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_named_and_what_was_moved_goes_back_where_the_rest_cannot_be(archive, to, monkeypatch):
     archive.write_bytes(zipped({"set/a/1.png": bytes(50_000), "set/b/1.png": b"two"}))
     with no_file_may_exceed(20_000):
         refused(archive, to, WANTED, r"\(.*File.*large\).*: free")
