@@ -67,8 +67,6 @@ def aged(path, days):
     return path
 
 
-# What is kept
-
 ARRAYS = {
     "float32": np.arange(6, dtype=np.float32).reshape(2, 3),
     "a view": np.arange(24.0).reshape(2, 3, 4).transpose(2, 0, 1)[::2],
@@ -164,9 +162,6 @@ def test_a_part_that_cannot_be_read_now_is_not_removed(tmp_path, monkeypatch):
         assert kept.get("part") is not None
 
 
-# Where, and how long
-
-
 def test_what_a_killed_process_left_unfinished_is_removed_after_a_day(tmp_path):
     home = interrupt(tmp_path, part=FOUR)
     for name in (".partial-old", ".partial-new"):
@@ -210,9 +205,6 @@ def test_the_folder_is_the_one_that_was_chosen_or_in_the_users_cache(tmp_path, m
     with checkpoints.training(WHAT) as kept:
         kept.put("part", FOUR)
         assert [path.name for path in tmp_path.joinpath(folder).glob("*/*")] == ["part.safetensors"]
-
-
-# Honest seconds
 
 
 def test_the_time_of_interrupted_runs_counts_once_until_the_last_part_of_each(tmp_path):
@@ -292,9 +284,6 @@ def test_a_training_that_is_opened_twice_in_a_ledger_goes_on_with_its_own(tmp_pa
         assert resumed.seconds == 0
         raise Interrupted
     assert spend(tmp_path, clock) == 12
-
-
-# Disks that refuse, and several processes
 
 
 def test_what_was_kept_before_the_disk_was_full_stays_and_the_training_goes_on(tmp_path, monkeypatch, caplog):

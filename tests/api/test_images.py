@@ -235,8 +235,6 @@ def test_no_images_have_a_fingerprint():
     assert Images.from_arrays([]).fingerprint() == Images.from_files([]).fingerprint()
 
 
-# How much is held
-
 FRAME = 300 * 400 * 3  # bytes
 NOW, SEEN = set(), []  # images that were asked for and not yet given, now and each time more were asked for
 

@@ -18,7 +18,6 @@ from vprbench.api.neural import NeuralDescriptor
 from vprbench.api.resize import resize_batch, resize_image
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.plugins import conformance
 
 GPU = "cpu:0"
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
@@ -345,11 +344,3 @@ def test_the_network_evaluates_with_exact_convolutions_left_as_they_were(monkeyp
 def test_what_does_not_change_a_descriptor_fits_any_map():
     assert {"batch_size", "device"} <= Tiny.query_arguments
     assert not {"height", "width", "resize", "interpolation", "precision", "weights"} & Tiny.query_arguments
-
-
-def test_it_keeps_the_rules_of_the_contract(weights, monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parent)
-    given = {"file": weights.file, "licence": "none", "trained_on": "nothing", "path": weights.path}
-    arguments = {"height": 32, "width": 40, "resize": "tensor", "batch_size": 4}
-    config = {"_target_": "test_neural.Tiny", "weights": given, **arguments}
-    assert [str(result) for result in conformance.check(config) if result.state == "broken"] == []

@@ -55,9 +55,6 @@ def of_content(**stated):
     return replace(LINKED, stated={"net.pth": Stated(**stated)})
 
 
-# Which file
-
-
 def test_the_environment_chooses_the_folder_which_is_in_the_users_cache_otherwise(monkeypatch):
     monkeypatch.setenv("VPRBENCH_WEIGHTS", "~/nets")
     assert weights_folder() == Path.home() / "nets"
@@ -139,9 +136,6 @@ def test_a_folder_that_cannot_be_looked_into_is_named(monkeypatch):
     monkeypatch.setattr(Path, "is_file", refuse)
     with pytest.raises(BadInput, match=r"cannot be read \(Permission denied\)"):
         find_weights(LINKED, "gcl")
-
-
-# What is read
 
 
 @pytest.fixture
@@ -297,9 +291,6 @@ def test_prefixes_go_wherever_a_part_of_a_name_begins_and_two_names_that_become_
     assert list(without_prefix({"model.module.a": torch.ones(1)}, "module.", "model")) == ["a"]
     with pytest.raises(BadInput, match=r"a\.b.*a\.module\.b.*a\.b"):
         without_prefix({"a.b": torch.ones(1), "a.module.b": torch.ones(1)}, "module.")
-
-
-# What fits a network
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,6 @@ from vprbench.metrics.accuracy import (
     recall_at,
     recall_at_full_precision,
 )
-from vprbench.metrics.intervals import block_bootstrap, mcnemar_exact, wilson
 from vprbench.metrics.ranking import Outcome, outcome
 
 ORACLE = SHARED / "oracles" / "vprbench_corridor.json"
@@ -125,29 +124,3 @@ def test_curves_read_at_linear_thresholds_are_those_of_the_field(technique: str)
     assert auc(multi) == pytest.approx(expected["tut_multi_auc_n100"], abs=1e-4)
     for curve, name in ((single, "R100P_single_tut_n100"), (multi, "R100P_multi_tut_n100")):
         assert curve.recall[curve.precision == 1].max() == pytest.approx(expected[name], abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "b", "c", "p_value"),
-    [
-        ("HOG", "CoHOG", 16, 32, 0.0293),
-        ("NetVLAD", "denseVLAD", 17, 20, 0.743),
-        ("AMOSNet", "HybridNet", 3, 9, 0.146),
-    ],
-)
-def test_paired_tests_give_the_stated_counts_and_p_values(
-    first: str, second: str, b: int, c: int, p_value: float
-) -> None:
-    found = mcnemar_exact(hits_at(corridor(first), 1), hits_at(corridor(second), 1))
-    assert (found.b, found.c) == (b, c)
-    assert found.p_value == pytest.approx(p_value, abs=5e-4 if p_value > 0.1 else 5e-5)
-
-
-def test_the_intervals_of_netvlad_are_those_stated() -> None:
-    hits = hits_at(corridor("NetVLAD"), 1)
-    for found, stated, within in (
-        (wilson(hits.sum(), len(hits)), (0.584, 0.756), 5e-4),
-        (block_bootstrap(hits, block=1), (0.586, 0.757), 0.02),
-        (block_bootstrap(hits, block=10), (0.549, 0.802), 0.02),
-    ):
-        assert (found.low, found.high) == pytest.approx(stated, abs=within)

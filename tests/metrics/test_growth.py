@@ -61,18 +61,11 @@ def test_aicc_is_that_of_an_independent_fit() -> None:
     assert {law: fit.aicc for law, fit in found.fits.items()} == pytest.approx(slow, abs=1e-6)
     least = min(slow.values())
     assert found.differences == pytest.approx({law: value - least for law, value in slow.items()}, abs=1e-6)
-
-
-def test_falling_times_are_never_fitted_by_a_falling_law() -> None:
-    found = compare(SIZES, 1 / SIZES)
-    assert all(fit.b >= 0 for fit in found.fits.values())
-    assert found.best == "constant"
-
-
-@pytest.mark.parametrize("power", [0.0, 0.5, 2.0])
-def test_the_exponent_of_an_exact_power_is_that_power_without_width(power: float) -> None:
-    found = compare(SIZES, 0.003 * SIZES**power).exponent
-    assert (found.low, found.value, found.high) == pytest.approx((power, power, power), abs=1e-6)
+    of_seeds = np.concatenate([seconds * factor for factor in (1.0, 0.5, 9.0)])
+    assert compare(np.tile(sizes, 3), of_seeds) == found  # of several times of a size the median counts
+    falling = compare(SIZES, 1 / SIZES)
+    assert falling.best == "constant"
+    assert all(fit.b >= 0 for fit in falling.fits.values())
 
 
 def test_the_exponent_s_interval_is_student_s() -> None:
@@ -84,18 +77,15 @@ def test_the_exponent_s_interval_is_student_s() -> None:
     assert (found.low, found.value, found.high) == pytest.approx((1 - half, 1, 1 + half), rel=1e-5)
     two = exponent(places[:2], places[:2])
     assert (two.low, two.value, two.high) == (-np.inf, 1, np.inf)
+    for power in (0.0, 0.5, 2.0):
+        exact = compare(SIZES, 0.003 * SIZES**power).exponent
+        assert (exact.low, exact.value, exact.high) == pytest.approx((power, power, power), abs=1e-6)
 
 
 def test_data_that_two_laws_describe_alike_support_both() -> None:
     sizes = np.arange(1000, 1500, 50)  # on so short a stretch a logarithm is nearly straight
     found = compare(sizes, (1 + 0.001 * sizes) * np.tile([1.02, 0.98], 5))
     assert found.supported == ("logarithmic", "linear")
-
-
-def test_of_several_times_of_a_size_the_median_is_fitted() -> None:
-    alone = compare(SIZES, 1 + 0.01 * SIZES)
-    found = compare(np.tile(SIZES, 3), np.concatenate([(1 + 0.01 * SIZES) * factor for factor in (1.0, 0.5, 9.0)]))
-    assert found == alone
 
 
 @pytest.mark.parametrize(
@@ -172,22 +162,11 @@ def test_runs_with_other_arguments_weights_or_protocol_are_another_growth() -> N
     }
     runs = {part: figure_runs.sized(300, 9.0, 0.001, **changed, **OLD) for part, changed in others.items()}
     runs["weights"] = replace(heavier, config={**heavier.config, "files": [{"name": "weights", "sha256": "ab"}]})
+    lowered = {"arguments": {**given, "max_module": 300}, "protocol": {**protocol, "query_places": 9}}
+    smaller = figure_runs.sized(300, 9.0, 0.001, **lowered, **OLD)
+    assert samples(TEMPO, [new, smaller], ["max_module"]).runs == (smaller, new)
+    assert samples(TEMPO, [new, smaller], ()).runs == (new,)
     for part, other in runs.items():
         found = samples(TEMPO, [new, other], ["max_module"])
         assert found.runs == (new,)
         assert found.aside == (f"Set aside: runs of VPRTempo at 300 places (other {part}).",)
-
-
-def test_arguments_that_small_maps_lower_and_their_places_and_queries_do_not_part_a_growth() -> None:
-    runs = [
-        figure_runs.sized(
-            n,
-            1.0,
-            0.001,
-            arguments={"max_module": min(n, 1100)},
-            protocol={"places": n, "query_places": n // 2, "first_query_place": n // 5, "seed": 0},
-        )
-        for n in (100, 3000)
-    ]
-    assert samples(TEMPO, runs, ["max_module"]).runs == tuple(runs)
-    assert len(samples(TEMPO, runs, ()).runs) == 1

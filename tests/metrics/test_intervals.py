@@ -1,14 +1,16 @@
-"""The intervals and the paired test against scipy, against enumeration and against values worked by hand."""
+"""Intervals, block lengths and the paired test against scipy, enumeration, the published rule and worked values."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from itertools import product
+from math import ceil, floor, log10, sqrt
 from statistics import NormalDist
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import binomtest
 
 from vprbench.metrics.block_length import block_length
@@ -157,6 +159,7 @@ def test_what_is_undefined_and_what_has_no_width() -> None:
         (partial(difference_interval, np.ones(30), np.zeros(30), 95), "confidence="),
         (partial(block_bootstrap, [0, 1], 0), "block=0"),
         *((partial(block_bootstrap, values, 1), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
+        *((partial(block_length, values), "finite") for values in ([0, np.nan], np.ones((4, 4)))),
         (partial(difference_interval, np.ones(30), np.zeros(31)), "same queries"),
         (partial(mcnemar_exact, [0.5, 1], [0, 1]), "hits of 0 or 1"),
         (partial(mcnemar_exact, [1, 0], [1, 0, 1]), "same queries"),
@@ -183,3 +186,62 @@ def test_no_block_is_shorter_than_the_window_that_an_answer_rests_on() -> None:
     hits = np.random.default_rng(0).integers(0, 2, 400)
     assert share_interval(hits).block < 25 == share_interval(hits, window=25).block
     assert difference_interval(hits, hits[::-1], window=30).block == 30
+
+
+def autoregressive(n: int, phi: float, seed: int) -> Values:
+    noise = np.random.default_rng(seed).standard_normal(n + 1000)
+    return np.asarray(lfilter([1], [1, -phi], noise)[1000:])
+
+
+def transcribed(x: list[float]) -> int:
+    """Politis and White (2004), section 3, with D of Patton, Politis and White (2009), in plain loops."""
+    n = len(x)
+    mean = sum(x) / n
+    k_n = max(5, ceil(sqrt(log10(n))))
+    m_max = ceil(sqrt(n)) + k_n
+
+    def r(k: int) -> float:
+        return sum((x[i] - mean) * (x[i + abs(k)] - mean) for i in range(n - abs(k))) / n
+
+    def rho_is_large(k: int) -> bool:
+        return abs(r(k) / r(0)) >= 2 * sqrt(log10(n) / n)
+
+    m_hat = next(
+        (m for m in range(m_max - k_n + 1) if not any(rho_is_large(m + k) for k in range(1, k_n + 1))),
+        max((k for k in range(1, m_max + 1) if rho_is_large(k)), default=1),
+    )
+    m = min(2 * max(m_hat, 1), m_max)
+
+    def window(t: float) -> float:
+        return 1.0 if abs(t) <= 0.5 else 2 * (1 - abs(t)) if abs(t) <= 1 else 0.0
+
+    g_hat = sum(window(k / m) * abs(k) * r(k) for k in range(-m, m + 1))
+    spectrum_at_0 = sum(window(k / m) * r(k) for k in range(-m, m + 1))
+    d_circular = 4 / 3 * spectrum_at_0**2
+    b = (2 * g_hat**2 / d_circular) ** (1 / 3) * n ** (1 / 3)
+    return max(1, min(ceil(b), floor(min(3 * sqrt(n), n / 3))))
+
+
+@pytest.mark.parametrize("n", [20, 47, 150, 400])
+@pytest.mark.parametrize("phi", [-0.6, 0.0, 0.5, 0.9, 0.99])
+def test_the_length_is_that_of_a_slow_transcription_of_the_published_rule(n: int, phi: float) -> None:
+    series = autoregressive(n, phi, seed=n)
+    for row in (series, (series > np.median(series)).astype(np.float64)):
+        assert block_length(row) == transcribed(row.tolist())
+
+
+def test_the_length_of_an_autoregressive_series_comes_near_its_best_one() -> None:
+    # R(k) = R(0) phi^|k|: G / g(0) = 2 phi / (1 - phi^2), so b = (6 phi^2 n / (1 - phi^2)^2)^(1/3)
+    n, phi = 20_000, 0.7
+    best = (6 * phi**2 * n / (1 - phi**2) ** 2) ** (1 / 3)
+    found = [block_length(autoregressive(n, phi, seed)) for seed in range(20)]
+    assert np.median(found) == pytest.approx(best, rel=0.1)
+
+
+def test_too_few_and_equal_values_have_blocks_of_one_and_all_others_at_least_three_blocks() -> None:
+    assert [block_length(row) for row in ([], [1.0], [0, 1] * 9, [0] * 9 + [1] * 10, [1.0] * 500)] == [1] * 5
+    for n in (20, 100, 901, 5000):
+        halves = np.arange(n) < n / 2
+        swinging = np.arange(n) % 2  # g(0) is next to nothing
+        for row in (halves, swinging, ~halves):
+            assert 1 <= block_length(row) <= min(3 * n**0.5, n / 3)

@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,23 +63,13 @@ def test_all_pairs_are_judged_where_a_run_keeps_the_whole_map() -> None:
     assert METRICS["ap_c"].of(fewer) is None
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one stored run of the plan."""
-    folder = tmp_path_factory.mktemp("metrics")
-    with pytest.MonkeyPatch.context() as patch:
-        install(patch, folder)
-        assert main([*ONE, "metrics=[r100p]"]) == 0
-    return folder
-
-
 ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN]
 
 
 def test_an_added_metric_is_in_row_json_csv_and_table(
-    lost: Metric, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    lost: Metric, tmp_path: Path, monkeypatch: Any, capfd: Any
 ) -> None:
-    install(monkeypatch, folder)
+    install(monkeypatch, tmp_path)
     assert main([*ONE, "metrics=[lost,r100p]"]) == 0
     assert {"Lost %", "R@100P %"} <= {*capfd.readouterr().out.replace("  ", "\n").split("\n")}
     assert main([*ONE, "metrics=[lost]", "output=json"]) == 0
@@ -91,23 +82,6 @@ def test_an_added_metric_is_in_row_json_csv_and_table(
     assert next(csv.DictReader(Path("results/table-runs.csv").read_text().splitlines()))["lost"] == "0.0"
 
 
-@pytest.mark.extended
-def test_an_added_metric_is_in_the_page_with_a_figure(
-    lost: Metric, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(monkeypatch, folder)
-    assert main(["report", "rows=[SAD]", "metrics=[lost]", "stored=true"]) == 0
-    page = Path("results/report.html").read_text()
-    assert ">Lost %</th>" in page
-    assert "lost-route" in page
-
-
-def test_a_metric_that_nobody_asked_for_is_nowhere(lost: Metric) -> None:
-    made = table([run()], rows=[SAD])
-    assert made.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
-    assert "lost" not in "".join(getattr(formats, form)(made) for form in ("markdown", "csv", "latex", "html")).lower()
-
-
 def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bold(lost: Metric) -> None:
     made = table([run(hits=[1] * 40), run("vprsnn", hits=[0] * 40)], quantities=quantities(["r100p", "ep", "lost"]))
     assert [measured(made, "SAD", name).value for name in ("r100p", "ep", "lost")] == [100, 1, 0]
@@ -117,12 +91,17 @@ def test_a_metric_of_the_table_is_the_mean_of_its_seeds_in_its_unit_and_never_bo
     text = formats.markdown(made)
     assert all(sentence in text for sentence in (lost.explained, METRICS["ep"].explained))
     assert lost.explained.endswith("lower is better.")
+    unasked = table([run()], rows=[SAD])
+    assert unasked.quantities == QUANTITIES == quantities([]) == quantities(["recall_at_1"])
+    assert (
+        "lost" not in "".join(getattr(formats, form)(unasked) for form in ("markdown", "csv", "latex", "html")).lower()
+    )
 
 
-@pytest.mark.parametrize("options", [["method=sad"], ["table"]])
-def test_an_unknown_metric_is_told_with_its_neighbours(options: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    assert main([*options, "metrics=[r100]"]) == 2
-    assert "did you mean r100p" in capfd.readouterr().err
+def test_an_unknown_metric_is_told_with_its_neighbours(capfd: pytest.CaptureFixture[str]) -> None:
+    for options in (["method=sad"], ["table"]):
+        assert main([*options, "metrics=[r100]"]) == 2
+        assert "did you mean r100p" in capfd.readouterr().err
 
 
 def test_the_figure_of_a_metric_shows_its_rows() -> None:

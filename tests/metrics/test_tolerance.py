@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from little import a_run, unanswerable_run
 
-from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
-from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.ranking import outcome, ranked_places
+from vprbench.metrics.ranking import ranked_places
 from vprbench.metrics.tolerance import hits_within
 from vprbench.run import rows
 from vprbench.run.record import Run
@@ -46,19 +44,6 @@ def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches
     best: list[int], scored: list[float], right: list[int], tolerances: list[int], numbers: Any, wanted: list[float]
 ) -> None:
     np.testing.assert_allclose(hits(best, scored, right, tolerances, numbers), wanted)
-
-
-@pytest.mark.parametrize("protocol", ["vprtempo", "vprsnn"])
-def test_within_so_many_places_is_what_a_dataset_of_that_tolerance_finds(protocol: str) -> None:
-    exact, *wider = (
-        synthetic(places=60, first_query_place=20, query_places=40, protocol=protocol, tolerance=k)
-        for k in (0, 1, 2, 5)
-    )
-    matrix = np.random.default_rng(3).random((40, exact.n_places), np.float32)
-    found = hits_within(*ranked_places(matrix, 5), exact.positives, [1, 2, 5], exact.place_numbers)
-    expected = [hits_at(outcome(matrix, dataset.positives), 1) for dataset in wider]
-    assert found.tolist() == [hits.tolist() for hits in expected]
-    assert (exact.place_numbers is None) == (protocol == "vprtempo")
 
 
 def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth() -> None:
