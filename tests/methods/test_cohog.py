@@ -13,6 +13,7 @@ from vprbench.methods.parts import best_cosine
 from vprbench.methods.parts.best_cosine import from_tiles, in_tiles, mean_best_cosine, mean_best_cosine_in_tiles
 
 SMALL = {"size": 64, "cell": 8, "entropy_size": 20, "entropy_radius": 3, "entropy_threshold": 0.45}
+PUBLISHED = {"size": 512, "cell": 16, "entropy_size": 100, "entropy_radius": 5, "entropy_threshold": 0.4}
 
 
 def scene(seed, height=31, width=47):
@@ -23,6 +24,9 @@ def scene(seed, height=31, width=47):
     image[: height // 2, : width // 3] = 77
     image[height // 2 :, : width // 3] = 120 + generator.integers(0, 2, (1, 1, 3), dtype=np.uint8)
     return image
+
+
+SCENES = Images.from_arrays([scene(seed) for seed in range(5)])
 
 
 def resized(image, size):
@@ -52,26 +56,14 @@ def test_a_score_is_the_mean_over_the_good_regions_of_the_best_region(reference,
     assert method.match(code)[0] == pytest.approx([wanted])
 
 
-def test_the_goodness_of_a_reference_does_not_count():
-    images = Images.from_arrays([scene(0), scene(1)])
-    scores = [
-        CoHOG(**{**SMALL, "entropy_threshold": threshold})
-        .fit(images, np.arange(2))
-        .match(CoHOG(**SMALL).encode(images))
-        for threshold in (0.0, 1.0)
-    ]
-    assert np.array_equal(*scores)
-
-
-@pytest.mark.parametrize("n_threads", [2, 3, 8])
-def test_any_number_of_threads_gives_exactly_the_same(monkeypatch, n_threads):
-    images = Images.from_arrays([scene(seed) for seed in range(5)])
-    method = CoHOG(**SMALL).fit(images, np.arange(5))
-    scores = []
-    for number in (1, n_threads):
+def test_neither_the_goodness_of_a_reference_nor_the_number_of_threads_changes_a_score(monkeypatch):
+    code = CoHOG(**SMALL).encode(SCENES)
+    strict, lax = ({**SMALL, "entropy_threshold": threshold} for threshold in (1.0, 0.0))
+    wanted = CoHOG(**strict).fit(SCENES, np.arange(5)).match(code)
+    method = CoHOG(**lax).fit(SCENES, np.arange(5))
+    for number in (1, 2, 8):
         monkeypatch.setattr(torch, "get_num_threads", lambda number=number: number)
-        scores.append(method.query(images))
-    assert np.array_equal(*scores)
+        assert np.array_equal(method.match(code), wanted)
 
 
 def judged(images, size, cell, entropy_size, entropy_radius, **_):
@@ -82,14 +74,11 @@ def judged(images, size, cell, entropy_size, entropy_radius, **_):
     return np.stack(regions), np.stack(entropies)
 
 
-PUBLISHED = {"size": 512, "cell": 16, "entropy_size": 100, "entropy_radius": 5, "entropy_threshold": 0.4}
-
-
 @pytest.mark.parametrize(
     ("arguments", "constants", "images"),
     [
         (SMALL, SMALL, [scene(0), scene(1, 64, 64), scene(2, 101, 33), np.zeros((7, 9, 3), np.uint8)]),
-        ({}, PUBLISHED, [scene(3, 97, 131)]),
+        pytest.param({}, PUBLISHED, [scene(3, 97, 131)], marks=pytest.mark.extended),
     ],
     ids=["small", "published"],
 )
@@ -109,10 +98,16 @@ def test_regions_their_goodness_and_scores_equal_the_slow_implementation(argumen
     assert method.match(codes) == pytest.approx(np.array(wanted), abs=1e-4)
 
 
+def test_the_arguments_left_out_are_the_published_ones():
+    method = CoHOG()
+    assert {name: getattr(method, name) for name in PUBLISHED} == PUBLISHED
+    assert (method.bins, method.region_cells, method.sobel) == (8, 2, 5)
+
+
 @pytest.mark.parametrize("block_bytes", [1, 2 * 4 * 7 * 9, 1 << 30])
-@pytest.mark.parametrize("n_query", [1, 5, 6, 7, 25])
-@pytest.mark.parametrize("n_regions", [1, 31, 32, 33, 100])
-@pytest.mark.parametrize("d", [1, 8, 33])
+@pytest.mark.parametrize(
+    ("n_query", "n_regions", "d"), [(1, 1, 1), (5, 31, 8), (6, 32, 33), (7, 33, 8), (25, 100, 33), (6, 65, 1)]
+)
 def test_the_best_dots_in_blocks_and_in_tiles_equal_a_loop(monkeypatch, n_query, n_regions, d, block_bytes):
     monkeypatch.setattr(best_cosine, "_PRODUCT_BYTES", block_bytes)
     generator = np.random.default_rng(0)
@@ -128,9 +123,8 @@ def test_the_best_dots_in_blocks_and_in_tiles_equal_a_loop(monkeypatch, n_query,
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU that PyTorch can use")
 def test_a_gpu_gives_the_scores_and_the_stored_regions_of_the_cpu():
-    images = Images.from_arrays([scene(seed) for seed in range(5)])
-    on_cpu, on_gpu = (CoHOG(**SMALL, device=device).fit(images, np.arange(5)) for device in ("cpu", "cuda"))
-    assert on_gpu.query(images) == pytest.approx(on_cpu.query(images), abs=1e-5)
+    on_cpu, on_gpu = (CoHOG(**SMALL, device=device).fit(SCENES, np.arange(5)) for device in ("cpu", "cuda"))
+    assert on_gpu.query(SCENES) == pytest.approx(on_cpu.query(SCENES), abs=1e-5)
     assert np.array_equal(on_gpu.state()["references"], on_cpu.state()["references"])
 
 
@@ -139,11 +133,7 @@ def test_corridor_scores_are_those_that_vprbench_stored():
     # Stored: 69 of 111 within two frames; the same rule gives SAD 49 (0.4414). Four best matches are near-ties.
     every, whole = 3, stored("CoHOG")
     scores, some = scored(CoHOG(), every), whole[::every]
-    assert right(whole) == 69
     assert right(scores, every) == pytest.approx(right(some, every), abs=2)
     assert np.median(np.abs(scores - some)) < 1e-4
     assert np.abs(scores - some).max() < 4e-3
-    # If another reference is best, the stored scores of the two hardly differ.
-    ours = some[np.arange(len(some)), scores.argmax(1)]
-    assert np.abs(ours - some.max(1)).max() < 4e-4
     assert np.count_nonzero(scores.argmax(1) == some.argmax(1)) >= len(some) - 4

@@ -1,7 +1,5 @@
 """DenseVLAD against a slow independent version, worked examples, the published file's layout and real frames."""
 
-from __future__ import annotations
-
 import io
 
 import cv2
@@ -11,6 +9,7 @@ import pytest
 import scipy.io
 import torch
 from corridor import needs_corridor, right, scored
+from published_networks import unit
 
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
@@ -18,17 +17,16 @@ from vprbench.methods.densevlad import dense_sift, method, vlad
 from vprbench.methods.densevlad.method import DenseVLAD
 
 
-def scene(height=38, width=44, seed=0):
+def scene(height=38, width=44):
     """A grey image from 0 to 1 of which one half has almost no contrast."""
-    levels = cv2.GaussianBlur(np.random.default_rng(seed).random((height, width)), (0, 0), 2)
+    levels = cv2.GaussianBlur(np.random.default_rng(0).random((height, width)), (0, 0), 2)
     levels = (levels - levels.min()) / np.ptp(levels)
     levels[:, width // 2 :] = 0.5 + 1e-4 * levels[:, width // 2 :]
     return levels
 
 
-def colours(n, height=40, width=48, seed=0):
-    generator = np.random.default_rng(seed)
-    coarse = generator.integers(0, 256, (n, 6, 7, 3), dtype=np.uint8)
+def colours(n, height=40, width=48):
+    coarse = np.random.default_rng(0).integers(0, 256, (n, 6, 7, 3), dtype=np.uint8)
     return Images.from_arrays([cv2.resize(one, (width, height), interpolation=cv2.INTER_CUBIC) for one in coarse])
 
 
@@ -40,10 +38,6 @@ def sift(grey, arctan="exact"):
     return torch.cat(list(dense_sift.dense_sift(torch.as_tensor(grey), arctan)))
 
 
-def unit(rows):
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
 @pytest.mark.parametrize(("arctan", "slow_arctan"), [("exact", ()), ("vlfeat", (oracle.vlfeat_atan2,))])
 def test_dense_sift_equals_the_slow_version_in_blocks_of_any_size(arctan, slow_arctan, monkeypatch):
     slow = oracle.dense_sift(scene(), *slow_arctan)
@@ -53,7 +47,6 @@ def test_dense_sift_equals_the_slow_version_in_blocks_of_any_size(arctan, slow_a
     assert len(fast) == dense_sift.n_descriptors(*scene().shape)
     np.testing.assert_allclose(fast, np.concatenate(slow), atol=1e-7)
     np.testing.assert_allclose(sift(scene().astype(np.float32), arctan), fast, atol=1e-4)
-    assert (fast - sift(scene(), "vlfeat" if arctan == "exact" else "exact")).abs().max() > 1e-3
     monkeypatch.setattr(dense_sift, "_TOGETHER", 20)
     assert torch.equal(sift(scene(), arctan), fast)
 
@@ -66,12 +59,9 @@ def test_grey_is_matlabs_and_halved_without_the_last_row_and_column():
     assert dense_sift.halved(grey).tolist() == [[0, 2, 4], [12, 14, 16]]
 
 
-def test_a_zero_descriptor_belongs_to_the_first_word():
+def test_a_zero_descriptor_belongs_to_the_first_word_and_what_rounding_leaves_of_a_residual_is_none():
     words = torch.tensor([[0.6, 0.8], [1, 0]])
     np.testing.assert_allclose(vlad.vlad([torch.zeros(3, 2)], words), [-0.6, -0.8, 0, 0], atol=1e-6)
-
-
-def test_what_rounding_leaves_of_a_residual_is_none():
     words = torch.from_numpy(unit(np.random.default_rng(0).random((4, 128)))).float()
     assert not vlad.vlad([words[[2] * 1000]], words).any()
 
@@ -81,6 +71,7 @@ def test_whitening_keeps_the_directions_of_largest_moment_and_takes_no_mean():
     vectors = np.diag([2, 3, 1]).astype(np.float32)
     projection = vlad.whitening(vectors, 2)
     np.testing.assert_allclose(abs(projection), [[0, np.sqrt(3) / 2], [1 / np.sqrt(3), 0], [0, 0]], atol=1e-6)
+    assert vlad.whitening(np.ones((3, 4), np.float32), 3).shape == (4, 1)  # the rest is rounding
 
 
 def test_the_seed_decides_the_words():
@@ -90,7 +81,7 @@ def test_the_seed_decides_the_words():
 
 
 @pytest.mark.parametrize(
-    ("n", "n_components", "shape"), [(16, 1024, (3, 4)), (16, 2, (3, 2)), (12, 0, (3, 6 * 128)), (12, 1024, (3, 3))]
+    ("n", "n_components", "shape"), [(16, 1024, (3, 4)), (16, 2, (3, 2)), (12, 0, (3, 6 * 128)), (3, 1024, (3, 1))]
 )
 def test_there_is_at_most_a_component_for_four_references_and_for_those_asked(n, n_components, shape):
     codes = fitted(n=n, n_components=n_components).encode(colours(3))
@@ -111,40 +102,28 @@ def test_references_beyond_the_sample_are_in_the_map(monkeypatch):
         ((60, 640), None, (60, 640)),
         ((60, 642), None, (30, 321)),
         ((60, 642), False, (60, 642)),
-        ((60, 80), True, (30, 40)),
-        ((21, 21), None, "give larger images"),
-        ((42, 42), True, r"method\.halve=false"),
+        ((44, 80), True, (22, 40)),
     ],
 )
-def test_images_are_halved_if_longer_than_640_pixels_or_asked_for_and_must_not_be_small(size, halve, seen):
-    made = DenseVLAD(halve=halve)
-    if isinstance(seen, tuple):
-        assert made._grey(np.zeros((*size, 3), np.uint8)).shape == seen
-    else:
-        with pytest.raises(BadInput, match=f"21x21 .*{seen}"):
-            made.fit(colours(2, *size), np.arange(2))
+def test_images_are_halved_if_longer_than_640_pixels_or_asked_for(size, halve, seen):
+    assert DenseVLAD(halve=halve)._grey(np.zeros((*size, 3), np.uint8)).shape == seen
 
 
-@pytest.mark.parametrize(("n_components", "state"), [(0, lambda: fitted().state()), (1024, dict)])
-def test_a_state_of_other_whitening_is_refused(n_components, state):
-    with pytest.raises(BadInput, match=r"projection|words"):
-        DenseVLAD(words=6, n_components=n_components).restore(state())
-
-
-def test_references_that_show_nothing_are_refused():
+def test_small_images_other_states_and_references_that_show_nothing_are_refused():
+    for side, halve, advice in ((21, None, "give larger images"), (42, True, r"method\.halve=false")):
+        with pytest.raises(BadInput, match=f"21x21 .*{advice}"):
+            DenseVLAD(halve=halve).fit(colours(2, side, side), np.arange(2))
+    for n_components, state in ((0, fitted().state()), (1024, {})):
+        with pytest.raises(BadInput, match=r"projection|words"):
+            DenseVLAD(words=6, n_components=n_components).restore(state)
     black = Images.from_arrays([np.zeros((40, 40, 3), np.uint8)] * 3)
     with pytest.raises(BadInput, match=r"gave 0 .*method\.words=6"):
         DenseVLAD(words=6).fit(black, np.arange(3))
 
 
-def test_images_of_64x32_are_accepted():
-    small = colours(8, height=32, width=64)
-    assert DenseVLAD(words=6).fit(small, np.arange(8)).query(small).argmax(1).tolist() == list(range(8))
-
-
 @pytest.fixture(scope="module")
 def authors(tmp_path_factory):
-    """A grey image with flat parts, 128 words in the two layouts of the published ones, and the slow VLAD of both."""
+    """A grey image with flat parts, 128 words in the two layouts of the published ones, and the slow VLAD of it."""
     image = np.repeat(np.round(255 * scene())[:, :, None].astype(np.uint8), 3, axis=2)
     words = unit(np.random.default_rng(6).random((128, 128))).astype(np.float32)
     folder = tmp_path_factory.mktemp("vocabulary")
@@ -153,16 +132,14 @@ def authors(tmp_path_factory):
     descriptors = np.concatenate(oracle.dense_sift(image[:, :, 0] / 255, oracle.vlfeat_atan2))
     roots = [oracle.root_sift(descriptor) for descriptor in descriptors]
     assert 0.1 < np.mean([not root.any() for root in roots]) < 0.9
-    return folder, image, [oracle.vlad(roots, words.astype(np.float64), zero) for zero in (60, 0)]
+    return folder, image, oracle.vlad(roots, words.astype(np.float64), 60)
 
 
 @pytest.mark.parametrize("file", ["dnscnt_RDSIFT_K128.mat", "dnscnt_RDSIFT_K128.cx_norm.npy"])
 def test_with_the_authors_words_and_arc_tangent_a_vlad_is_theirs(authors, file):
-    folder, image, (theirs, zeros_elsewhere) = authors
+    folder, image, theirs = authors
     trained = DenseVLAD(vocabulary=str(folder / file), arctan="vlfeat", n_components=0).fit(colours(2), np.arange(2))
-    (code,) = trained.encode(Images.from_arrays([image]))
-    np.testing.assert_allclose(code, theirs, atol=1e-5)
-    assert np.abs(theirs - zeros_elsewhere).max() > 0.02
+    np.testing.assert_allclose(trained.encode(Images.from_arrays([image]))[0], theirs, atol=1e-5)
 
 
 def test_a_vocabulary_may_stand_in_the_home_folder(tmp_path, monkeypatch):
@@ -175,14 +152,10 @@ def test_a_vocabulary_may_stand_in_the_home_folder(tmp_path, monkeypatch):
     np.testing.assert_allclose(trained.state()["words"], unit(centres.T), atol=1e-6)
 
 
-def mat(n_bytes=None, **arrays):
-    """The bytes of a .mat, of which the end may be cut off."""
+def mat(**arrays):
     stream = io.BytesIO()
-    scipy.io.savemat(stream, arrays, do_compression=n_bytes == 600)
-    return stream.getvalue()[:n_bytes]
-
-
-NOISE = np.random.default_rng(0).random((128, 6))
+    scipy.io.savemat(stream, arrays)
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -190,15 +163,12 @@ NOISE = np.random.default_rng(0).random((128, 6))
     [
         ("nowhere.mat", None, "is no file"),
         ("other.mat", mat(CX=np.zeros((128, 7), np.float32)), r"128x7 float32.* 128x6 "),
+        ("whole.mat", mat(CX=np.zeros((128, 6), np.int32)), "128x6 int32"),
+        ("wild.mat", mat(CX=np.full((128, 6), np.nan)), "finite"),
         ("other.mat", mat(X=np.zeros(3)), "holds no CX"),
-        ("cut.mat", mat(600, CX=NOISE), "could not be read"),
-        ("cut.mat", mat(700, CX=NOISE), "could not be read"),
-        ("broken.mat", b"", "could not be read"),
-        ("broken.mat", b"not a vocabulary " * 20, "could not be read"),
-        ("broken.mat", b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", "could not be read"),
+        ("cut.mat", mat(CX=np.ones((128, 6)))[:700], "could not be read"),
         ("broken.npy", b"", "could not be read"),
         ("broken.npy", b"no array", "could not be read"),
-        ("broken.npy", b"\x93NUMPY\x01\x00", "could not be read"),
     ],
 )
 def test_a_file_that_is_no_vocabulary_is_refused_by_name(tmp_path, name, content, complaint):

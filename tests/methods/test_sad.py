@@ -171,7 +171,6 @@ def test_raw_sad_on_corridor_finds_47_of_111() -> None:
     assert right(scored(SAD(preprocessing="grey"))) == 47
 
 
-@pytest.mark.extended
 @needs_corridor
 def test_sad_on_nordland_64x32_reaches_the_recall_and_the_intervals_of_independent_code() -> None:
     root = str(SHARED / "data" / "nordland_64x32")
