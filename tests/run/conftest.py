@@ -1,10 +1,5 @@
 """What tests of runs share: surroundings that cost no time, and a clock that only tests move."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from types import SimpleNamespace
-
 import pytest
 from little_runs import quiet_surroundings
 from stopped_clock import Clock, ReadersThatWait
@@ -14,14 +9,14 @@ from vprbench.run import runner
 
 
 @pytest.fixture(scope="module")
-def surroundings() -> Iterator[SimpleNamespace]:
+def surroundings():
     """The surroundings that the runs of a module see."""
     with quiet_surroundings() as stand_in:
         yield stand_in
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     """The clock of runs and of reading."""
     clock = Clock()
     clock.replaces_those_of([runner, images], monkeypatch)

@@ -1,10 +1,5 @@
 """An argument that does not fit a map is changed and said where nobody set it, and refused where somebody did."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 from small_plan import RUN, install
 
@@ -25,7 +20,7 @@ ASKED = ["method=vprtempo", *(f"method.{name}={value}" for name, value in SMALL.
 
 
 @pytest.fixture(scope="module")
-def adapted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def adapted(tmp_path_factory):
     """A folder with the run of a network whose module is larger than the map."""
     folder = tmp_path_factory.mktemp("adapted")
     with pytest.MonkeyPatch.context() as monkeypatch:
@@ -34,7 +29,7 @@ def adapted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     return folder
 
 
-def test_an_argument_that_nobody_set_is_adapted_noted_and_recorded_apart_from_what_was_asked(adapted: Path) -> None:
+def test_an_argument_that_nobody_set_is_adapted_noted_and_recorded_apart_from_what_was_asked(adapted):
     (run,) = Store(adapted / "results", read_only=True).runs()
     assert run.config["adapted"] == {"max_module": 12}
     assert run.config["method"]["max_module"] == 12
@@ -50,9 +45,9 @@ def test_an_argument_that_nobody_set_is_adapted_noted_and_recorded_apart_from_wh
 
 @pytest.mark.parametrize(("arguments", "n_processes"), [({}, 0), ({"max_module": 12}, 0), ({"max_module": 6}, 1)])
 def test_a_process_is_started_unless_an_adapted_run_of_these_arguments_is_stored(
-    adapted: Path, monkeypatch: pytest.MonkeyPatch, arguments: dict[str, int], n_processes: int
-) -> None:
-    asked: list[object] = []
+    adapted, monkeypatch, arguments, n_processes
+):
+    asked = []
     monkeypatch.setattr(crew, "run_apart", lambda *given, **_: asked.append(given) or Ending(0))
     changed = {**SMALL, **arguments}
     wish = MissingRun(Row("VPRTempo", "vprtempo"), "Route", tuple(DATASET), {"name": "synthetic"}, changed, 0, "cpu")
@@ -61,9 +56,7 @@ def test_a_process_is_started_unless_an_adapted_run_of_these_arguments_is_stored
     assert len(asked) == n_processes
 
 
-def test_what_was_set_by_hand_and_does_not_fit_is_refused_before_anything_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_set_by_hand_and_does_not_fit_is_refused_before_anything_is_made(tmp_path, monkeypatch, capsys):
     install(monkeypatch, tmp_path)
     monkeypatch.delenv("VPRBENCH_IN_SWEEP")
     for places in (13, 1100):  # 1100 is the default, and yet set

@@ -1,7 +1,5 @@
 """A run is claimed while it is made: of many processes one makes it, the dead hold nothing, and `status` tells."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -10,11 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Self
 
 import pytest
 from checkout import ROOT
@@ -22,10 +18,9 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
-from vprbench.api.images import Images
 from vprbench.run import claims, find_or_make
 from vprbench.run.claims import EXPIRES_SECONDS, Claim, Claims, Held, HeldElsewhereError
-from vprbench.run.find_or_make import FailedElsewhereError, Made
+from vprbench.run.find_or_make import FailedElsewhereError
 from vprbench.run.processes import IN_SWEEP, SINCE
 from vprbench.run.settings import Settings
 from vprbench.run.store import Store
@@ -46,7 +41,7 @@ with Claims(Path(sys.argv[1])).take(sys.argv[2], {}):
 
 
 @contextlib.contextmanager
-def owner(root: Path) -> Iterator[subprocess.Popen[str]]:
+def owner(root):
     """Yield a process that has claimed KEY, as one whose parent is this one."""
     command = [sys.executable, "-c", OWNER, str(root), KEY]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
@@ -56,19 +51,17 @@ def owner(root: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def claimed(root: Path, silent_seconds: float, text: str = json.dumps(ELSEWHERE)) -> Path:
+def claimed(root, silent_seconds, text=None):
     """Write the claim of a process of another host, which has been silent for so long."""
     taken = Claims(root).take(KEY, {})
     assert isinstance(taken, Claim)
-    taken.path.write_text(text)
+    taken.path.write_text(json.dumps(ELSEWHERE) if text is None else text)
     os.utime(taken.path, (time.time() - silent_seconds,) * 2)
     return taken.path
 
 
 @pytest.mark.parametrize("key", [KEY, "a/b", "a-b", "ü/\udcff " + 300 * "x", "../../up"])
-def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(
-    key: str, tmp_path: Path
-) -> None:
+def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and_nothing_is_left(key, tmp_path):
     for _ in range(2):
         with Claims(tmp_path / "results").take(key, {}) as claim:
             assert isinstance(Claims(tmp_path / "results").take(key, {}), Held)
@@ -78,9 +71,7 @@ def test_of_all_who_want_a_run_of_any_name_one_gets_it_and_after_it_the_next_and
         assert [*(tmp_path / "results").iterdir()] == []
 
 
-def test_the_claim_of_a_living_owner_is_held_and_of_a_dead_one_is_free_once_its_parent_has_stored_its_failure(
-    tmp_path: Path,
-) -> None:
+def test_the_claim_of_a_living_owner_is_held_and_of_a_dead_one_is_free_once_its_parent_has_stored_its_failure(tmp_path):
     with owner(tmp_path) as process:
         held = Claims(tmp_path).take(KEY, {})
         assert isinstance(held, Held)
@@ -106,8 +97,8 @@ def test_the_claim_of_a_living_owner_is_held_and_of_a_dead_one_is_free_once_its_
         assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
 
 
-@pytest.mark.parametrize("text", [json.dumps(ELSEWHERE), "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
-def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", [None, "", '{"token": "th', "[]", '{"process": "x", "since": {}}'])
+def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(text, tmp_path):
     path = claimed(tmp_path, EXPIRES_SECONDS - 10, text)
     assert claims.is_held(path)
     assert isinstance(Claims(tmp_path).take(KEY, {}), Held)
@@ -116,12 +107,12 @@ def test_the_claim_of_another_host_or_a_part_of_one_expires_with_its_last_beat(t
     assert isinstance(Claims(tmp_path).take(KEY, {}), Claim)
 
 
-def test_a_dead_claim_is_taken_over_by_one_of_many(tmp_path: Path) -> None:
+def test_a_dead_claim_is_taken_over_by_one_of_many(tmp_path):
     for _ in range(30):
         claimed(tmp_path, 2 * EXPIRES_SECONDS)
         at_once = threading.Barrier(4)
 
-        def take(_: int, at_once: threading.Barrier = at_once) -> Claim | Held:
+        def take(_, at_once=at_once):
             at_once.wait()
             return Claims(tmp_path).take(KEY, {})
 
@@ -133,7 +124,7 @@ def test_a_dead_claim_is_taken_over_by_one_of_many(tmp_path: Path) -> None:
         assert [*tmp_path.iterdir()] == []
 
 
-def test_an_owner_that_was_taken_for_dead_knows_it_and_touches_nothing_of_the_new_one(tmp_path: Path) -> None:
+def test_an_owner_that_was_taken_for_dead_knows_it_and_touches_nothing_of_the_new_one(tmp_path):
     lost = Claims(tmp_path).take(KEY, {})
     assert isinstance(lost, Claim)
     lost.path.unlink()
@@ -147,7 +138,7 @@ def test_an_owner_that_was_taken_for_dead_knows_it_and_touches_nothing_of_the_ne
     assert lost.path.stat().st_mtime_ns == before.st_mtime_ns
 
 
-def test_a_process_that_nobody_waits_for_beats_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_nobody_waits_for_beats_itself(tmp_path, monkeypatch):
     monkeypatch.setattr(claims, "BEAT_SECONDS", 0.01)
     with Claims(tmp_path).take(KEY, {}) as claim:
         os.utime(claim.path, (1.0, 1.0))
@@ -157,7 +148,7 @@ def test_a_process_that_nobody_waits_for_beats_itself(tmp_path: Path, monkeypatc
             time.sleep(0.01)
 
 
-def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_path: Path) -> None:
+def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_path):
     left = claimed(tmp_path, 2 * EXPIRES_SECONDS)
     left.rename(left.with_name(".partial-1"))
     os.utime(left.with_name(".partial-1"), (1.0, 1.0))
@@ -169,9 +160,7 @@ def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_pa
     assert [*tmp_path.iterdir()] == []
 
 
-def test_where_nothing_can_be_claimed_the_run_is_made_all_the_same(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_where_nothing_can_be_claimed_the_run_is_made_all_the_same(tmp_path, caplog):
     (tmp_path / ".claims").write_text("no folder")
     with Claims(tmp_path).take(KEY, {}) as claim:
         claim.tell("fit", 0.5)
@@ -191,28 +180,28 @@ class Busy(Lookup):
     during: Callable[[], object] = lambda: None
     fits: list[int] = field(default_factory=list)
 
-    def fit(self, references: Images, places: Any) -> Self:
+    def fit(self, references, places):
         self.fits.append(1)
         self.during()
         return super().fit(references, places)
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def busy(during: Callable[[], object] = lambda: None) -> Busy:
+def busy(during=lambda: None):
     return Busy(table(4, 4), during=during)
 
 
-def made(method: Busy, store: Store) -> Made:
+def made(method, store):
     request = asked_for(method, journey(4, 4), replace(QUICK, rates=False), files=find_or_make.networks.Files())
     request = replace(request, config={**request.config, "files": []})
     return find_or_make.made(request, Settings(frames=False, timing=request.protocol), store, {})
 
 
-def claim_of_another(store: Store) -> Claim:
+def claim_of_another(store):
     """Claim the run of `made` as another process would: it is known by what it would be stored as."""
     elsewhere = Store(store.root.with_name("elsewhere"))
     made(busy(), elsewhere)
@@ -222,15 +211,15 @@ def claim_of_another(store: Store) -> Claim:
     return claim
 
 
-def failure_of(method: Busy) -> Any:
+def failure_of(method):
     config = {**asked_for(method, journey(4, 4)).config, "files": []}
     return a_failure(method="little", dataset="journey", config=config, error="ValueError: no", missing=False)
 
 
 def test_a_run_is_claimed_while_it_is_made_and_nothing_is_left_of_the_claim_nor_is_a_stored_one_claimed(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[dict[str, Any]] = []
+    store, monkeypatch
+):
+    seen = []
     made(busy(lambda: seen.extend(dict(held.words) for held in Claims(store.root).held())), store)
     (words,) = seen
     assert words["about"] == {"method": "little", "dataset": "journey", "seed": 0, "device": "cpu", "corruption": None}
@@ -241,8 +230,8 @@ def test_a_run_is_claimed_while_it_is_made_and_nothing_is_left_of_the_claim_nor_
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error: type[BaseException], store: Store) -> None:
-    def fail() -> None:
+def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error, store):
+    def fail():
         assert len(Claims(store.root).held()) == 1
         raise error
 
@@ -251,9 +240,7 @@ def test_of_a_run_that_fails_or_is_interrupted_nothing_is_left(error: type[BaseE
     assert [*store.root.iterdir()] == []
 
 
-def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(store, monkeypatch):
     claim, method = claim_of_another(store), busy()
     monkeypatch.setenv(IN_SWEEP, "1")
     with pytest.raises(HeldElsewhereError) as raised:
@@ -264,13 +251,11 @@ def test_in_a_sweep_a_run_that_another_process_makes_is_left_to_it(
     assert method.fits == [1]
 
 
-def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_store(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_store(store, monkeypatch):
     monkeypatch.setattr(claims, "_LOOK_EVERY", 0.01)
     begun, waited_for = threading.Event(), threading.Event()
 
-    def wait(path: Path) -> None:
+    def wait(path):
         waited_for.set()
         claims.wait(path)
 
@@ -285,12 +270,10 @@ def test_alone_a_run_waits_for_the_one_who_makes_it_and_is_answered_from_the_sto
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
-def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, monkeypatch):
     claim, method = claim_of_another(store), busy()
 
-    def fail(_: Path) -> None:
+    def fail(_):
         store.save_failure(failure_of(method))
         claim.release()
 
@@ -300,9 +283,7 @@ def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(
     assert method.fits == []
 
 
-def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(store, monkeypatch):
     store.prepare()
     method = busy()
     before = Claims(store.root).now() - 1
@@ -315,10 +296,8 @@ def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed
     assert method.fits == [1]
 
 
-def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def lose() -> None:
+def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(store, monkeypatch):
+    def lose():
         (held,) = Claims(store.root).held()
         held.path.write_text(json.dumps({"token": "theirs"}))
 
@@ -332,14 +311,14 @@ def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(
 # What `status` tells
 
 
-def printed(capsys: pytest.CaptureFixture[str], store: Store, *options: str) -> str:
+def printed(capsys, store, *options):
     assert cli.main(["status", f"results={store.root}", *options]) == 0
     return capsys.readouterr().out
 
 
 def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stands_there_with_stage_and_owner(
-    store: Store, capsys: pytest.CaptureFixture[str]
-) -> None:
+    store, capsys
+):
     store.prepare()
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
@@ -362,9 +341,7 @@ def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stand
     assert made["silent_seconds"] < 30
 
 
-def test_the_claim_of_a_dead_owner_and_one_that_is_not_all_there_stand_there_too(
-    store: Store, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_claim_of_a_dead_owner_and_one_that_is_not_all_there_stand_there_too(store, capsys):
     folder = store.root / ".claims"
     folder.mkdir(parents=True)
     (folder / "half").write_text('{"about": {"met')
@@ -377,9 +354,7 @@ def test_the_claim_of_a_dead_owner_and_one_that_is_not_all_there_stand_there_too
     assert "\x1b" not in "".join(lines)
 
 
-def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys):
     assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
     assert "/nowhere" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []

@@ -1,21 +1,15 @@
 """Corruptions do to query frames what their words say, alike in any order and process, and the protocol tells."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from checkout import ROOT
 from little import journey
 from PIL import Image as PillowImage
 
-from vprbench.api.arrays import Image
 from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.run.corrupted_frames import corrupted, corrupted_frame
@@ -26,16 +20,16 @@ FRAMES = [f"frame {i}" for i in range(12)]
 RANDOM = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
 
 
-def under(name: str, image: Image, frame: str = "frame") -> npt.NDArray[np.float64]:
+def under(name, image, frame="frame"):
     return corrupted_frame(image, corruption(name), frame).astype(float)
 
 
-def grey(level: int, height: int = 120, width: int = 200) -> Image:
+def grey(level, height=120, width=200):
     return np.full((height, width, 3), level, np.uint8)
 
 
 @pytest.mark.parametrize(("strength", "pixels"), [(1, 1), (2, 4), (3, 8)])
-def test_a_shift_moves_pixels_left_or_right_and_repeats_the_border(strength: int, pixels: int) -> None:
+def test_a_shift_moves_pixels_left_or_right_and_repeats_the_border(strength, pixels):
     left = np.concatenate([RANDOM[:, pixels:], np.repeat(RANDOM[:, -1:], pixels, axis=1)], axis=1)
     right = np.concatenate([np.repeat(RANDOM[:, :1], pixels, axis=1), RANDOM[:, :-pixels]], axis=1)
     shifted = [under(f"shift-{strength}", RANDOM, frame) for frame in FRAMES]
@@ -43,7 +37,7 @@ def test_a_shift_moves_pixels_left_or_right_and_repeats_the_border(strength: int
 
 
 @pytest.mark.parametrize(("strength", "degrees"), [(1, 2), (2, 5), (3, 10)])
-def test_a_rotation_turns_about_the_middle_of_the_frame(strength: int, degrees: float) -> None:
+def test_a_rotation_turns_about_the_middle_of_the_frame(strength, degrees):
     image = grey(0)
     image[58:62, 178:182] = 200  # its middle lies 80 pixels to the right of the frame's
     found = set()
@@ -58,8 +52,8 @@ def test_a_rotation_turns_about_the_middle_of_the_frame(strength: int, degrees: 
 
 @pytest.mark.parametrize(("strength", "stops", "deviation", "noise"), [(1, 0.5, 2, 5), (2, 1, 4, 10), (3, 2, 8, 20)])
 def test_brightness_multiplies_levels_blur_spreads_a_line_and_noise_has_its_deviation_and_no_mean(
-    strength: int, stops: float, deviation: float, noise: float
-) -> None:
+    strength, stops, deviation, noise
+):
     for level in (50, 180):  # ends at white
         levels = {float(under(f"brightness-{strength}", grey(level), frame).mean()) for frame in FRAMES}
         assert levels == {round(level / 2**stops), min(255, round(level * 2**stops))}
@@ -77,8 +71,8 @@ def test_brightness_multiplies_levels_blur_spreads_a_line_and_noise_has_its_devi
 
 @pytest.mark.parametrize(("strength", "share", "factor"), [(1, 0.10, 2), (2, 0.25, 4), (3, 0.50, 8)])
 def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_means_of_areas_and_nothing_finer(
-    strength: int, share: float, factor: int
-) -> None:
+    strength, share, factor
+):
     corners = set()
     for frame in FRAMES:
         hidden = under(f"occlusion-{strength}", grey(7), frame)[:, :, 0]
@@ -96,7 +90,7 @@ def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_mean
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_view(kind: str) -> None:
+def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_view(kind):
     smooth = np.repeat(np.linspace(20, 120, 60)[None, :, None], 40, axis=0).repeat(3, axis=2).astype(np.uint8)
     image = smooth if kind in ("shift", "rotation", "brightness", "noise") else RANDOM
     for frame in FRAMES[:4]:
@@ -113,7 +107,7 @@ def test_strengths_of_a_kind_go_one_way_and_further_and_alike_in_any_order_and_v
     assert all(np.array_equal(image, one_by_one[i]) for i, image in zip((5, 2), some, strict=True))
 
 
-def test_another_process_draws_the_same_and_another_seed_or_frame_does_not() -> None:
+def test_another_process_draws_the_same_and_another_seed_or_frame_does_not():
     code = (
         "import numpy as np, sys; from vprbench.run.corrupted_frames import *; from vprbench.run.corruption import *;"
         "image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8);"
@@ -127,7 +121,7 @@ def test_another_process_draws_the_same_and_another_seed_or_frame_does_not() -> 
     assert not np.array_equal(one, under("noise-2", RANDOM, "b"))
 
 
-def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched() -> None:
+def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched():
     clean = journey(6, 4)
     spoilt = corrupted(clean, "shift-2")
     assert corrupted(clean, None) is clean
@@ -141,8 +135,8 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
 
 
 @pytest.mark.parametrize("kind", ["array", "file", "stamp"])
-def test_hashes_of_changed_images_see_the_images_and_the_change(kind: str, tmp_path: Path) -> None:
-    def made(frame: Image) -> Images:
+def test_hashes_of_changed_images_see_the_images_and_the_change(kind, tmp_path):
+    def made(frame):
         if kind == "array":
             return Images.from_arrays([grey(0, 4, 4)] * 20 + [frame] + [grey(1, 4, 4)] * 20)
         if kind == "file":
@@ -151,8 +145,8 @@ def test_hashes_of_changed_images_see_the_images_and_the_change(kind: str, tmp_p
         mark = hashlib.sha256(frame.tobytes()).digest()
         return Images(lambda i: frame, ["a"], stamp=lambda i: mark, content=lambda i: mark)
 
-    def hashes(level: int, how: str = "") -> tuple[str, str]:
-        images: Any = made(grey(level, 4, 4))
+    def hashes(level, how=""):
+        images = made(grey(level, 4, 4))
         images = images.changed(lambda image, name: image, how) if how else images
         return images.fingerprint(), images.content_hash()
 
@@ -161,7 +155,7 @@ def test_hashes_of_changed_images_see_the_images_and_the_change(kind: str, tmp_p
     assert hashes(9, "a") == found[0]
 
 
-def test_names_ask_for_kinds_and_strengths_and_all_of_them() -> None:
+def test_names_ask_for_kinds_and_strengths_and_all_of_them():
     assert len(corruptions(["all"])) == 21
     assert corruptions(["blur-2", "shift"]) == (*(Corruption("shift", n) for n in (1, 2, 3)), Corruption("blur", 2))
     assert corruptions([]) == ()

@@ -1,14 +1,8 @@
 """Costs of a query: operations by formulas and by PyTorch, bytes, and joules of a made-up powercap."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from little import Lookup, journey
@@ -21,7 +15,6 @@ from torch.utils.flop_counter import FlopCounterMode
 from vprbench.api.arithmetic import tallied
 from vprbench.api.binary import BinaryMap
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.api.search import Search
 from vprbench.cli import main
 from vprbench.methods.sad import SAD
@@ -31,20 +24,20 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.plugins.rules import Journey
 from vprbench.run import energy, joules
 
-SMALL: dict[str, Any] = {"max_module": 20, "height": 12, "width": 12}
+SMALL = {"max_module": 20, "height": 12, "width": 12}
 ONE = ["method=sad", "dataset=synthetic", "dataset.places=20", "dataset.first_query_place=4", *RUN, "timing=none"]
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 
-def told(work: Callable[[], object]) -> tuple[float, float, set[str]]:
+def told(work):
     """Return the multiply-adds, the single operations and the kinds of numbers that are told of some work."""
     with tallied() as found:
         work()
     return sum(each.multiply_adds for each in found), sum(each.single for each in found), {each.kind for each in found}
 
 
-def test_formulas_of_sad_products_and_binary_maps_agree_with_a_count() -> None:
+def test_formulas_of_sad_products_and_binary_maps_agree_with_a_count():
     images = Images.from_arrays(Journey.draw(0).references)
     method = SAD(height=8, width=8, patch=3).fit(images[:5], np.arange(5))
     codes = method.encode(images[:1])
@@ -63,22 +56,20 @@ def test_formulas_of_sad_products_and_binary_maps_agree_with_a_count() -> None:
 
 @pytest.mark.parametrize(("kind", "numbers"), [(VPRTempo, "float32"), (VPRTempoInt8, "int8")])
 @pytest.mark.parametrize(("query_rule", "neurons"), [("spiking", 308), ("linear", 20)])
-def test_a_query_of_vprtempo_multiplies_every_weight_once(
-    kind: type[VPRTempo], numbers: str, query_rule: str, neurons: int
-) -> None:
+def test_a_query_of_vprtempo_multiplies_every_weight_once(kind, numbers, query_rule, neurons):
     method, codes = fitted(kind, query_rule=query_rule)
     weights = 144 * 288 + 288 * 20 if query_rule == "spiking" else 144 * 20
     assert told(lambda: method.match(codes[:1])) == (weights, 0, {numbers})
     assert method.map_bytes() == (None if numbers == "float32" else weights + 8 * neurons)
 
 
-def fitted(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> tuple[VPRTempo, npt.NDArray[np.float32]]:
+def fitted(kind=VPRTempo, **arguments):
     world = Journey.draw(0)
     method = kind(**{**SMALL, **arguments}).fit(Images.from_arrays(world.references), world.places)
     return method, method.encode(Images.from_arrays(world.queries))
 
 
-def test_spikes_reach_every_synapse_that_exists_in_all_networks_and_modules() -> None:
+def test_spikes_reach_every_synapse_that_exists_in_all_networks_and_modules():
     single, codes = fitted()
     several, _ = fitted(VPRTempoEnsemble, members=3)
     (_, one, _), (inputs, three, _) = single.spikes(codes), several.spikes(codes)
@@ -101,7 +92,7 @@ def test_spikes_reach_every_synapse_that_exists_in_all_networks_and_modules() ->
     assert told(lambda: method.match(codes)) == (2 * 3 * steps * 48, 2 * 6 * steps * 48 + arrivals, {"float64"})
 
 
-def costs(method: Method) -> dict[str, Any]:
+def costs(method):
     run = run_of(method, journey(6, 6))
     return energy.costs(asked_for(method, journey(6, 6)), run)
 
@@ -111,17 +102,17 @@ class Multiplying(Lookup):
 
     failing = False
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         if self.failing:
             raise KeyError("gone")
         return super().encode(images)
 
-    def match(self, codes: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def match(self, codes):
         torch.zeros(len(codes), 10) @ torch.zeros(10, 50)
         return super().match(codes)
 
 
-def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_and_a_failure_keeps_the_run() -> None:
+def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_and_a_failure_keeps_the_run():
     method = Multiplying(np.eye(6, dtype=np.float32))
     run = run_of(method, journey(6, 6))
     found = energy.costs(asked_for(method, journey(6, 6)), run)
@@ -129,15 +120,13 @@ def test_what_pytorch_does_is_counted_a_step_without_a_formula_is_not_available_
     assert "encode" in found["how"]["operations"]
     assert "match" not in found["how"]["operations"]
     method.failing = True
-    method.map_bytes = lambda: 60  # type: ignore[method-assign]
+    method.map_bytes = lambda: 60
     found = energy.costs(asked_for(method, journey(6, 6)), run)
     assert "KeyError" in found["how"]["operations"]
     assert found["values"]["map_bytes"] == 10
 
 
-def test_costs_are_asked_for_stored_and_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
     install(monkeypatch, tmp_path)
     monkeypatch.setattr(joules, "POWERCAP", tmp_path / "none")
     assert main([*ONE, "output=json"]) == 0
@@ -157,7 +146,7 @@ def test_costs_are_asked_for_stored_and_shown(
 MOST = 1_000_000  # microjoules, where the made-up counters wrap around
 
 
-def powercap(root: Path, **microjoules: int) -> Path:
+def powercap(root, **microjoules):
     """Make counters `package`, `dram` and `core` as Linux has them: the last is part of the first."""
     for zone, (name, value) in enumerate(microjoules.items()):
         folder = root / ("intel-rapl:0" if name == "package" else f"intel-rapl:0:{zone}")
@@ -168,7 +157,7 @@ def powercap(root: Path, **microjoules: int) -> Path:
     return root
 
 
-def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package_is_not(tmp_path: Path) -> None:
+def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package_is_not(tmp_path):
     source, read = joules.rapl(powercap(tmp_path, package=900_000, dram=10, core=5))
     powercap(tmp_path, package=100_000, dram=50_010, core=400_000)
     assert "package-0" in source
@@ -184,10 +173,10 @@ def test_package_and_memory_are_added_over_a_wrap_and_what_lies_within_a_package
         (7, 10, {"joules": 0, "watts": 10, "idle_watts": 10, "queries": 1, "seconds": 7}),  # longer than the window
     ],
 )
-def test_idle_power_is_subtracted_from_what_queries_take(query: float, watts: float, known: dict[str, float]) -> None:
+def test_idle_power_is_subtracted_from_what_queries_take(query, watts, known):
     now, spent = 0.0, 100.0
 
-    def passes(seconds: float, watts: float = 10) -> None:
+    def passes(seconds, watts=10):
         nonlocal now, spent
         now, spent = now + seconds, spent + seconds * watts
 
@@ -196,8 +185,8 @@ def test_idle_power_is_subtracted_from_what_queries_take(query: float, watts: fl
 
 
 @pytest.mark.parametrize("broken", ["nothing", "no package", "unreadable", "no driver"])
-def test_what_cannot_be_read_is_told(tmp_path: Path, broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
+def test_what_cannot_be_read_is_told(tmp_path, broken, monkeypatch):
+    def missing(name):
         raise OSError(f"{name} is not there")
 
     monkeypatch.setattr(joules.ctypes, "CDLL", missing)

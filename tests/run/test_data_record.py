@@ -1,7 +1,5 @@
 """What a run records of its frames: worked out by hand, stored and printed."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io
@@ -9,7 +7,6 @@ import json
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,44 +18,44 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.run import rows
-from vprbench.run.identity import DataRecord, data_record
+from vprbench.run.identity import data_record
 from vprbench.storage import hashes
 
 RECORD = {"names_sha256": "5f74d2dc7bb3" + "0" * 52, "content_sha256": None, "images": 14, "bytes": None}
 
 
-def sha256(content: bytes) -> str:
+def sha256(content):
     return hashlib.sha256(content).hexdigest()
 
 
-def write(path: Path, content: bytes) -> Path:
+def write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
 
 
-def dataset_of(references: Images, queries: Images) -> Dataset:
+def dataset_of(references, queries):
     n = len(references)
     return Dataset("journey", references, np.arange(n), queries, (np.array([0]),) * len(queries), {})
 
 
 @pytest.fixture
-def winter(tmp_path: Path) -> list[Path]:
+def winter(tmp_path):
     return [write(tmp_path / "winter" / f"{name}.png", name.encode() * 3) for name in ("b", "a", "c")]
 
 
 @pytest.fixture
-def summer(tmp_path: Path) -> list[Path]:
+def summer(tmp_path):
     return [write(tmp_path / "summer" / f"{name}.png", name.encode() * 5) for name in ("a", "d")]
 
 
-def record(references: list[Path], queries: list[Path]) -> DataRecord:
+def record(references, queries):
     return data_record(dataset_of(Images.from_files(references), Images.from_files(queries)))
 
 
 def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_order_change_their_part_of_it(
-    winter: list[Path], summer: list[Path], tmp_path: Path
-) -> None:
+    winter, summer, tmp_path
+):
     contents = [b"bbb", b"aaa", b"ccc", b"aaaaa", b"ddddd"]
     before = record(winter, summer)
     assert before == {
@@ -73,7 +70,7 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
     winter = [moved / path.name for path in winter]
     assert record(winter, summer) == before
 
-    def changed(references: list[Path], queries: list[Path]) -> set[str]:
+    def changed(references, queries):
         return {name for name, value in record(references, queries).items() if value != before[name]}
 
     assert changed(winter[::-1], summer) == changed(winter, summer[::-1]) == {"names_sha256", "content_sha256"}
@@ -84,7 +81,7 @@ def test_the_record_of_files_is_as_worked_out_by_hand_and_names_content_and_orde
 
 
 @pytest.mark.parametrize("rendered", ["references", "queries", "both"])
-def test_frames_that_are_no_files_have_names_alone(winter: list[Path], summer: list[Path], rendered: str) -> None:
+def test_frames_that_are_no_files_have_names_alone(winter, summer, rendered):
     references, queries = Images.from_files(winter), Images.from_files(summer)
     if rendered != "queries":
         references = Images.from_arrays([picture(i) for i in range(3)], references.names)
@@ -95,13 +92,11 @@ def test_frames_that_are_no_files_have_names_alone(winter: list[Path], summer: l
     assert found == {"names_sha256": names, "content_sha256": None, "images": 5, "bytes": None}
 
 
-def test_fingerprint_record_and_content_of_views_read_a_file_once(
-    winter: list[Path], summer: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    read: Counter[str] = Counter()
+def test_fingerprint_record_and_content_of_views_read_a_file_once(winter, summer, monkeypatch, tmp_path):
+    read = Counter()
     digest = hashes.file_digest
 
-    def counted(file: Any, kind: str) -> Any:
+    def counted(file, kind):
         read["/".join(Path(os.fsdecode(file.name)).parts[-2:])] += 1
         return digest(file, kind)
 
@@ -117,9 +112,9 @@ def test_fingerprint_record_and_content_of_views_read_a_file_once(
 
 
 @pytest.mark.parametrize("hashed", ["fingerprint", "content_hash"])
-def test_what_images_are_made_from_beside_their_files_changes_their_hash(winter: list[Path], hashed: str) -> None:
-    def made(besides: bytes, files: list[Path] | None) -> str:
-        unread: Any = lambda _: pytest.fail("an image was read")  # noqa: E731
+def test_what_images_are_made_from_beside_their_files_changes_their_hash(winter, hashed):
+    def made(besides, files):
+        unread = lambda _: pytest.fail("an image was read")  # noqa: E731
         images = Images(unread, "abc", files=files, stamp=lambda _: besides, content=lambda _: besides)
         return str(getattr(images[:], hashed)())
 
@@ -128,7 +123,7 @@ def test_what_images_are_made_from_beside_their_files_changes_their_hash(winter:
     assert made(b"lens 1", None) == made(b"lens 1", None) != made(b"lens 2", None)
 
 
-def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them() -> None:
+def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows_them():
     protocol = {"protocol": "vprtempo", **a_run().protocol}
     assert rows.protocol_line(a_run(data=RECORD)).endswith("tolerance_places 0), data 5f74d2dc7bb3")
     text = rows.csv([a_failure(), a_run(), a_run(data=RECORD, protocol=protocol)])
@@ -139,9 +134,7 @@ def test_the_protocol_line_and_csv_tell_protocol_and_data_of_each_run_that_knows
     ]
 
 
-def test_a_run_of_files_prints_and_stores_their_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_files_prints_and_stores_their_record(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     paths = [tmp_path / folder / f"{i}.png" for folder in ("winter", "summer") for i in range(3)]
     for path in paths:

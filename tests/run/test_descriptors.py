@@ -1,16 +1,12 @@
 """A second run on the same traverses encodes nothing but the timed sample, from what the first one kept on disk."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +14,6 @@ import pytest
 from little import journey, number_in, pictures
 from little_runs import kinds
 
-from vprbench.api.dataset import Dataset
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.weights import Weights
@@ -26,7 +21,6 @@ from vprbench.errors import BadInput
 from vprbench.run import descriptors, runner
 from vprbench.run.descriptors import Described
 from vprbench.run.identity import Request
-from vprbench.run.record import Run
 from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.storage import shards
 
@@ -44,12 +38,12 @@ class Counting(DescriptorMethod):
     turn: float = 0.03
     encoded: int = field(default=0, init=False, compare=False)
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         self.encoded += len(images)
         angles = np.array([number_in(image) for image in images]) * self.turn
         return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
 
-    def keeps_descriptors(self) -> bool:
+    def keeps_descriptors(self):
         return True
 
 
@@ -57,7 +51,7 @@ class Counting(DescriptorMethod):
 class Learning(Counting):
     """Learns its encoder from the references, so that its descriptors are nobody else's."""
 
-    def keeps_descriptors(self) -> bool:
+    def keeps_descriptors(self):
         return False
 
 
@@ -69,17 +63,17 @@ class Weighted(Counting):
 
 
 @pytest.fixture
-def dataset() -> Dataset:
+def dataset():
     return journey(N_QUERIES, N_PLACES, [[i] for i in range(N_QUERIES)])
 
 
-def run(method: DescriptorMethod, dataset: Dataset, folder: Path | None, **changes: Any) -> Run:
+def run(method, dataset, folder, **changes):
     given = {"_target_": "Counting", "turn": 0.03, "index": "exact", "device": "cpu", **changes.pop("arguments", {})}
     config = {"method": given, "seed": 0, "device": "cpu", "depth": 5, "overrides": [], "files": [], **changes}
     return runner.run(Request("counting", method, dataset, config, "fingerprint", PROTOCOL, 1, cache=folder), "key")
 
 
-def encoded_for_answers(method: Counting) -> int:
+def encoded_for_answers(method):
     """The images that were encoded, without the first query and the timing: each lap, warm-up and audit show one."""
     without = Counting()
     without.fit_descriptors(np.eye(2, dtype=np.float32), np.arange(2))
@@ -87,14 +81,12 @@ def encoded_for_answers(method: Counting) -> int:
     return method.encoded - 1 - without.encoded
 
 
-def descriptions(run: Run) -> list[str]:
+def descriptions(run):
     return [note.text for note in run.notes if note.kind == "described"]
 
 
 @pytest.mark.parametrize(("kind", "cached", "files"), [(Counting, True, 2), (Counting, False, 0), (Learning, True, 0)])
-def test_the_first_run_encodes_every_image_once_and_keeps_what_is_worth_keeping(
-    dataset: Dataset, tmp_path: Path, kind: type[Counting], cached: bool, files: int
-) -> None:
+def test_the_first_run_encodes_every_image_once_and_keeps_what_is_worth_keeping(dataset, tmp_path, kind, cached, files):
     method = kind()
     found = run(method, dataset, tmp_path if cached else None)
     assert encoded_for_answers(method) == ALL
@@ -103,7 +95,7 @@ def test_the_first_run_encodes_every_image_once_and_keeps_what_is_worth_keeping(
     assert "described" not in kinds(found)
 
 
-def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dataset, tmp_path: Path) -> None:
+def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset, tmp_path):
     run(Counting(), dataset, tmp_path)
     method = Counting()
     found = run(method, dataset, tmp_path)
@@ -118,14 +110,14 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset: Dat
     assert note.startswith("descriptors of 80 references and 70 queries were kept from an earlier run: nothing was")
 
 
-def with_another_last_bit(dataset: Dataset) -> Dataset:
+def with_another_last_bit(dataset):
     """Return the dataset with one image changed in its last pixel, which a glance at some of them leaves out."""
     arrays = [image.copy() for image in dataset.references]
     arrays[50][2, 3, 2] ^= 1
     return replace(dataset, references=Images.from_arrays(arrays, dataset.references.names))
 
 
-def renamed(dataset: Dataset) -> Dataset:
+def renamed(dataset):
     names = [f"other {i}" for i in range(N_PLACES)]
     return replace(dataset, references=Images.from_arrays(list(dataset.references), names))
 
@@ -143,13 +135,8 @@ def renamed(dataset: Dataset) -> Dataset:
     ids=["index", "argument", "weights", "changed image", "names", "other queries"],
 )
 def test_a_second_run_encodes_what_is_not_kept_under_its_arguments_weights_and_images(
-    dataset: Dataset,
-    tmp_path: Path,
-    method: Counting,
-    of: Callable[[Dataset], Dataset],
-    changes: dict[str, Any],
-    encoded: int,
-) -> None:
+    dataset, tmp_path, method, of, changes, encoded
+):
     run(Counting(), dataset, tmp_path)
     notes = descriptions(run(method, of(dataset), tmp_path, **changes))
     assert encoded_for_answers(method) == encoded
@@ -158,16 +145,14 @@ def test_a_second_run_encodes_what_is_not_kept_under_its_arguments_weights_and_i
         assert notes[0].startswith("descriptors of 80 references were kept from an earlier run: none of these")
 
 
-def test_where_a_file_of_weights_lies_does_not_count(dataset: Dataset, tmp_path: Path) -> None:
+def test_where_a_file_of_weights_lies_does_not_count(dataset, tmp_path):
     for path, encoded in (("here", ALL), ("there", 0)):
         method = Weighted(weights=Weights(file="w", licence="", trained_on="", path=path))
         run(method, dataset, tmp_path, arguments={"weights": {"path": path}}, files=[[path, "ab" * 32]])
         assert encoded_for_answers(method) == encoded
 
 
-def test_other_code_and_another_device_encode_anew(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_code_and_another_device_encode_anew(dataset, tmp_path, monkeypatch):
     run(Counting(), dataset, tmp_path)
     for module, name in ((descriptors, "source_hash"), (descriptors.machine, "device_class")):
         with monkeypatch.context() as patch:
@@ -178,9 +163,7 @@ def test_other_code_and_another_device_encode_anew(
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(
-    dataset: Dataset, tmp_path: Path, cached: bool
-) -> None:
+def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(dataset, tmp_path, cached):
     method = Counting(index="ivfpq")
     with pytest.raises(BadInput, match=r"ivfpq .* 256 .* 80 came"):
         run(method, dataset, tmp_path if cached else None)
@@ -194,20 +177,18 @@ N = 10
 MANY = pictures([i % 100 for i in range(2000)])
 
 
-def some(images: Images, n_dimensions: int = 4) -> Array:
+def some(images, n_dimensions=4):
     return np.arange(len(images) * n_dimensions, dtype=np.float32).reshape(len(images), n_dimensions)
 
 
-def describe(
-    folder: Path, encode: Callable[[Images], Array] = some, images: Images | None = None
-) -> tuple[Array, int, list[int]]:
+def describe(folder, encode=some, images=None):
     """Return the descriptors of a traverse, how many were kept, and how many images were told to be done."""
-    done: list[int] = []
+    done = []
     made, kept = Described(folder, {"method": "m"}).descriptors(images or pictures(range(N)), encode, done.append)
     return made[:], kept, done
 
 
-def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path: Path) -> None:
+def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_from(tmp_path):
     made, kept, done = describe(tmp_path)
     assert (kept, done) == (0, [N])
     found, kept, done = describe(tmp_path)
@@ -231,9 +212,7 @@ def test_what_was_kept_is_found_memory_mapped_and_read_only_beside_what_it_came_
     ],
     ids=["cut", "page", "other number", "other type", "pickle"],
 )
-def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day_is_removed(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: Callable[[Path], object]
-) -> None:
+def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day_is_removed(tmp_path, caplog, damage):
     describe(tmp_path)
     (path,) = tmp_path.glob("*/*.npy")
     damage(path)
@@ -247,14 +226,12 @@ def test_a_damaged_file_is_named_and_made_anew_and_what_nobody_touched_for_a_day
     assert (old.exists(), new.exists()) == (False, True)
 
 
-def full(*_: object) -> None:
+def full(*_):
     raise OSError(28, "No space left on device")
 
 
 @pytest.mark.parametrize("folder", ["file", "full"])
-def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, folder: str
-) -> None:
+def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(tmp_path, caplog, monkeypatch, folder):
     if folder == "file":
         (tmp_path / folder).write_text("")
     else:
@@ -265,12 +242,10 @@ def test_a_folder_that_takes_nothing_leaves_the_descriptors_in_memory(
     assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "file"]
 
 
-def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memory_block_by_block(
-    tmp_path: Path,
-) -> None:
-    taken: list[int] = []
+def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memory_block_by_block(tmp_path):
+    taken = []
 
-    def wide(images: Images) -> Array:
+    def wide(images):
         taken.append(sum(512 * path.stat().st_blocks for path in tmp_path.glob("*/*")))
         if len(taken) == 2:
             raise ZeroDivisionError
@@ -290,13 +265,11 @@ def test_an_error_while_encoding_leaves_nothing_and_descriptors_go_through_memor
     assert peak < 2000 * 10_000 * 4 / 3
 
 
-def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_is_done_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_is_done_stays(tmp_path, monkeypatch):
     monkeypatch.setattr(shards, "LARGE_BYTES", 1000)
-    described: list[int] = []
+    described = []
 
-    def until_it_is_full(images: Images) -> Array:
+    def until_it_is_full(images):
         described.append(len(images))
         if sum(described) > 1024:
             monkeypatch.setattr(os, "posix_fallocate", full)
@@ -309,15 +282,15 @@ def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_i
     assert (len(made), kept, done[-1]) == (2000, 1024, 976)
 
 
-def test_a_killed_encoding_goes_on_with_the_shard_that_it_had_not_finished(tmp_path: Path) -> None:
+def test_a_killed_encoding_goes_on_with_the_shard_that_it_had_not_finished(tmp_path):
     command = [sys.executable, "-c", KILLED, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
         assert killed.stdout is not None
         assert killed.stdout.readline() == "1088\n"  # one shard of 1024 images, and 64 of the next
         killed.kill()
-    encoded: list[int] = []
+    encoded = []
 
-    def counted(images: Images) -> Array:
+    def counted(images):
         encoded.extend(number_in(image) for image in images)
         return some(images)
 

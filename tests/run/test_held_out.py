@@ -1,14 +1,9 @@
 """What a method may choose its settings by, and what a run says of that and of a training that it went on with."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import Lookup, Prototypes, journey, numbers_in, pictures, slow_pictures
 from little_runs import asked_for, kinds, run_of, table
@@ -16,20 +11,17 @@ from stopped_clock import Clock
 
 from vprbench import progress
 from vprbench.api import checkpoints
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.dataset import Dataset, HeldOut
+from vprbench.api.dataset import HeldOut
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.plugins import networks
 from vprbench.run import runner
 from vprbench.run.note import Note
-from vprbench.run.record import Run
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 
-def held_out(**changes: Any) -> HeldOut:
+def held_out(**changes):
     """Three places in two traverses, each queried once, the last one first."""
     parts = {
         "references": pictures([50, 51, 52, 60, 61, 62]),
@@ -41,7 +33,7 @@ def held_out(**changes: Any) -> HeldOut:
     return HeldOut(**parts | changes)
 
 
-def with_held_out(held: HeldOut | None = None) -> Dataset:
+def with_held_out(held=None):
     return replace(journey(6, 4), held_out=held or held_out())
 
 
@@ -54,24 +46,24 @@ class Choosing(Lookup):
     threshold: float | None = None
 
     @property
-    def calibrates(self) -> bool:
+    def calibrates(self):
         return self.threshold is None
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         self.calls.append("fit")
         return self
 
-    def calibrate(self, held_out: HeldOut) -> Self:
+    def calibrate(self, held_out):
         self.calls.append("calibrate")
         self.given.append(held_out)
         return self
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         self.calls.append("encode")
         return super().encode(images)
 
 
-def key(method: Method, held: HeldOut | None) -> str:
+def key(method, held):
     return asked_for(method, replace(journey(6, 4), held_out=held)).key()
 
 
@@ -85,9 +77,7 @@ def key(method: Method, held: HeldOut | None) -> str:
     ],
     ids=["references", "places", "queries", "ground truth"],
 )
-def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_chooses_by_them(
-    changes: dict[str, Any],
-) -> None:
+def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_chooses_by_them(changes):
     assert held_out().fingerprint() == held_out().fingerprint() != held_out(**changes).fingerprint()
     different = [None, held_out(), held_out(**changes)]
     for method, n_keys in (
@@ -108,19 +98,19 @@ def test_other_held_out_places_have_another_fingerprint_and_key_where_a_method_c
         *(({"right": np.array([0, 1, wrong])}, "from 0 to 2") for wrong in (3, -1)),
     ],
 )
-def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes: dict[str, Any], named: str) -> None:
+def test_held_out_parts_that_do_not_fit_one_another_are_refused(changes, named):
     with pytest.raises(BadInput, match=named):
         held_out(**changes)
 
 
-def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_without_their_names() -> None:
+def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_without_their_names():
     method = Choosing(table(6, 4))
     given = held_out()
     named = [
         Images.from_arrays(list(part), [f"place-{i}" for i in range(len(part))])
         for part in (given.references, given.queries)
     ]
-    stages: list[str] = []
+    stages = []
     with progress.listening(lambda stage, _: stages.append(stage)):
         run = run_of(method, with_held_out(held_out(references=named[0], queries=named[1])))
     assert list(dict.fromkeys(stages)) == ["fit", "calibrate", "query", "timing"]
@@ -136,7 +126,7 @@ def test_a_method_is_calibrated_once_between_fit_and_first_query_on_images_witho
             part[0] = 1
 
 
-def test_a_method_that_was_given_its_settings_or_no_places_or_chooses_nothing_is_not_calibrated() -> None:
+def test_a_method_that_was_given_its_settings_or_no_places_or_chooses_nothing_is_not_calibrated():
     for method, dataset in (
         (Choosing(table(6, 4)), journey(6, 4)),
         (Lookup(table(6, 4)), with_held_out()),
@@ -152,19 +142,19 @@ class Reading(Lookup):
 
     clock: Clock = field(kw_only=True)
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         list(references)
         self.clock.spend(1)
         return self
 
-    def calibrate(self, held_out: HeldOut) -> Self:
+    def calibrate(self, held_out):
         list(held_out.references)
         list(held_out.queries)
         self.clock.spend(2)
         return self
 
 
-def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computing(clock: Clock) -> None:
+def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computing(clock):
     slow = {"references": slow_pictures(6, 10, clock.spend), "queries": slow_pictures(3, 100, clock.spend)}
     run = run_of(Reading(table(6, 4), clock=clock), with_held_out(held_out(**slow)))
     assert run.fit_seconds == pytest.approx(6 * 10 + 3 * 100 + 3)
@@ -183,24 +173,24 @@ def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computi
 class Sharpened(Prototypes):
     """Chooses its contrast by the number of held-out places, and stores it."""
 
-    def calibrate(self, held_out: HeldOut) -> Self:
+    def calibrate(self, held_out):
         self.contrast = float(held_out.n_places)
         return self
 
-    def state(self) -> Mapping[str, npt.NDArray[np.float32]]:
+    def state(self):
         return {**super().state(), "contrast": np.array(self.contrast)}
 
-    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> Self:
+    def restore(self, state):
         self.contrast = float(state["contrast"])
         return super().restore({"means": state["means"]})
 
 
-def stored(path: Path, method: Method, dataset: Dataset, load: bool = False) -> Run:
+def stored(path, method, dataset, load=False):
     files = networks.Files(load=path) if load else networks.Files(save=path)
     return runner.run(asked_for(method, dataset, files=files), "key")
 
 
-def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path: Path) -> None:
+def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_path):
     path = tmp_path / "network.safetensors"
     trained = stored(path, Sharpened(), with_held_out())
     for dataset in (with_held_out(), journey(6, 4)):
@@ -227,7 +217,7 @@ class Resuming(Lookup):
     clock: Clock = field(kw_only=True)
     interrupted_in: str = ""
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         with checkpoints.training({"training": 1}, self.folder, self.clock.seconds) as kept:
             if kept.get("first") is None:
                 self.clock.spend(512)
@@ -236,20 +226,18 @@ class Resuming(Lookup):
             self.clock.spend(60)
         return self
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         self._interrupt("match")
         self.clock.spend(len(codes))
         return super().match(codes)
 
-    def _interrupt(self, where: str) -> None:
+    def _interrupt(self, where):
         if where == self.interrupted_in:
             raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("where", ["fit", "match"])  # a training is kept until all queries are answered
-def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(
-    tmp_path: Path, clock: Clock, where: str
-) -> None:
+def test_what_an_interrupted_run_spent_counts_is_told_and_is_no_time_of_the_run_itself(tmp_path, clock, where):
     method = Resuming(table(6, 4), folder=tmp_path / "kept", clock=clock)
     with pytest.raises(KeyboardInterrupt):
         run_of(replace(method, interrupted_in=where), journey(6, 4))

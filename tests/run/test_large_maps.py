@@ -1,25 +1,16 @@
 """On a large map a run asks for the best places alone: the same best places, and never the scores of all."""
 
-from __future__ import annotations
-
 import gc
 from dataclasses import fields, replace
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import Angles, journey, pictures
 from little_runs import QUICK, asked_for, kinds, run_of
 
 from vprbench.api import descriptor
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.descriptor import DescriptorMethod
-from vprbench.api.images import Images
 from vprbench.metrics.ranking import Outcome, outcome, outcome_of_best, ranked_places
 from vprbench.run import descriptors, fitting, runner, shortlist
-from vprbench.run.record import Run
 from vprbench.storage import shards
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -30,36 +21,36 @@ N_QUERIES, N_PLACES, DEPTH = 30, 90, 6
 class Shortlisted(Angles):
     """Cannot score all places."""
 
-    def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+    def match(self, codes):
         raise AssertionError("all places were scored")
 
-    def nearest(self, codes: npt.NDArray[np.float32], n: int, **how: Any) -> Any:
+    def nearest(self, codes, n, **how):
         return super().nearest(codes, n, **how)
 
 
 @pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> None:
+def large(monkeypatch):
     """Make maps of as many places as here large ones."""
     monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
 
 
-def on(method: DescriptorMethod, **changes: Any) -> Run:
+def on(method, **changes):
     dataset = journey(N_QUERIES, N_PLACES, [[i, (i + 40) % N_PLACES] if i % 5 else [] for i in range(N_QUERIES)])
     return run_of(method, dataset, QUICK, **{"depth": DEPTH, **changes})
 
 
-def only(places: Any, scores: Scores, n_places: int) -> Scores:
+def only(places, scores, n_places):
     """Return scores under which no other places than these are candidates."""
     found = np.full((len(scores), n_places), -np.inf, np.float32)
     np.put_along_axis(found, places.astype(np.int64), scores, axis=1)
     return found
 
 
-def same(one: Outcome, other: Outcome) -> bool:
+def same(one, other):
     return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Outcome))
 
 
-def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates() -> None:
+def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are_no_candidates():
     generator = np.random.default_rng(0)
     scores = generator.integers(0, 12, (200, 40)).astype(np.float32)
     scores[generator.random(scores.shape) < 0.3] = -np.inf
@@ -72,7 +63,7 @@ def test_the_outcome_of_the_best_places_is_that_of_scores_whose_other_places_are
 
 
 @pytest.mark.usefixtures("large")
-def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_timed() -> None:
+def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_timed():
     run = on(Shortlisted())
     twenty = Angles().encode(pictures(range(20))).astype(np.float64)
     scores = (twenty @ twenty.T).astype(np.float32)[np.arange(N_QUERIES)[:, None] % 20, np.arange(N_PLACES) % 20]
@@ -89,9 +80,7 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
 
 
 @pytest.mark.parametrize("neighbours", [3, DEPTH])
-def test_an_index_gives_what_it_gives_where_all_places_are_scored(
-    neighbours: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_index_gives_what_it_gives_where_all_places_are_scored(neighbours, monkeypatch):
     usual = on(Angles(index="hnsw", neighbours=neighbours))
     monkeypatch.setattr(shortlist, "LARGE_MAP", N_PLACES - 1)
     large = on(Angles(index="hnsw", neighbours=neighbours))
@@ -102,9 +91,9 @@ def test_an_index_gives_what_it_gives_where_all_places_are_scored(
 
 
 @pytest.mark.usefixtures("large")
-def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way() -> None:
+def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_matches_in_its_own_way():
     class OwnWay(Angles):
-        def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        def match(self, codes):
             return -super().match(codes)
 
     whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
@@ -115,11 +104,9 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
     assert "shortlist" not in kinds(own)
 
 
-def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(tmp_path, monkeypatch):
     class Learning(Angles):
-        def fit(self, references: Images, places: Places) -> Self:
+        def fit(self, references, places):
             return super().fit(references, places)
 
     kept = []
@@ -131,19 +118,17 @@ def test_descriptors_of_a_large_map_are_kept_unless_a_method_may_learn_them(
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_descriptors_that_fill_the_memory_stay_in_shards(
-    cached: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_SCRATCH", str(tmp_path / "scratch"))
     monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
     for module in (descriptor, fitting):
         monkeypatch.setattr(module, "LARGE_BYTES", 1000)
 
     class Kept(Angles):
-        def keeps_descriptors(self) -> bool:
+        def keeps_descriptors(self):
             return cached
 
-    def files(folder: str) -> int:
+    def files(folder):
         return len(list((tmp_path / folder).glob("*/*.npy")))
 
     method = Kept()

@@ -1,24 +1,18 @@
 """What a run keeps of the layers of a network, spikes and readouts, and of a map that grows while queries come."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import Lookup, journey
 from little_runs import asked_for, kinds, run_of
 from small_plan import RUN
-from stopped_clock import Clock
 
-from vprbench.api.arrays import Places
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes, Method
+from vprbench.api.method import LayerSpikes
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.pca import PCA
@@ -29,12 +23,12 @@ from vprbench.plugins.rules import Journey
 from vprbench.run import runner
 from vprbench.run.note import Note
 from vprbench.run.readout_rows import readout_numbers, readout_text
-from vprbench.run.record import Run, content_key
+from vprbench.run.record import content_key
 from vprbench.run.spikes import summary
 from vprbench.run.store import Store
 from vprbench.run.stream import grown
 
-SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
+SMALL = {"max_module": 8, "height": 12, "width": 12}
 TWELVE = ["dataset.places=12", "dataset.first_query_place=0", *RUN, "timing=none"]
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -51,7 +45,7 @@ pytestmark = pytest.mark.usefixtures("surroundings")
         ([[0, 0, 0], [0, 0, 0]], "amplitude", ([0.0, 0.0], 0.0, None, 0.0, "MAC")),
     ],
 )
-def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values: Any, kind: Any, known: Any) -> None:
+def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values, kind, known):
     array = np.array(values)
     layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
     several = summary([LayerSpikes("a", array), layer, LayerSpikes("a", array)])
@@ -73,7 +67,7 @@ def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values
         *([np.array([[1.0, wrong]])] for wrong in (np.nan, np.inf, -0.5)),
     ],
 )
-def test_impossible_spikes_are_refused_by_the_name_of_the_layer(layers: list[npt.NDArray[Any]]) -> None:
+def test_impossible_spikes_are_refused_by_the_name_of_the_layer(layers):
     with pytest.raises(BadInput, match="input"):
         summary([LayerSpikes("input", values) for values in layers])
 
@@ -84,15 +78,15 @@ class Ticking(Lookup):
 
     counted: Sequence[int] = ()
 
-    def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+    def spikes(self, codes):
         self.counted = codes.tolist()
         return [LayerSpikes("tick", codes[:, None])]
 
 
 @pytest.mark.parametrize("error", [KeyError("the layer\nis gone"), None])
-def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error: Exception | None) -> None:
+def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error):
     class Failing(Ticking):
-        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        def spikes(self, codes):
             if error is not None:
                 raise error
             return [LayerSpikes("tick", -1.0 - codes[:, None])]
@@ -104,9 +98,7 @@ def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error: Exception
     assert ("BadInput" if error is None else r"(KeyError: 'the layer\nis gone')") in said
 
 
-def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(
-    tmp_path: Path,
-) -> None:
+def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(tmp_path):
     run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
     assert run.spikes is not None
     assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
@@ -121,13 +113,13 @@ def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_f
     assert run_of(Lookup(np.zeros((6, 4), np.float32)), journey(6, 4)).spikes is None
 
 
-def test_counting_takes_no_part_in_what_a_run_times(clock: Clock) -> None:
+def test_counting_takes_no_part_in_what_a_run_times(clock):
     class Slow(Ticking):
-        def encode(self, images: Images) -> npt.NDArray[np.int64]:
+        def encode(self, images):
             clock.spend(0.001 * len(images))
             return super().encode(images)
 
-        def spikes(self, codes: npt.NDArray[Any]) -> Sequence[LayerSpikes]:
+        def spikes(self, codes):
             clock.spend(1000)
             return super().spikes(codes)
 
@@ -148,23 +140,23 @@ class Layered(Lookup):
 
     lengths: Any = (2, 2, 2, 2)
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         return np.array([[1, number] for number in super().encode(images)], np.float32)
 
-    def match(self, codes: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def match(self, codes):
         return self.table[codes[:, 1].astype(int)]
 
-    def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[Any]]:
+    def layers(self, codes):
         numbers = codes[:, 1].astype(int)
         turned = TURNED[numbers] * np.array(self.lengths)[numbers, None]
         return {"turned": turned, "silent": np.zeros((len(codes), 5))}
 
 
-def read_run(method: Method, dataset: Any, **changes: Any) -> Run:
+def read_run(method, dataset, **changes):
     return runner.run(replace(asked_for(method, dataset), readouts=True, **changes), "key")
 
 
-def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place_by_its_most_similar_image() -> None:
+def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place_by_its_most_similar_image():
     # By codes and by the turned layer each picture finds itself, which is right for the first and the last alone.
     dataset = journey(4, 4, [[0], [3], [0], [3]])
     method = Layered(np.array([[0, 1, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 1, 0]], np.float32))
@@ -184,11 +176,9 @@ def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place
     assert run.readouts[1] == {"name": "turned", "neurons": 2, "hits": [1.0, 1.0, 1.0]}
 
 
-def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(
-    tmp_path: Path,
-) -> None:
+def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(tmp_path):
     class Failing(Layered):
-        def layers(self, codes: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[Any]]:
+        def layers(self, codes):
             raise KeyError("gone")
 
     dataset, table, store = journey(4, 4), np.eye(4, dtype=np.float32), Store(tmp_path)
@@ -210,13 +200,13 @@ def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_wit
 # The methods
 
 
-def fitted(method: Any) -> tuple[Any, npt.NDArray[Any]]:
+def fitted(method):
     world = Journey.draw(0)
     method.fit(Images.from_arrays(world.references), world.places)
     return method, method.encode(Images.from_arrays(world.queries))
 
 
-def by_eq_1(state: dict[str, npt.NDArray[Any]], codes: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], ...]:
+def by_eq_1(state, codes):
     """Return the feature and output spikes of a stored network for each query, in float64."""
     features, outputs = [], []
     layers = zip(state["features"], state["constant"], state["feature_thresholds"], strict=True)
@@ -227,7 +217,7 @@ def by_eq_1(state: dict[str, npt.NDArray[Any]], codes: npt.NDArray[Any]) -> tupl
     return np.hstack(features), np.hstack(outputs)
 
 
-def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone() -> None:
+def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_scores_alone():
     method, codes = fitted(VPRTempo(**SMALL, seed=4))
     shown, features, outputs = method.spikes(codes)
     right_features, right_outputs = by_eq_1(dict(method.state()), codes)
@@ -254,7 +244,7 @@ def test_the_spikes_and_layers_of_vprtempo_are_those_of_eq_1_whatever_acts_on_sc
             ask(codes)
 
 
-def test_layers_of_linear_quantised_and_component_methods_are_what_their_queries_pass() -> None:
+def test_layers_of_linear_quantised_and_component_methods_are_what_their_queries_pass():
     linear, codes = fitted(VPRTempo(**SMALL, query_rule="linear"))
     sums = np.einsum("np,mfp->nmf", codes, linear.state()["features"]).reshape(len(codes), -1)
     assert linear.layers(codes)["feature"] == pytest.approx(sums, abs=1e-4)
@@ -281,21 +271,21 @@ class Growing(Lookup):
 
     known: int = 0
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         self.known = int(places.max()) + 1
         self.asked.append([-1, *places.tolist()])
         return self
 
-    def extend(self, references: Images, places: Places) -> Self:
+    def extend(self, references, places):
         self.asked.append([-2, len(references), *places.tolist()])
         self.known += 1
         return self
 
-    def match(self, codes: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    def match(self, codes):
         return self.table[codes, : self.known]
 
 
-def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known() -> None:
+def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
     # Places are right for queries 0, 1, (1 or 4), 3 and none; query 0 is lost once place 3 is there.
     dataset = journey(5, 5, [[0], [1], [1, 4], [3], []])
     dataset = replace(dataset, references=dataset.references[np.array([0, 1, 2, 3, 4, 1])], places=np.r_[0:5, 1])
@@ -315,14 +305,12 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known() -> N
 # On the command line
 
 
-def asked(capsys: pytest.CaptureFixture[str], *options: str) -> Any:
+def asked(capsys, *options):
     assert main([*TWELVE, *options, "output=json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
-def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert asked(capsys, "method=pca")["readouts"] is None
     made = asked(capsys, "method=pca", "readouts=true")
@@ -337,8 +325,8 @@ def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the
 
 
 def test_a_growing_map_is_stored_with_its_run_and_printed_and_what_cannot_grow_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     assert "stream" not in asked(capsys)
     made = asked(capsys, "stream=5")

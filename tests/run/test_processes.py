@@ -1,17 +1,14 @@
 """Runs in processes of their own: how each ended is known, and one cell of a host is timed while the others stand."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 from threading import Event, Timer
 
 import psutil
@@ -31,16 +28,16 @@ Ends = Callable[..., Ending]
 
 
 @pytest.fixture(autouse=True)
-def _host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _host(tmp_path, monkeypatch):
     """Work on a host where nothing runs."""
     monkeypatch.setenv(slot.FOLDER, str(tmp_path / "slot"))
 
 
 @pytest.fixture
-def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
+def ends(tmp_path, monkeypatch):
     """Return what runs a script in place of the command line, and says how it ended."""
 
-    def run(script: str, *arguments: str) -> Ending:
+    def run(script, *arguments):
         program = tmp_path / "program"
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o700)
@@ -51,8 +48,8 @@ def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
 
 
 def test_a_run_apart_is_given_its_options_told_that_it_is_one_of_many_and_leaves_no_temporary_file(
-    ends: Ends, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    ends, tmp_path, monkeypatch
+):
     asked, temporary = tmp_path / "asked", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
@@ -72,17 +69,13 @@ def test_a_run_apart_is_given_its_options_told_that_it_is_one_of_many_and_leaves
         ("""echo '{"code": 2, "error": "no frames", "missing": true}' > "$VPRBENCH_ENDING"; exit 2""", 2, "no frames"),
     ],
 )
-def test_what_a_process_said_counts_and_one_that_said_nothing_has_failed(
-    ends: Ends, script: str, code: int, words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_process_said_counts_and_one_that_said_nothing_has_failed(ends, script, code, words, capfd):
     ending = ends(script)
     assert (ending.code, ending.missing, words in ending.error) == (code, code == 2, True)
     assert len(capfd.readouterr().err.splitlines()) == (code == 1)
 
 
-def test_a_run_that_dies_is_a_stored_failure_with_its_signal(
-    ends: Ends, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_dies_is_a_stored_failure_with_its_signal(ends, tmp_path, capfd):
     begun = {"run": RUN, "results": str(tmp_path / "results"), "threads": 1, "output": "json"}
     (tmp_path / "begun").write_text(json.dumps(begun))
     ending = ends(f"""cat {tmp_path}/begun > "$VPRBENCH_ENDING"; kill -BUS $$""")
@@ -94,7 +87,7 @@ def test_a_run_that_dies_is_a_stored_failure_with_its_signal(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_being_told_to_end_ends_the_process_too(ends: Ends, number: signal.Signals) -> None:
+def test_being_told_to_end_ends_the_process_too(ends, number):
     before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt) as ended:
         ends(f"kill -{number.name.removeprefix('SIG')} $PPID; exec sleep 20")
@@ -103,10 +96,8 @@ def test_being_told_to_end_ends_the_process_too(ends: Ends, number: signal.Signa
 
 
 @pytest.mark.parametrize("in_sweep", [True, False])
-def test_an_interruption_is_told_once_by_the_process_that_was_asked(
-    in_sweep: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt() -> None:
+def test_an_interruption_is_told_once_by_the_process_that_was_asked(in_sweep, monkeypatch, capsys):
+    def interrupt():
         raise KeyboardInterrupt(signal.SIGTERM)
 
     monkeypatch.setattr(cli.registry, "register_search_path", interrupt)
@@ -116,15 +107,13 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(
 
 
 @pytest.mark.parametrize(("after", "words"), [(4, "out of memory on "), (3, "not for want of memory")])
-def test_a_kill_for_want_of_memory_is_told_from_another(
-    ends: Ends, after: int, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_for_want_of_memory_is_told_from_another(ends, after, words, monkeypatch):
     counts = iter([3, after])
     monkeypatch.setattr(watched, "_oom_kills", lambda: {"/proc/vmstat": next(counts)})
     assert words in ends("kill -KILL $$").error
 
 
-def test_a_dead_child_leaves_no_claim_and_no_half_file(ends: Ends, tmp_path: Path) -> None:
+def test_a_dead_child_leaves_no_claim_and_no_half_file(ends, tmp_path):
     store, host = tmp_path / "results", owner.mark().partition("-")[0]
     (store / ".claims").mkdir(parents=True)
     claim = store / ".claims" / "it"
@@ -142,8 +131,8 @@ def test_a_dead_child_leaves_no_claim_and_no_half_file(ends: Ends, tmp_path: Pat
     assert [path.name for path in store.iterdir()] == [others.name]
 
 
-def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[list[str]] = []
+def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path, monkeypatch):
+    asked = []
     monkeypatch.setattr(crew, "run_apart", lambda options, **_: asked.append(list(options)) or Ending(len(asked) % 2))
     monkeypatch.chdir(tmp_path)
     places = "dataset.references=[a,b]"
@@ -159,9 +148,7 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path: Path, monkey
 # One cell of a host is timed at a time
 
 
-def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_stands_still(
-    ends: Ends, tmp_path: Path
-) -> None:
+def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_stands_still(ends, tmp_path):
     ticks, words = tmp_path / "ticks", '"$VPRBENCH_ENDING"'
     limit, bound = tmp_path / "limit", '{"bound": true}'
     loop = f"for i in 1 2 3 4 5 6 7 8 9 10; do date +%s%N >> {ticks}; cat {limit} >> {words}; sleep 0.05; done"
@@ -185,11 +172,11 @@ def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_st
     assert 2 <= max(told) < 3
 
 
-def test_a_stopped_cell_is_interrupted_at_once(ends: Ends) -> None:
+def test_a_stopped_cell_is_interrupted_at_once(ends):
     script = """echo '{"bound": true}' > "$VPRBENCH_ENDING"; (sleep 0.5; kill -INT $PPID) & exec sleep 20"""
     began, over = Event(), Event()
 
-    def hold() -> None:
+    def hold():
         time.sleep(0.2)
         with slot.alone():
             began.set()
@@ -205,7 +192,7 @@ def test_a_stopped_cell_is_interrupted_at_once(ends: Ends) -> None:
     assert time.monotonic() - started < 5
 
 
-def test_who_wants_to_be_alone_waits_for_the_others() -> None:
+def test_who_wants_to_be_alone_waits_for_the_others():
     place = slot.Place(1)
     place.enter()
     Timer(0.3, place.leave).start()
@@ -218,7 +205,7 @@ def test_who_wants_to_be_alone_waits_for_the_others() -> None:
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays, monkeypatch):
     monkeypatch.setattr(slot, "_PATIENCE", 0.0)
     place = slot.Place(1)
     with ExitStack() as until_now:
@@ -231,7 +218,7 @@ def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays: bool, monkeypa
         assert not alone()
 
 
-def test_a_cell_that_came_and_went_has_disturbed_and_one_that_was_killed_is_forgotten() -> None:
+def test_a_cell_that_came_and_went_has_disturbed_and_one_that_was_killed_is_forgotten():
     killed = slot.folder() / "running" / "1-0"
     killed.parent.mkdir()
     killed.touch()
@@ -249,7 +236,7 @@ def test_a_cell_that_came_and_went_has_disturbed_and_one_that_was_killed_is_forg
 
 
 @contextmanager
-def held_elsewhere() -> Iterator[psutil.Popen]:
+def held_elsewhere():
     """Let another process have the slot."""
     with psutil.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline()
@@ -258,7 +245,7 @@ def held_elsewhere() -> Iterator[psutil.Popen]:
             process.kill()
 
 
-def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for() -> None:
+def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for():
     with held_elsewhere() as process:
         assert slot.taken()
         process.suspend()
@@ -273,7 +260,7 @@ def test_a_kill_gives_the_slot_back_and_a_stopped_process_is_not_waited_for() ->
             assert alone()
 
 
-def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_cell_of_a_sweep_has_a_gpu_of_its_own(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-a,GPU-b")
     slot._gpus.cache_clear()
     with slot.turn(["device=cpu", "device=cuda"], lambda: False) as first:

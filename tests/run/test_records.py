@@ -1,7 +1,5 @@
 """The store of runs: what is read is what was written, whatever dies, fills up or is changed in between."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib
@@ -12,13 +10,12 @@ import os
 import pickle
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from multiprocessing import forkserver
 from pathlib import Path
-from typing import Any, NoReturn
 
 import little
 import numpy as np
@@ -29,7 +26,7 @@ from little import a_failure, a_run, laps, replace_and_die, save_keys, unanswera
 from vprbench.errors import BadInput
 from vprbench.run import record
 from vprbench.run.note import Note
-from vprbench.run.record import SCHEMA, DamagedRunError, OtherLayoutError, Run, content_key, load
+from vprbench.run.record import SCHEMA, DamagedRunError, OtherLayoutError, content_key, load
 from vprbench.run.store import Store
 
 KEY = "0123456789abcdef"
@@ -37,14 +34,14 @@ Spoil = Callable[[Path], object]
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     store = Store(tmp_path / "results")
     store.prepare()
     return store
 
 
 @pytest.fixture
-def three(store: Store) -> Path:
+def three(store):
     """Store runs under the keys a, b and c; returns the folder of b."""
     for key in ("a", "b", "c"):
         store.save(a_run(key=key))
@@ -52,7 +49,7 @@ def three(store: Store) -> Path:
 
 
 @pytest.fixture(scope="module")
-def processes() -> multiprocessing.context.ForkServerContext:
+def processes():
     """Processes that start in no time, because one that has imported what they call makes them."""
     context = multiprocessing.get_context("forkserver")
     forkserver._forkserver._stop()  # one that other tests have started has imported nothing
@@ -65,21 +62,21 @@ def processes() -> multiprocessing.context.ForkServerContext:
     return context
 
 
-def stored(store: Store, key: str = KEY) -> Run:
+def stored(store, key=KEY):
     run = store.find("journey", "little", key)
     assert run is not None
     return run
 
 
-def keys(store: Store) -> list[str]:
+def keys(store):
     return [run.key for run in store.runs()]
 
 
-def unfinished(store: Store) -> list[str]:
+def unfinished(store):
     return [path.name for path in store.root.iterdir() if path.name.startswith(".partial-")]
 
 
-def flip_a_bit(path: Path, position: int | None = None) -> None:
+def flip_a_bit(path, position=None):
     content = bytearray(path.read_bytes())
     content[len(content) // 2 if position is None else position] ^= 1
     path.write_bytes(content)
@@ -88,7 +85,7 @@ def flip_a_bit(path: Path, position: int | None = None) -> None:
 # Round trip
 
 
-def parts(value: Any) -> Any:
+def parts(value):
     """Return a record as plain parts that are equal only if all bits and types are."""
     if isinstance(value, np.ndarray):
         return str(value.dtype), value.shape, value.tobytes()
@@ -115,7 +112,7 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         replace(unanswerable_run(), scores=None),
     ],
 )
-def test_a_run_comes_back_bit_by_bit_and_without_a_pickle(store: Store, run: Run) -> None:
+def test_a_run_comes_back_bit_by_bit_and_without_a_pickle(store, run):
     folder = store.save(run)
     assert parts(stored(store)) == parts(run)
     for path in folder.iterdir():
@@ -123,7 +120,7 @@ def test_a_run_comes_back_bit_by_bit_and_without_a_pickle(store: Store, run: Run
             pickle.loads(path.read_bytes())
 
 
-def test_a_run_lies_where_the_store_says_under_its_own_key_and_is_replaced_as_a_whole(store: Store) -> None:
+def test_a_run_lies_where_the_store_says_under_its_own_key_and_is_replaced_as_a_whole(store):
     store.save(a_run(n_references=21))
     assert store.save(a_run(n_references=22)) == store.folder("journey", "little", KEY)
     assert store.find("journey", "little", "f" * 16) is None
@@ -134,7 +131,7 @@ def test_a_run_lies_where_the_store_says_under_its_own_key_and_is_replaced_as_a_
 # Damage
 
 
-def sign(folder: Path, summary: Mapping[str, Any]) -> None:
+def sign(folder, summary):
     """Write a summary with the hashes that it needs to be believed."""
     content = {name: value for name, value in summary.items() if name != "content_key"}
     if set(summary["sha256"]) == {"arrays.npz", "scores.npy"}:
@@ -144,22 +141,22 @@ def sign(folder: Path, summary: Mapping[str, Any]) -> None:
     (folder / "run.json").write_text(json.dumps({**content, "content_key": content_key(content)}))
 
 
-def summary_of(folder: Path) -> dict[str, Any]:
+def summary_of(folder):
     return dict(json.loads((folder / "run.json").read_text()))
 
 
-def tell(where: str, value: Any, folder: Path) -> None:
+def tell(where, value, folder):
     """Change a value of a summary, and its hashes with it."""
     summary = summary_of(folder)
     *outer, last = where.split(".")
-    part: Any = summary
+    part = summary
     for name in outer:
         part = part[int(name) if name.isdigit() else name]
     part[last] = value
     sign(folder, summary)
 
 
-def put(name: str, value: Any, folder: Path) -> None:
+def put(name, value, folder):
     """Change an array, or remove it, and its hashes with it."""
     if name == "scores":
         np.save(folder / "scores.npy", value)
@@ -170,26 +167,26 @@ def put(name: str, value: Any, folder: Path) -> None:
     sign(folder, summary_of(folder))
 
 
-def change(name: str, value: Any, folder: Path) -> None:
+def change(name, value, folder):
     (folder / "run.json").write_text(json.dumps({**summary_of(folder), name: value}))
 
 
-def cut(name: str, folder: Path) -> None:
+def cut(name, folder):
     (folder / name).write_bytes((folder / name).read_bytes()[:-40])
 
 
-def instead(make: Callable[[Path], object], folder: Path) -> None:
+def instead(make, folder):
     (folder / "run.json").unlink()
     make(folder / "run.json")
 
 
-def enlarge(folder: Path) -> None:
+def enlarge(folder):
     with (folder / "scores.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": (4, 10**12)})
     sign(folder, summary_of(folder))
 
 
-FILES: list[Spoil] = [
+FILES = [
     *(partial(cut, name) for name in ("run.json", "arrays.npz")),
     *(lambda folder, text=text: (folder / "run.json").write_bytes(text) for text in (b"", b"[]", b"\xff\xfe\0")),
     lambda folder: (folder / "run.json").write_text("[" * 100_000),
@@ -199,7 +196,7 @@ FILES: list[Spoil] = [
     *(partial(instead, make) for make in (os.mkfifo, Path.mkdir)),  # a pipe that nobody writes to, and a folder
     enlarge,
 ]
-VALUES: dict[str, list[Any]] = {
+VALUES = {
     "n_places": [10**12, 0, 21, "10", 10.5, None, True],
     "n_references": [10**12, 1, []],
     "fit_seconds": ["fast", float("nan"), float("inf"), -1.0],
@@ -232,7 +229,7 @@ VALUES: dict[str, list[Any]] = {
     "schema": ["5", 0],
     "sha256": [{}, {"../a/arrays.npz": "0"}],
 }
-ARRAYS: dict[str, list[Any]] = {
+ARRAYS = {
     "best_score": [None, np.full(4, np.nan, np.float32), np.full(4, np.inf), np.zeros(3)],
     "above": [np.full(4, -1), np.full(4, 11), np.zeros(4), np.zeros((4, 1), np.int64)],
     "top_tied_correct": [np.array([1, 1, 0, 2])],
@@ -260,9 +257,7 @@ ARRAYS: dict[str, list[Any]] = {
     ],
     ids=str,
 )
-def test_a_run_that_is_damaged_or_cannot_be_is_named_set_aside_and_hides_no_other(
-    store: Store, three: Path, caplog: pytest.LogCaptureFixture, spoil: Spoil
-) -> None:
+def test_a_run_that_is_damaged_or_cannot_be_is_named_set_aside_and_hides_no_other(store, three, caplog, spoil):
     spoil(three)
     assert keys(store) == ["a", "c"]
     assert store.find("journey", "little", "b") is None
@@ -273,7 +268,7 @@ def test_a_run_that_is_damaged_or_cannot_be_is_named_set_aside_and_hides_no_othe
     assert stored(store, "b").n_references == 22
 
 
-def test_a_record_that_is_signed_anew_is_believed(store: Store, three: Path) -> None:
+def test_a_record_that_is_signed_anew_is_believed(store, three):
     tell("fit_seconds", 9.5, three)
     put("top_scores", np.zeros((4, 2), np.float32), three)
     found = stored(store, "b")
@@ -283,7 +278,7 @@ def test_a_record_that_is_signed_anew_is_believed(store: Store, three: Path) -> 
 @pytest.mark.parametrize(
     "changes", [{"notes": (Note("unheard", "of"),)}, {"method": "a/b"}, {"protocol": {"tolerance_places": "0"}}]
 )
-def test_a_run_that_would_not_be_believed_is_not_stored(store: Store, three: Path, changes: dict[str, Any]) -> None:
+def test_a_run_that_would_not_be_believed_is_not_stored(store, three, changes):
     with pytest.raises(BadInput, match=next(iter(changes))):
         store.save(a_run(key="b", **changes))
     with pytest.raises(ValueError, match="Object arrays"):
@@ -302,9 +297,7 @@ def test_a_run_that_would_not_be_believed_is_not_stored(store: Store, three: Pat
         {"missing": "yes"},
     ],
 )
-def test_a_failure_that_cannot_be_is_left_out_by_name(
-    store: Store, caplog: pytest.LogCaptureFixture, content: Mapping[str, Any]
-) -> None:
+def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog, content):
     whole = store.save_failure(a_failure())
     path = store.save_failure(a_failure(config={"seed": 9})) / "failure.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **content}))
@@ -317,15 +310,15 @@ def test_a_failure_that_cannot_be_is_left_out_by_name(
     ("refused", "number"), [("open", errno.EACCES), ("open", errno.EMFILE), ("iterdir", errno.EACCES)]
 )
 def test_a_run_or_a_dataset_that_the_system_does_not_let_read_stays_where_it_is_and_hides_no_other(
-    store: Store, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, refused: str, number: int
-) -> None:
+    store, monkeypatch, caplog, refused, number
+):
     for name in ("a", "b", "c"):
         store.save(a_run(key=name) if refused == "open" else a_run(dataset=name))
     folder = store.folder("journey", "little", "b") if refused == "open" else store.root / "b"
     there = sorted(store.root.rglob("*"))
     system = getattr(Path, refused)
 
-    def refusing(path: Path, *arguments: Any, **options: Any) -> Any:
+    def refusing(path, *arguments, **options):
         if folder in (path, *path.parents):
             raise OSError(number, os.strerror(number), str(path))
         return system(path, *arguments, **options)
@@ -339,9 +332,7 @@ def test_a_run_or_a_dataset_that_the_system_does_not_let_read_stays_where_it_is_
 
 
 @pytest.mark.parametrize("layout", [SCHEMA - 1, SCHEMA + 1])
-def test_a_run_of_another_layout_is_left_as_it_is_and_named(
-    store: Store, layout: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_of_another_layout_is_left_as_it_is_and_named(store, layout, caplog):
     folder = store.save(a_run())
     change("schema", layout, folder)
     with pytest.raises(OtherLayoutError, match=rf"{layout}.*{SCHEMA}"):
@@ -351,7 +342,7 @@ def test_a_run_of_another_layout_is_left_as_it_is_and_named(
     assert str(folder) in caplog.text
 
 
-def test_a_flipped_bit_anywhere_in_the_summary_never_stops_the_reader(store: Store) -> None:
+def test_a_flipped_bit_anywhere_in_the_summary_never_stops_the_reader(store):
     folder = store.save(a_run())
     whole = (folder / "run.json").read_bytes()
     for position in range(0, len(whole), 31):
@@ -364,7 +355,7 @@ def test_a_flipped_bit_anywhere_in_the_summary_never_stops_the_reader(store: Sto
 # Leftovers and sudden death
 
 
-def touched(path: Path, hours_ago: float) -> None:
+def touched(path, hours_ago):
     """Let a file, or a folder and what is in it, look as if it was written so long ago."""
     for part in (path, *path.rglob("*")):
         os.utime(part, (time.time() - hours_ago * 3600,) * 2)
@@ -380,9 +371,7 @@ def touched(path: Path, hours_ago: float) -> None:
         ("0a1b2c3d", "folder", 25, 1, False),  # a folder is as old as the newest file in it
     ],
 )
-def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(
-    store: Store, owner: str, kind: str, hours: float, newest: float, removed: bool
-) -> None:
+def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, owner, kind, hours, newest, removed):
     path = store.root / f".partial-{owner}"
     if kind == "file":
         path.write_bytes(b"half")
@@ -398,9 +387,7 @@ def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(
     assert len(keys(store)) == (kind == "folder")
 
 
-def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(
-    store: Store, processes: Any
-) -> None:
+def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):
     for step in range(200):
         writer = processes.Process(target=replace_and_die, args=(store.root, step), daemon=True)
         writer.start()
@@ -413,7 +400,7 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
 
 
 @pytest.mark.parametrize("one_key", [False, True])
-def test_several_processes_lose_no_run_and_leave_one_of_a_key(store: Store, processes: Any, one_key: bool) -> None:
+def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes, one_key):
     written = [[KEY if one_key else f"writer{writer}run{number}" for number in range(8)] for writer in range(4)]
     with ProcessPoolExecutor(4, mp_context=processes) as pool:
         assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
@@ -421,13 +408,11 @@ def test_several_processes_lose_no_run_and_leave_one_of_a_key(store: Store, proc
     assert unfinished(store) == []
 
 
-def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_error(store, monkeypatch):
     folder = store.save(a_run(n_references=21))
     rename = Path.rename
 
-    def rename_while_another_replaces(path: Path, target: Path) -> Path:
+    def rename_while_another_replaces(path, target):
         try:
             return rename(path, target)
         except OSError:
@@ -439,13 +424,11 @@ def test_a_run_that_another_process_takes_away_in_the_middle_of_a_save_is_no_err
     assert stored(store).n_references == 22
 
 
-def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(store, monkeypatch):
     store.save(a_run(fit_seconds=1.0, top_places=np.zeros((4, 2), np.int32)))
     digest = record._digest
 
-    def digest_after_another_process_saved(path: Path) -> str:
+    def digest_after_another_process_saved(path):
         monkeypatch.setattr(record, "_digest", digest)
         store.save(a_run(fit_seconds=2.0))
         return digest(path)
@@ -458,14 +441,12 @@ def test_a_run_that_is_replaced_while_it_is_read_is_not_set_aside(
 # Disks
 
 
-def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(store, tmp_path, monkeypatch):
     (tmp_path / "disk").mkdir()
     (store.root / "journey").symlink_to(tmp_path / "disk")
     rename = Path.rename
 
-    def on_one_disk(path: Path, target: Path) -> Path:
+    def on_one_disk(path, target):
         if path.parent.resolve() != target.parent.resolve():
             raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
         return rename(path, target)
@@ -479,7 +460,7 @@ def test_a_run_is_stored_in_a_folder_that_is_linked_to_another_disk(
 
 
 @pytest.mark.parametrize("below", [".", "deeper/still"])
-def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path: Path, below: str) -> None:
+def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path, below):
     (tmp_path / "file").write_text("no folder")
     store = Store(tmp_path / "file" / below)
     for use in (store.prepare, lambda: store.save(a_run())):
@@ -492,9 +473,9 @@ def test_a_results_folder_that_is_no_folder_is_the_users_to_mend(tmp_path: Path,
 )
 @pytest.mark.parametrize(("of", "call"), [(np, "savez_compressed"), (np, "save"), (os, "fsync"), (Path, "mkdir")])
 def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_another(
-    store: Store, monkeypatch: pytest.MonkeyPatch, of: Any, call: str, error: OSError
-) -> None:
-    def refuse(path: Any, *_: Any, **__: Any) -> NoReturn:
+    store, monkeypatch, of, call, error
+):
+    def refuse(path, *_, **__):
         if of is np:
             path.write_bytes(b"half")
         raise error
@@ -513,9 +494,7 @@ def test_a_disk_that_refuses_is_named_and_leaves_the_earlier_run_and_no_part_of_
     assert stored(store).n_references == 21
 
 
-def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_key_depends_on_the_layout_of_the_store_and_not_on_the_order_of_its_ingredients(monkeypatch):
     content = {"method": {"window": 5, "name": "sad"}, "code": "c0de"}
     text = '{"code":"c0de","method":{"name":"sad","window":5},"schema":' + f"{SCHEMA}}}"
     key = content_key(content)

@@ -5,13 +5,10 @@ recall at 1 is 2/4, at 5 3/4, at 10 4/4. Curve A passes (1/4, 1), (1/2, 1), (1/2
 Streaming takes 10 + 2.5 ms: 100, 400 and 80 Hz. A batch of eight takes 40 + 10 ms: 200, 800 and 160 Hz.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +19,7 @@ from vprbench.metrics.block_length import block_length
 from vprbench.metrics.intervals import share_interval
 from vprbench.run import rows
 from vprbench.run.recall_intervals import along_the_journey, recall_interval
-from vprbench.run.record import Failure, Run
+from vprbench.run.record import Failure
 from vprbench.run.rows import numbers, readable_row
 
 ONE, TWO = np.array([1, 1, 1, 0]), np.array([2, 1, 1, 1])
@@ -35,15 +32,15 @@ LEFT = a_run(
 HITS = np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20)
 
 
-def csv_rows(*results: Run | Failure) -> list[dict[str, str]]:
+def csv_rows(*results):
     return list(csv.DictReader(io.StringIO(rows.csv(results))))
 
 
-def streamed(seconds: list[float], matched: list[float]) -> Run:
+def streamed(seconds, matched):
     return a_run(timing=replace(a_run().timing, streaming=laps(seconds, matched)))
 
 
-def run_of(hits: Any, **changes: Any) -> Run:
+def run_of(hits, **changes):
     return stored_runs.run(hits=[*map(int, hits)], n_places=len(hits), **changes)
 
 
@@ -87,14 +84,14 @@ def run_of(hits: Any, **changes: Any) -> Run:
         (run_of([1] * 30), {"recall_at_1_low": 0.88649, "recall_at_1_high": 1.0, "recall_at_1_block": 1}),
     ],
 )
-def test_numbers_are_those_worked_by_hand_in_json_and_csv(run: Run, known: dict[str, Any]) -> None:
+def test_numbers_are_those_worked_by_hand_in_json_and_csv(run, known):
     found = json.loads(json.dumps(numbers(run), allow_nan=False))
     assert {name: found[name] for name in known} == pytest.approx(known, abs=1e-5)
     (line,) = csv_rows(run)
     assert {name: line[name] for name in found} == {name: "" if v is None else str(v) for name, v in found.items()}
 
 
-def test_csv_tells_a_failed_run_from_one_with_numbers() -> None:
+def test_csv_tells_a_failed_run_from_one_with_numbers():
     config = {"overrides": ["method=vprtempo", "method.epochs=9"]}
     ran, loaded, failed = csv_rows(a_run(), LOADED, Failure("vprtempo", "journey", config, "MemoryError: 99 GB"))
     assert (ran["network"], loaded["network"]) == ("", "a" * 64)
@@ -132,13 +129,13 @@ RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
         ),
     ],
 )
-def test_a_row_shows(run: Run, cells: dict[str, str]) -> None:
+def test_a_row_shows(run, cells):
     row = readable_row(run)
     assert {head: row[head] for head in cells} == cells
     assert [*row] == [*readable_row(a_run())]
 
 
-def test_labels_rows_and_protocols_become_text() -> None:
+def test_labels_rows_and_protocols_become_text():
     for overrides, text in (
         (["method=little", "seed=3", "timing.sample=9"], "little"),
         (["method=little", "method.window=5", "method.grey=true"], "little window=5 grey=true"),
@@ -153,7 +150,7 @@ def test_labels_rows_and_protocols_become_text() -> None:
 # Intervals
 
 
-def test_the_interval_says_what_it_is_of() -> None:
+def test_the_interval_says_what_it_is_of():
     for n_queries in (1, 4, 19, 30):
         few = numbers(run_of([1] * n_queries))
         assert few["recall_at_1_interval"] == "independent"
@@ -165,7 +162,7 @@ def test_the_interval_says_what_it_is_of() -> None:
     assert recall_interval([NOWHERE]) is None
 
 
-def test_shuffled_queries_have_the_interval_of_those_in_order_and_several_seeds_that_of_their_mean_hits() -> None:
+def test_shuffled_queries_have_the_interval_of_those_in_order_and_several_seeds_that_of_their_mean_hits():
     order = np.random.default_rng(0).permutation(200)
     mixed = run_of(HITS[order], positives=tuple(np.array([place]) for place in order))
     assert recall_interval([mixed]) == recall_interval([run_of(HITS)]) == share_interval(HITS)
@@ -181,7 +178,7 @@ def test_shuffled_queries_have_the_interval_of_those_in_order_and_several_seeds_
         ([[0], [1], [2]], [7, 3, 5, *range(10, 17)], [1, 2, 0]),  # along the journey, not in the order of the map
     ],
 )
-def test_queries_stand_in_the_order_of_the_journey(places: list[list[int]], numbers: Any, order: list[int]) -> None:
+def test_queries_stand_in_the_order_of_the_journey(places, numbers, order):
     shown = stored_runs.run(hits=[1] * len(places), positives=tuple(np.array(each, np.int64) for each in places))
     shown = replace(shown, place_numbers=None if numbers is None else np.array(numbers))
     assert along_the_journey(shown).tolist() == order

@@ -1,17 +1,13 @@
 """The key of a run and the hash of its code: what can change a run changes them, and nothing else does."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import json
 import linecache
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +16,6 @@ from little import Lookup, journey, pictures
 from little_runs import QUICK, asked_for, run_of
 from small_plan import RUN
 
-from vprbench.api.dataset import Dataset
 from vprbench.cli import main
 from vprbench.methods.hog import HOG
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
@@ -30,7 +25,6 @@ from vprbench.run import harness, machine, sources
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.loose_code import UntoldError
-from vprbench.run.stopwatch import Protocol
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -38,7 +32,7 @@ DECIDED = Path(__file__).with_name("harness.json")
 METHOD = Lookup(np.ones((6, 4), np.float32))
 
 
-def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int = 1, **changes: Any) -> str:
+def key(dataset=None, protocol=QUICK, threads=1, **changes):
     dataset = dataset or journey(6, 4)
     asked = asked_for(METHOD, dataset, protocol, threads, **changes)
     return replace(asked, fingerprint=fingerprint(dataset)).key()
@@ -66,13 +60,11 @@ def key(dataset: Dataset | None = None, protocol: Protocol = QUICK, threads: int
         ),
     ],
 )
-def test_a_run_that_could_end_otherwise_has_another_key(changes: dict[str, Any]) -> None:
+def test_a_run_that_could_end_otherwise_has_another_key(changes):
     assert key(**changes) != key()
 
 
-def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_of_the_network(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_of_the_network(monkeypatch):
     files = [Files(sha256=network) for network in (None, "a" * 64, "b" * 64, None)]
     keys = [asked_for(METHOD, journey(6, 4), files=given).key() for given in files]
     assert (len(set(keys)), keys[0]) == (3, keys[3])
@@ -92,11 +84,11 @@ def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_o
     ],
     ids=str,
 )
-def test_what_cannot_change_a_run_does_not_change_its_key(changes: dict[str, Any]) -> None:
+def test_what_cannot_change_a_run_does_not_change_its_key(changes):
     assert key(**changes) == key()
 
 
-def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
+def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol():
     run = run_of(METHOD, journey(6, 4))
     assert run.config["code"] == code_hash(type(METHOD))
     assert run.config["timing"] == {
@@ -105,9 +97,7 @@ def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol() -> None:
     }
 
 
-def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_without_a_decision(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_without_a_decision(monkeypatch):
     decided = json.loads(DECIDED.read_text())
     files = [Path(inspect.getfile(importlib.import_module(name))) for name in harness.MODULES]
     now = {"version": harness.VERSION, "meaning": sources.meaning(files)}
@@ -124,7 +114,7 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def package(tmp_path, monkeypatch):
     """An empty package named meadow."""
     folder = tmp_path / "meadow"
     (folder / "inner").mkdir(parents=True)
@@ -133,14 +123,14 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     forget()
 
 
-def forget() -> None:
+def forget():
     """Let the package be imported anew."""
     for name in [name for name in sys.modules if name.partition(".")[0] == "meadow"]:
         del sys.modules[name]
     importlib.invalidate_caches()
 
 
-def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_no_other(package: Path) -> None:
+def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_no_other(package):
     files = {
         "__init__": "",
         "method": "import numpy\nfrom vprbench.api.resize import Resize\n"
@@ -162,9 +152,7 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
 
 
 @pytest.fixture
-def from_store(
-    package: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., bool]:
+def from_store(package, monkeypatch, capsys):
     """Return what changes a text in the package's copy of SAD and tells whether its stored run is found then."""
     text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
     (package / "sad.py").write_text(text)
@@ -175,7 +163,7 @@ def from_store(
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "meadow": package})
     monkeypatch.chdir(package.parent)
 
-    def found(file: str = "sad.py", old: str = "", new: str = "") -> bool:
+    def found(file="sad.py", old="", new=""):
         text = (package / file).read_text()
         assert old in text
         (package / file).write_text(text.replace(old, new))
@@ -188,8 +176,8 @@ def from_store(
 
 
 def test_the_run_of_a_real_method_is_found_after_an_edited_docstring_and_a_moved_file_and_not_after_another_number(
-    package: Path, from_store: Callable[..., bool]
-) -> None:
+    package, from_store
+):
     assert not from_store()
     assert from_store("sad.py", '"""Scores a place by minus the', '"""Scores a place by less the')
     (package / "sad.py").rename(package / "inner" / "moved.py")
@@ -235,10 +223,8 @@ class Method:
         ("thing +", "thing -", True),
     ],
 )
-def test_values_and_statements_count_and_words_layout_and_place_of_code_do_not(
-    tmp_path: Path, old: str, new: str, counts: bool
-) -> None:
-    def meaning(text: str) -> str:
+def test_values_and_statements_count_and_words_layout_and_place_of_code_do_not(tmp_path, old, new, counts):
+    def meaning(text):
         (tmp_path / "code.py").write_text(text)
         return sources.meaning([tmp_path / "code.py"])
 
@@ -275,7 +261,7 @@ class Mine(Base):
 '''
 
 
-def session(monkeypatch: pytest.MonkeyPatch, text: str, known: bool = True, **values: Any) -> type[Any]:
+def session(monkeypatch, text, known=True, **values):
     """Run a text as the cell of a notebook and return the class Mine that it defines."""
     main = ModuleType("__main__")
     monkeypatch.setitem(sys.modules, "__main__", main)
@@ -284,7 +270,7 @@ def session(monkeypatch: pytest.MonkeyPatch, text: str, known: bool = True, **va
         monkeypatch.setitem(linecache.cache, name, (len(text), None, text.splitlines(keepends=True), name))
     vars(main).update(values)
     exec(compile(text, name, "exec"), vars(main))
-    return main.Mine  # type: ignore[no-any-return]
+    return main.Mine
 
 
 @pytest.mark.parametrize(
@@ -303,15 +289,13 @@ def session(monkeypatch: pytest.MonkeyPatch, text: str, known: bool = True, **va
         ("    def match", "    # the rest\n\n    def match", False),
     ],
 )
-def test_of_a_notebook_what_a_class_and_all_that_it_names_says_counts_and_nothing_else(
-    monkeypatch: pytest.MonkeyPatch, old: str, new: str, counts: bool
-) -> None:
+def test_of_a_notebook_what_a_class_and_all_that_it_names_says_counts_and_nothing_else(monkeypatch, old, new, counts):
     assert old in CELLS
     before = sources.source_hash(session(monkeypatch, CELLS))
     assert (sources.source_hash(session(monkeypatch, CELLS.replace(old, new))) != before) == counts
 
 
-def test_a_class_without_source_or_with_a_network_behind_it_cannot_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_class_without_source_or_with_a_network_behind_it_cannot_be_told(monkeypatch):
     with pytest.raises(UntoldError, match="Mine"):
         sources.source_hash(unknown := session(monkeypatch, CELLS, known=False))
     assert code_hash(unknown) != code_hash(unknown)

@@ -1,13 +1,8 @@
 """What a run records of a method's answers and of its search, and what it gives the method."""
 
-from __future__ import annotations
-
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,19 +10,16 @@ import pytest
 from little import Lookup, journey, number_in, picture
 from little_runs import QUICK, asked_for, kinds, run_of, table
 
-from vprbench.api.arrays import Places, Scores
+from vprbench.api.arrays import Scores
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.hamming import packed
 from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
-from vprbench.api.search import Audit
-from vprbench.api.search_indexes import Kind
 from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
 from vprbench.run import answers, rows, runner
-from vprbench.run.record import Run
 from vprbench.run.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -37,9 +29,7 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 
 
 @pytest.mark.parametrize("levels", [5, 100_000], ids=["many ties", "few ties"])
-def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole_matrix(
-    levels: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole_matrix(levels, monkeypatch):
     scores = table(300, 40, levels)
     dataset = journey(300, 40, [list(range(i % 4)) for i in range(300)])  # every fourth query has no right place
     whole = outcome(scores, dataset.positives)
@@ -56,7 +46,7 @@ def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole
             assert run.top_places[:, 0].tolist() == scores.argmax(axis=1).tolist()
 
 
-def test_large_codes_are_scored_in_smaller_blocks() -> None:
+def test_large_codes_are_scored_in_smaller_blocks():
     class Large(Lookup):
         code_bytes = 200 << 20  # five are less than 1 GiB
 
@@ -75,9 +65,7 @@ def test_large_codes_are_scored_in_smaller_blocks() -> None:
     ],
 )
 @pytest.mark.parametrize("kind", [np.uint8, np.float64])
-def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(
-    scores: list[int], depth: int, best: list[int], kind: type[np.generic]
-) -> None:
+def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(scores, depth, best, kind):
     run = run_of(Lookup(np.array([scores], kind)), journey(1, len(scores)), depth=depth)
     assert run.top_places.tolist() == [best]
     assert run.top_scores.tolist() == [[scores[place] for place in best]]
@@ -86,9 +74,7 @@ def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(
 
 
 @pytest.mark.parametrize(("limit", "kept"), [(1200, True), (1199, False)])
-def test_a_small_matrix_is_kept_whole_and_no_larger_one(
-    monkeypatch: pytest.MonkeyPatch, limit: int, kept: bool
-) -> None:
+def test_a_small_matrix_is_kept_whole_and_no_larger_one(monkeypatch, limit, kept):
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", limit)
     scores = table(300, 4)
     run = run_of(Lookup(scores), journey(300, 4))
@@ -107,9 +93,9 @@ def test_a_small_matrix_is_kept_whole_and_no_larger_one(
     ],
     ids=["place missing", "one dimension", "three", "query missing", "query too many"],
 )
-def test_scores_of_a_wrong_shape_are_refused_with_the_shape_wanted(spoil: Callable[[Scores], Scores]) -> None:
+def test_scores_of_a_wrong_shape_are_refused_with_the_shape_wanted(spoil):
     class Spoilt(Lookup):
-        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        def match(self, codes):
             return spoil(self.table[codes])
 
     with pytest.raises(BadInput, match=r"shape.*4\b"):
@@ -117,7 +103,7 @@ def test_scores_of_a_wrong_shape_are_refused_with_the_shape_wanted(spoil: Callab
 
 
 @pytest.mark.parametrize(("value", "name", "query"), [(np.nan, "NaN", 2), (np.inf, r"\+inf", 200)])
-def test_scores_that_cannot_be_ranked_are_refused_by_name_and_query(value: float, name: str, query: int) -> None:
+def test_scores_that_cannot_be_ranked_are_refused_by_name_and_query(value, name, query):
     scores = table(300, 4)
     scores[query, 3] = value
     with pytest.raises(BadInput, match=rf"{name}.*query {query}\b"):
@@ -131,19 +117,19 @@ class Reusing(Lookup):
     codes: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(1000, np.int64))
     answer: Scores = field(default_factory=lambda: np.empty((1000, 4), np.float32))
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         self.codes[: len(images)] = super().encode(images)
         return self.codes[: len(images)]
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         self.answer[: len(codes)] = super().match(codes)
         return self.answer[: len(codes)]
 
-    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+    def spikes(self, codes):
         return [LayerSpikes("input", codes[:, None])]
 
 
-def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave() -> None:
+def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave():
     scores = table(300, 4)
     run = run_of(Reusing(scores), journey(300, 4))
     assert run.scores is not None
@@ -162,20 +148,20 @@ class Reading(DescriptorMethod):
 
     names: list[str] = field(default_factory=list)
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         if self.searched is not None:
             self.names += images.names
         return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
 
-    def keeps_descriptors(self) -> bool:
+    def keeps_descriptors(self):
         return True
 
-    def spikes(self, codes: npt.NDArray[Any]) -> list[LayerSpikes]:
+    def spikes(self, codes):
         return [LayerSpikes("input", codes)]
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
+def test_no_query_is_given_under_its_name(tmp_path, cached):
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
     method, dataset = Reading(), replace(journey(6, 4), queries=named)
     runner.run(asked_for(method, dataset, cache=tmp_path if cached else None), "key")
@@ -183,11 +169,11 @@ def test_no_query_is_given_under_its_name(tmp_path: Path, cached: bool) -> None:
     assert all(name.startswith("image ") for name in method.names)
 
 
-def test_fit_sees_every_reference_and_its_place_which_cannot_be_written() -> None:
-    seen: list[tuple[list[int], list[int]]] = []
+def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
+    seen = []
 
     class Writing(Lookup):
-        def fit(self, references: Images, places: Places) -> Self:
+        def fit(self, references, places):
             seen.append(([number_in(image) for image in references], places.tolist()))
             places[0] = 1
             return self
@@ -202,18 +188,18 @@ def test_fit_sees_every_reference_and_its_place_which_cannot_be_written() -> Non
 # Places that are no candidates, and the search of descriptors
 
 
-def with_few_candidates() -> Scores:
+def with_few_candidates():
     """Return scores under which of each ten places one is a candidate."""
     scores = table(12, 40, 100_000)
     scores[:, np.arange(40) % 10 != 3] = -np.inf
     return scores
 
 
-def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_audited() -> None:
+def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_audited():
     class Turned(Lookup):
         """Names the worst candidate where it is asked for a single image."""
 
-        def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+        def match(self, codes):
             scores = self.table[codes]
             return np.where(np.isfinite(scores), -scores, scores) if len(codes) == 1 else scores
 
@@ -226,7 +212,7 @@ def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_a
     assert "audit" in kinds(run_of(Turned(with_few_candidates()), journey(12, 40), depth=6))
 
 
-def test_without_any_candidate_a_run_passes_the_audit_gives_plain_numbers_and_is_stored(tmp_path: Path) -> None:
+def test_without_any_candidate_a_run_passes_the_audit_gives_plain_numbers_and_is_stored(tmp_path):
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
     assert "audit" not in kinds(run)
     json.dumps(rows.numbers(run), allow_nan=False)
@@ -243,21 +229,21 @@ class Angles(DescriptorMethod):
 
     shown: list[int] = field(default_factory=list, init=False)
 
-    def encode(self, images: Images) -> npt.NDArray[np.float32]:
+    def encode(self, images):
         self.shown.append(len(images))
         numbers = np.array([number_in(image) for image in images])
         vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
 
 
-def searching(index: Kind, **arguments: Any) -> tuple[Run, dict[str, Any], list[str]]:
+def searching(index, **arguments):
     """Return a run over 300 places, what it records of its search, and its notes on that."""
     run = run_of(Angles(index=index, **arguments), journey(300, 300))
     assert run.search is not None
     return run, dict(run.search), [note.text for note in run.notes if note.kind == "index"]
 
 
-def test_a_run_records_how_good_its_index_is_and_says_what_that_misses() -> None:
+def test_a_run_records_how_good_its_index_is_and_says_what_that_misses():
     run, found, _ = searching("hnsw", neighbours=20)
     assert found["index"] == "hnsw"
     assert 0.9 < found["recall_at_1"] <= 1
@@ -271,7 +257,7 @@ def test_a_run_records_how_good_its_index_is_and_says_what_that_misses() -> None
     )
 
 
-def test_what_is_compared_again_and_how_long_an_index_took_is_recorded_and_said() -> None:
+def test_what_is_compared_again_and_how_long_an_index_took_is_recorded_and_said():
     run, found, (note,) = searching("binary", rerank=40)
     assert (found["rerank"], found["bytes_per_place"]) == (40, 8)  # 16 bits in a word
     assert 0 < found["build_seconds"] < 60
@@ -279,16 +265,16 @@ def test_what_is_compared_again_and_how_long_an_index_took_is_recorded_and_said(
     assert note.startswith("index binary, the best 40 ")
 
 
-def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_match_of_its_own_records_none() -> None:
+def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_match_of_its_own_records_none():
     class OwnWay(Angles):
-        def fit(self, references: Images, places: Places) -> Self:
+        def fit(self, references, places):
             return self
 
-        def match(self, codes: npt.NDArray[np.float32]) -> Scores:
+        def match(self, codes):
             return codes[:, :4]
 
     class Signs(BinaryMethod):
-        def encode(self, images: Images) -> npt.NDArray[np.uint64]:
+        def encode(self, images):
             return packed(np.stack([np.resize(image > 127, 100) for image in images]))
 
     assert [run_of(method, journey(6, 4)).search for method in (OwnWay(), Lookup(table(6, 4)))] == [None, None]
@@ -305,16 +291,16 @@ def test_exact_search_goes_without_saying_codes_of_bits_tell_their_bytes_and_a_m
     [(3, 64, 3), (700, 64, 256), (30, 200 << 20, 5)],  # five codes of 200 MB are less than 1 GiB
 )
 def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
-    n_queries: int, code_bytes: int, n_audited: int, kept: bool, tmp_path: Path
-) -> None:
-    seen: list[npt.NDArray[np.float32]] = []
+    n_queries, code_bytes, n_audited, kept, tmp_path
+):
+    seen = []
 
     class Watched(Angles):
-        def audit(self, codes: npt.NDArray[np.float32]) -> Audit:
+        def audit(self, codes):
             seen.append(codes)
             return super().audit(codes)
 
-        def keeps_descriptors(self) -> bool:
+        def keeps_descriptors(self):
             return kept
 
     Watched.code_bytes = code_bytes
@@ -329,7 +315,7 @@ def test_an_index_is_compared_on_up_to_256_queries_from_the_first_to_the_last(
     assert np.ptp(np.diff(spread)) <= 1
 
 
-def test_an_audit_shows_the_method_no_image_again() -> None:
+def test_an_audit_shows_the_method_no_image_again():
     quick = replace(QUICK, warmup_queries=1, minimum_queries=1, batch_sizes=[1])
     methods = [Angles(index="exact"), Angles(index="hnsw")]
     for method in methods:

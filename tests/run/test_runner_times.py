@@ -1,24 +1,15 @@
 """What a run calls the time of fitting, of the method and of the harness, and what it notes on its numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from itertools import chain, repeat
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in, slow_pictures
 from little_runs import QUICK, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import ending, progress
-from vprbench.api.arrays import Places, Scores
-from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
 from vprbench.run import rows, slot
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -30,29 +21,29 @@ class Learning(Lookup):
 
     clock: Clock = field(kw_only=True)
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         list(references)
         self.clock.spend(0.06)
         return self
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         self.clock.spend(0.005 * len(images))
         return super().encode(images)
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         self.clock.spend(0.001 * len(codes))
         return super().match(codes)
 
 
-def slow_journey(clock: Clock) -> Dataset:
+def slow_journey(clock):
     """Return a dataset whose eight references take 160 ms to read, and its eight queries as long."""
     references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
     return replace(journey(8, 8), references=references, queries=queries)
 
 
 def test_the_time_of_the_fit_of_computing_of_the_method_and_of_the_harness_are_told_apart(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace
-) -> None:
+    clock, monkeypatch, surroundings
+):
     monkeypatch.setattr(surroundings, "capture", lambda *_: clock.spend(7) or {})  # a look at the machine takes 7 s
     dataset = slow_journey(clock)
     for i in range(8):
@@ -71,7 +62,7 @@ class Late(Learning):
 
     learnt: bool = False
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         if not self.learnt:
             self.clock.spend(0.6)
             self.learnt = True
@@ -79,9 +70,7 @@ class Late(Learning):
 
 
 @pytest.mark.parametrize(("kind", "excess"), [(Learning, 0), (Late, 0.6)])
-def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
-    clock: Clock, kind: type[Learning], excess: float
-) -> None:
+def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(clock, kind, excess):
     run = run_of(kind(table(8, 8), clock=clock), slow_journey(clock))
     shown = rows.numbers(run)
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
@@ -93,7 +82,7 @@ def test_work_that_is_left_to_the_first_query_is_seen_and_counts_as_training(
     assert run.harness_seconds == pytest.approx(0)
 
 
-def test_timing_takes_its_order_from_the_seed_of_the_run() -> None:
+def test_timing_takes_its_order_from_the_seed_of_the_run():
     orders = []
     for seed in (0, 0, 1):
         method = Lookup(table(12, 4))
@@ -102,19 +91,19 @@ def test_timing_takes_its_order_from_the_seed_of_the_run() -> None:
     assert orders[0] == orders[1] != orders[2]
 
 
-def test_every_stage_is_reported_and_a_share_rises_to_one_with_the_queries() -> None:
-    told: list[tuple[str, float]] = []
+def test_every_stage_is_reported_and_a_share_rises_to_one_with_the_queries():
+    told = []
     with progress.listening(lambda stage, done: told.append((stage, done))):
         run_of(Lookup(table(300, 4)), journey(300, 4))
     assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
     assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
 
 
-def test_a_stop_is_no_part_of_what_a_run_measures(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_no_part_of_what_a_run_measures(clock, monkeypatch):
     stops = 0.0
 
     class Stopped(Lookup):
-        def fit(self, references: Images, places: Places) -> Self:
+        def fit(self, references, places):
             nonlocal stops
             clock.spend(7)
             stops += 5
@@ -138,10 +127,10 @@ class Caching(Lookup):
     known: float = 0.001
     cache: dict[bytes, int] = field(default_factory=dict)
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         return np.array([self._number(image) for image in images])
 
-    def _number(self, image: npt.NDArray[np.uint8]) -> int:
+    def _number(self, image):
         self.clock.spend(self.known)
         pixels = image.tobytes()
         if pixels not in self.cache:
@@ -156,15 +145,13 @@ class Caching(Lookup):
     ("remembered", "known", "said"),  # MLPerf's TEST04, as the timing rules have it: at most 10 % of 5 ms
     [(1, 0.001, "in 20 %"), (1000, 0.001, "in 20 %"), (1, 0.0044, "in 88 %"), (1, 0.0046, "")],
 )
-def test_a_method_that_is_more_than_a_tenth_faster_on_known_images_is_said_to_cache(
-    clock: Clock, remembered: int, known: float, said: str
-) -> None:
+def test_a_method_that_is_more_than_a_tenth_faster_on_known_images_is_said_to_cache(clock, remembered, known, said):
     run = run_of(Caching(table(12, 4), clock=clock, remembered=remembered, known=known), journey(12, 4))
     notes = [note.text for note in run.notes if note.kind == "caching"]
     assert (len(notes), said in "".join(notes)) == (bool(said), True)
 
 
-def test_rates_are_called_invalid_without_their_minima_alone(clock: Clock) -> None:
+def test_rates_are_called_invalid_without_their_minima_alone(clock):
     protocol = replace(QUICK, minimum_queries=3000, maximum_seconds=0.005)
     method = Learning(table(12, 4), clock=clock)
     assert "invalid" in kinds(run_of(method, journey(12, 4), protocol))
@@ -174,7 +161,7 @@ def test_rates_are_called_invalid_without_their_minima_alone(clock: Clock) -> No
 class BatchDependent(Lookup):
     """Answers with the next place when it is asked for a single image."""
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         scores = self.table[codes]
         return np.roll(scores, 1, axis=1) if len(codes) == 1 else scores
 
@@ -182,7 +169,7 @@ class BatchDependent(Lookup):
 class Lazy(Lookup):
     """Answers nothing once all queries were scored."""
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         scored = sum(map(len, self.asked)) <= 1 + len(self.table)  # the first query is asked before
         return self.table[codes] if scored else np.ones((len(codes), self.table.shape[1]), np.float32)
 
@@ -190,14 +177,14 @@ class Lazy(Lookup):
 class Unreliable(Lookup):
     """Answers one timed query in sixteen otherwise."""
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         return -self.table[codes] if codes.tolist() == [299] else self.table[codes]
 
 
 class Rounding(Lookup):
     """Has another last digit in a batch."""
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         scores = self.table[codes].copy()
         scores[:, len(codes) % 2] *= 1 + 1e-6
         return scores
@@ -214,7 +201,7 @@ class Rounding(Lookup):
         (Rounding(np.ones((12, 3), np.float32)), False),
     ],
 )
-def test_a_method_that_answers_otherwise_when_it_is_timed_fails_the_audit(method: Lookup, fails: bool) -> None:
+def test_a_method_that_answers_otherwise_when_it_is_timed_fails_the_audit(method, fails):
     assert ("audit" in kinds(run_of(method, journey(*method.table.shape)))) is fails
 
 
@@ -226,17 +213,15 @@ def test_a_method_that_answers_otherwise_when_it_is_timed_fails_the_audit(method
     ],
 )
 def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_drifts_by_more_than_five_percent(
-    monkeypatch: pytest.MonkeyPatch, surroundings: SimpleNamespace, pressure: Any, after: float, noisy: bool
-) -> None:
+    monkeypatch, surroundings, pressure, after, noisy
+):
     canaries = chain([1.0], repeat(after))
     monkeypatch.setattr(surroundings, "cpu_pressure", lambda: pressure)
     monkeypatch.setattr(surroundings, "canary_seconds", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy
 
 
-def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_beside_others_says_so_of_its_fit_and_of_its_rates(tmp_path, monkeypatch):
     monkeypatch.setenv(slot.FOLDER, str(tmp_path))
     monkeypatch.setattr(slot, "_PATIENCE", 0.0)
     alone = run_of(Lookup(table(12, 4)), journey(12, 4))

@@ -1,10 +1,7 @@
 """Sequences and filters as views: a run in, a run out, and options in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.run import answers
 from vprbench.run.find_or_make import find_or_make
 from vprbench.run.recall_intervals import recall_interval
-from vprbench.run.record import Run
 from vprbench.run.sequences import NoScoresError, filtered, in_sequences, suffix, views
 from vprbench.run.settings import checked_settings
 from vprbench.run.store import Store
@@ -28,7 +24,7 @@ NORDLAND = SHARED / "data" / "nordland_64x32"
 N = 40
 
 
-def aligned(n: int = N, **changes: Any) -> Run:
+def aligned(n=N, **changes):
     """A run whose query i shows place i, with noise that a single score hardly exceeds."""
     scores = np.random.default_rng(0).normal(size=(n, n)).astype(np.float32) + 1.5 * np.eye(n, dtype=np.float32)
     positives = changes.pop("positives", tuple(np.array([place]) for place in range(n)))
@@ -37,25 +33,23 @@ def aligned(n: int = N, **changes: Any) -> Run:
     return a_run(**{**known, "outcome": outcome(scores, positives), **changes})
 
 
-def mean_hits(run: Run) -> float:
+def mean_hits(run):
     return float((run.outcome.above == 0).mean())
 
 
-def test_a_sequence_of_one_answers_as_the_run_itself_and_longer_ones_for_the_query_at_the_end_or_in_the_middle() -> (
-    None
-):
+def test_a_sequence_of_one_answers_as_the_run_itself_and_longer_ones_for_the_query_at_the_end_or_in_the_middle():
     run = aligned()
     view = in_sequences(run, Sequences(1))
     assert np.array_equal(view.top_places, run.top_places)
     assert np.array_equal(view.outcome.above, run.outcome.above)
     assert view.protocol == {**run.protocol, "sequence": "1 causal"}
     for window in ("causal", "centred"):
-        view = in_sequences(run, Sequences(8, window))  # type: ignore[arg-type]
+        view = in_sequences(run, Sequences(8, window))
         assert mean_hits(view) > 0.9 > 0.5 > mean_hits(run)
         assert all(right[0] == query for query, right in zip(queries_shown(view), view.positives, strict=True))
 
 
-def as_lens_scores(scores: Any, positives: Any, length: int) -> float:
+def as_lens_scores(scores, positives, length):
     """LENS, step by step: sums along the diagonal, zeros around them, 3 places to either side, queries with a match."""
     padded = np.zeros_like(scores)
     for query in range(N - length + 1):
@@ -68,10 +62,10 @@ def as_lens_scores(scores: Any, positives: Any, length: int) -> float:
 
 
 @pytest.mark.parametrize("length", [1, 4, 5])
-def test_the_protocol_of_lens_counts_as_its_code_counts(length: int) -> None:
+def test_the_protocol_of_lens_counts_as_its_code_counts(length):
     positives = tuple(np.array([] if query % 9 == 4 else [max(0, query - 1)], np.int64) for query in range(N))
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([20]), positives=positives)
-    scores = (run.scores - run.scores.min() + 1).astype(np.float32)  # type: ignore[operator, union-attr]
+    scores = (run.scores - run.scores.min() + 1).astype(np.float32)
     run = replace(run, scores=scores, outcome=outcome(scores, positives))
     (view,) = (seen(run) for seen in views({"length": length, "window": "lens"}))
     assert mean_hits(view) == pytest.approx(as_lens_scores(scores, positives, length))
@@ -82,7 +76,7 @@ def test_the_protocol_of_lens_counts_as_its_code_counts(length: int) -> None:
     assert len(view.outcome) == sum(len(places) > 0 for places in positives)
 
 
-def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is() -> None:
+def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is():
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([10]))
     left_out, shortened = in_sequences(run, Sequences(4)), in_sequences(run, Sequences(4, incomplete="shortened"))
     wanted = [*range(3, 10), *range(13, N)]
@@ -101,7 +95,7 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
         in_sequences(aligned(scores=None), Sequences(2))
 
 
-def test_an_older_run_breaks_where_its_map_lacks_places_and_a_restricted_one_where_queries_lack() -> None:
+def test_an_older_run_breaks_where_its_map_lacks_places_and_a_restricted_one_where_queries_lack():
     numbers = np.array([*range(0, 40, 2), *range(50, 90, 2)])
     view = in_sequences(aligned(place_numbers=numbers), Sequences(2))
     assert view.scores is not None
@@ -110,7 +104,7 @@ def test_an_older_run_breaks_where_its_map_lacks_places_and_a_restricted_one_whe
     assert queries_shown(in_sequences(some, Sequences(3))).tolist() == [5, 11]
 
 
-def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window() -> None:
+def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_than_a_window():
     view = filtered(aligned(), Filter())
     assert mean_hits(view) > 0.7 > 0.5 > mean_hits(aligned())
     assert (len(view.outcome), view.protocol["filter"]) == (N, "topological, moves 0 to 2, ratio 5")
@@ -121,7 +115,7 @@ def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_tha
     assert interval.block >= 12
 
 
-def test_a_view_is_never_stored_and_gaps_are(tmp_path: Path) -> None:
+def test_a_view_is_never_stored_and_gaps_are(tmp_path):
     run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
     store = Store(tmp_path)
     store.prepare()
@@ -134,14 +128,12 @@ def test_a_view_is_never_stored_and_gaps_are(tmp_path: Path) -> None:
     assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
 
 
-def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)
     monkeypatch.chdir(tmp_path)
     options = ["dataset.places=12", "dataset.query_places=6", "timing=none", "threads=1", "frames=false", "cache=false"]
 
-    def made(*more: str) -> int:
+    def made(*more):
         return main(["method=sad", "dataset=synthetic", *options, *more])
 
     assert made("sequence=2", "seed=1") == 0
@@ -175,10 +167,8 @@ def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(
         (None, {"back": -2, "ahead": 10}, [Filter(-2, 10)], "-filter-back-2-ahead10"),
     ],
 )
-def test_options_in_words_and_the_names_of_their_files(
-    sequence: Any, filter: Any, wanted: list[Any], name: str
-) -> None:
-    assert [view.keywords["asked"] for view in views(sequence, filter)] == wanted  # type: ignore[attr-defined]
+def test_options_in_words_and_the_names_of_their_files(sequence, filter, wanted, name):
+    assert [view.keywords["asked"] for view in views(sequence, filter)] == wanted
     assert suffix(views(sequence, filter)) == name
 
 
@@ -198,13 +188,13 @@ def test_options_in_words_and_the_names_of_their_files(
         (None, {"back": 3}, "back=3"),
     ],
 )
-def test_options_that_do_not_fit_are_named(sequence: Any, filter: Any, word: str) -> None:
+def test_options_that_do_not_fit_are_named(sequence, filter, word):
     with pytest.raises(BadInput, match=word):
         views(sequence, filter)
 
 
 @pytest.mark.skipif(not NORDLAND.is_dir(), reason=f"the real frames are not in {NORDLAND}")
-def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path: Path) -> None:
+def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path):
     """R@1 of queries with a full window, along the list as it is, by another program on the same frames."""
     from vprbench.run.compose import composed_in_python
 

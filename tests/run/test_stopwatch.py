@@ -1,30 +1,24 @@
 """The stopwatch against a fake clock, a fake device and methods whose times are known."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import numbers_in, pictures
 from PIL import Image as PillowImage
 from stopped_clock import Clock
 
-from vprbench.api.arrays import Places, Scores
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
 from vprbench.run import stopwatch
 from vprbench.run.rates import best_batch, offline_rate, percentile_bound, streaming_rate
-from vprbench.run.stopwatch import Protocol, Stopwatch, Timing
+from vprbench.run.stopwatch import Protocol, Stopwatch
 
 MS = 1_000_000  # nanoseconds
 Costs = Callable[[list[int]], int]  # from the numbers of the images to nanoseconds
@@ -39,57 +33,51 @@ class Timed(Method):
     match_costs: Costs = lambda _: 0
     asked: list[list[int]] = field(default_factory=list)
 
-    def fit(self, references: Images, places: Places) -> Self:
+    def fit(self, references, places):
         return self
 
-    def encode(self, images: Images) -> npt.NDArray[np.int64]:
+    def encode(self, images):
         numbers = numbers_in(images)
         self.asked.append(numbers)
         self.spend(self.encode_costs(numbers))
         return np.array(numbers)
 
-    def match(self, codes: npt.NDArray[np.int64]) -> Scores:
+    def match(self, codes):
         self.spend(self.match_costs(codes.tolist()))
         return (codes[:, None] == np.arange(12)).astype(np.float32)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _imports_are_no_garbage() -> Iterator[None]:
+def _imports_are_no_garbage():
     """Keep the collection before each measurement short."""
     gc.freeze()
     yield
     gc.unfreeze()
 
 
-def short(**changes: Any) -> Protocol:
+def short(**changes):
     """Return a protocol without warm-up and with a single pass."""
-    small: dict[str, Any] = {"minimum_seconds": 0, "minimum_queries": 1, "warmup_queries": 0, "batch_sizes": [1]}
+    small = {"minimum_seconds": 0, "minimum_queries": 1, "warmup_queries": 0, "batch_sizes": [1]}
     return Protocol(**{**small, **changes})
 
 
-def measured(
-    protocol: Protocol,
-    encode_costs: Costs = lambda _: 3 * MS,
-    match_costs: Costs = lambda _: 1 * MS,
-    images: int = 5,
-    seed: int = 0,
-) -> tuple[Timing, list[list[int]]]:
+def measured(protocol, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS, images=5, seed=0):
     """Measure a method that moves a fake clock by its costs; returns the times and what was asked."""
     clock = Clock()
     method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), encode_costs, match_costs)
     return Stopwatch(protocol, clock, seed=seed).measure(method, pictures(range(images))), method.asked
 
 
-def streamed(timing: Timing, asked: list[list[int]]) -> list[int]:
+def streamed(timing, asked):
     """Return the single images asked in the streaming laps of a measurement without warm-up."""
     return [number for (number,) in asked[: len(timing.streaming.encode_seconds)]]
 
 
-def sizes(timing: Timing) -> list[int]:
+def sizes(timing):
     return [laps.images_per_call for laps in timing.offline]
 
 
-def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_best_batch_of_the_highest_rate() -> None:
+def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_best_batch_of_the_highest_rate():
     assert streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
     assert offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
     costs = {1: 10, 2: 12, 4: 40}  # ms: 100, 167 and 100 images per second
@@ -104,9 +92,7 @@ def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_be
         (type("Large", (Timed,), {"code_bytes": 300 << 20}), [1, 2, 4, 8], 8, [1, 2, 3]),  # nor than a gibibyte
     ],
 )
-def test_batches_are_whole_and_hold_no_more_than_there_is(
-    kind: type[Timed], asked: list[int], images: int, held: list[int]
-) -> None:
+def test_batches_are_whole_and_hold_no_more_than_there_is(kind, asked, images, held):
     method = kind()
     timing = Stopwatch(short(batch_sizes=asked, minimum_passes=3)).measure(method, pictures(range(images)))
     assert sizes(timing) == held
@@ -122,12 +108,10 @@ def test_batches_are_whole_and_hold_no_more_than_there_is(
         (25, 1, 160, [1, 8, 32], 18),
     ],
 )
-def test_a_slow_method_is_asked_no_more_than_the_minima_take(
-    milliseconds: int, gain: int, sample: int, batches: list[int], at_most: float
-) -> None:
+def test_a_slow_method_is_asked_no_more_than_the_minima_take(milliseconds, gain, sample, batches, at_most):
     clock = Clock()
 
-    def costs(numbers: list[int]) -> int:
+    def costs(numbers):
         return milliseconds * MS * len(numbers) // (gain if len(numbers) > 1 else 1)
 
     method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), costs)
@@ -137,7 +121,7 @@ def test_a_slow_method_is_asked_no_more_than_the_minima_take(
     assert clock.seconds() < at_most
 
 
-def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took() -> None:
+def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took():
     method = Timed(lambda nanoseconds: time.sleep(nanoseconds / 1e9), lambda _: 5 * MS, lambda _: 2 * MS)
     began = time.perf_counter()
     streaming = Stopwatch(short(minimum_queries=10)).measure(method, pictures(range(5))).streaming
@@ -145,11 +129,11 @@ def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all
     assert 10 * 0.007 <= streaming.total_seconds.sum() <= time.perf_counter() - began
 
 
-def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_before_does_not() -> None:
+def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_before_does_not():
     clock = Clock()
-    queued: list[int] = []
+    queued = []
 
-    def synchronise() -> None:
+    def synchronise():
         clock.now += sum(queued)
         queued.clear()
 
@@ -169,15 +153,13 @@ def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_bef
 
 @pytest.mark.parametrize("enabled", [True, False])
 @pytest.mark.parametrize("broken", [True, False])
-def test_no_garbage_is_collected_in_timed_calls_and_the_collector_is_afterwards_as_it_was(
-    enabled: bool, broken: bool
-) -> None:
-    quiet: list[bool] = []
+def test_no_garbage_is_collected_in_timed_calls_and_the_collector_is_afterwards_as_it_was(enabled, broken):
+    quiet = []
 
-    def spend(_: int) -> None:
+    def spend(_):
         before = [generation["collections"] for generation in gc.get_stats()]
         for _ in range(1000):  # more cycles than the collector waits for
-            cycle: list[Any] = []
+            cycle = []
             cycle.append(cycle)
         quiet.append([generation["collections"] for generation in gc.get_stats()] == before)
         if broken:
@@ -203,9 +185,7 @@ def test_no_garbage_is_collected_in_timed_calls_and_the_collector_is_afterwards_
         ([], [1, 2], 25, 25),
     ],
 )
-def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum(
-    first: list[int], costs: list[int], most: int, queries: int
-) -> None:
+def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum(first, costs, most, queries):
     laps = itertools.chain(first, itertools.cycle(costs))
     timing, _ = measured(short(warmup_queries=most), lambda _: next(laps) * MS)
     assert timing.warmup_queries == queries
@@ -224,9 +204,7 @@ def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum(
         ({"minimum_passes": 3}, 15, 2, 8),  # 15 images
     ],
 )
-def test_laps_go_on_for_each_minimum_and_offline_ones_count_images(
-    minimum: dict[str, Any], streaming: int, batch: int, calls: int
-) -> None:
+def test_laps_go_on_for_each_minimum_and_offline_ones_count_images(minimum, streaming, batch, calls):
     timing, _ = measured(short(**minimum, batch_sizes=[batch]))
     assert (len(timing.streaming.total_seconds), len(timing.offline[0].total_seconds)) == (streaming, calls)
     assert (timing.streaming.valid, timing.offline[0].valid) == (True, True)
@@ -234,7 +212,7 @@ def test_laps_go_on_for_each_minimum_and_offline_ones_count_images(
     assert (timing.streaming.valid, timing.offline[0].valid) == (True, True)
 
 
-def test_a_measurement_ends_at_the_maximum_in_the_middle_of_a_pass_is_invalid_and_has_no_answer_to_the_rest() -> None:
+def test_a_measurement_ends_at_the_maximum_in_the_middle_of_a_pass_is_invalid_and_has_no_answer_to_the_rest():
     timing, asked = measured(short(maximum_seconds=0.03), images=12)
     assert len(timing.streaming.total_seconds) == 8  # the first end after 30 ms is at 32 ms
     assert (timing.streaming.valid, timing.offline[0].valid) == (False, False)
@@ -244,7 +222,7 @@ def test_a_measurement_ends_at_the_maximum_in_the_middle_of_a_pass_is_invalid_an
 # What is asked
 
 
-def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffles_and_keeps_its_best_place() -> None:
+def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffles_and_keeps_its_best_place():
     first, again, other = (streamed(*measured(short(minimum_passes=3), images=12, seed=seed)) for seed in (4, 4, 5))
     assert first == again != other
     assert first[:12] != list(range(12))
@@ -253,11 +231,11 @@ def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffl
     assert (timing.sample.tolist(), timing.answers.tolist()) == ([0, 4, 8], [0, 4, 8])
 
 
-def test_images_are_decoded_before_the_clock_runs() -> None:
+def test_images_are_decoded_before_the_clock_runs():
     clock = Clock()
-    reads: list[int] = []
+    reads = []
 
-    def read(i: int) -> npt.NDArray[np.uint8]:
+    def read(i):
         reads.append(clock.now)
         return np.full((3, 4, 3), i, np.uint8)
 
@@ -267,9 +245,7 @@ def test_images_are_decoded_before_the_clock_runs() -> None:
     assert set(reads) == {0}
 
 
-def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(tmp_path, monkeypatch):
     monkeypatch.setattr(stopwatch, "_SAMPLE_BYTES", 4 * 3 * 40 * 50)
     paths = [tmp_path / f"{i}.png" for i in range(20)]
     for path in paths:
@@ -277,15 +253,15 @@ def test_a_sample_fills_no_more_than_its_bytes_however_small_its_first_image_is(
     assert Stopwatch(short(sample=16)).measure(Timed(), Images.from_files(paths)).sample.tolist() == [0, 6, 12, 19]
 
 
-def test_the_repeated_time_is_the_median_over_images_asked_again() -> None:
+def test_the_repeated_time_is_the_median_over_images_asked_again():
     timing, _ = measured(short(minimum_queries=7), lambda numbers: [9, 2, 2, 2, 2][numbers[0]] * MS)
     assert timing.repeated_seconds == pytest.approx(0.003)
 
 
-def test_the_first_batch_of_each_size_is_not_timed() -> None:
-    seen: set[int] = set()
+def test_the_first_batch_of_each_size_is_not_timed():
+    seen = set()
 
-    def cost(numbers: list[int]) -> int:
+    def cost(numbers):
         new = len(numbers) not in seen
         seen.add(len(numbers))
         return (100 if new else 3) * MS
@@ -301,9 +277,7 @@ def test_the_first_batch_of_each_size_is_not_timed() -> None:
         *((64, 0.9, 1), (662, 0.99, 1), (6636, 0.999, 1), (360, 0.9, 22), (2700, 0.9, 233), (2700, 0.99, 15)),
     ],
 )
-def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(
-    count: int, share: float, allowed_above: int | None
-) -> None:
+def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(count, share, allowed_above):
     seconds = np.random.default_rng(0).permutation(count).astype(np.float64) + 1  # 1 to count
     assert percentile_bound(seconds, share) == (None if allowed_above is None else count - allowed_above)
 
@@ -317,7 +291,7 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it(
         *(("maximum_seconds", value) for value in (0.0, 1.0, float("nan"))),
     ],
 )
-def test_a_protocol_that_measures_nothing_is_refused_by_name(option: str, value: Any) -> None:
+def test_a_protocol_that_measures_nothing_is_refused_by_name(option, value):
     with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
         Protocol(**({"minimum_seconds": 0.0} if value == 0.0 else {}) | {option: value})
 
@@ -329,7 +303,7 @@ LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)
 
 @pytest.mark.parametrize("image_ms", [1, 30, 400, 4900])
 @pytest.mark.parametrize("call_ms", [0, 90])
-def test_all_rates_together_take_no_longer_than_their_limit(image_ms: int, call_ms: int) -> None:
+def test_all_rates_together_take_no_longer_than_their_limit(image_ms, call_ms):
     clock = Clock()
     method = Timed(lambda ms: clock.spend(ms / 1e3), lambda numbers: call_ms + image_ms * len(numbers))
     timing = Stopwatch(LIMITED, clock).measure(method, pictures(range(64)), first_query_seconds=1e-3 * image_ms)
@@ -348,7 +322,5 @@ def test_all_rates_together_take_no_longer_than_their_limit(image_ms: int, call_
         (lambda numbers: 900 * len(numbers), short(batch_sizes=[1, 32]), [1, 32]),
     ],
 )
-def test_a_batch_whose_call_would_take_longer_than_is_left_is_left_out_and_a_faster_one_is_not(
-    call: Costs, protocol: Protocol, left: list[int]
-) -> None:
+def test_a_batch_whose_call_would_take_longer_than_is_left_is_left_out_and_a_faster_one_is_not(call, protocol, left):
     assert sizes(measured(protocol, lambda numbers: MS * call(numbers), images=64)[0]) == left

@@ -1,14 +1,10 @@
 """Small pictures of a dataset: the right frame for the right place, small, written once and never half."""
 
-from __future__ import annotations
-
 import errno
 import io
 import logging
 import tracemalloc
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -16,7 +12,6 @@ from PIL import Image as PillowImage
 
 from vprbench import progress
 from vprbench.api import images, read_ahead
-from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.cli import main
@@ -27,14 +22,12 @@ FINGERPRINT = "0123456789abcdef" * 4
 QUICK = ["dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1"]
 
 
-def plain(level: int, size: tuple[int, int] = (20, 40)) -> Image:
+def plain(level, size=(20, 40)):
     """Return an image of one grey level; size is height and width."""
     return np.full((*size, 3), level, np.uint8)
 
 
-def world(
-    references: Sequence[Image], places: Sequence[int], queries: Sequence[Image], right: Sequence[Sequence[int]]
-) -> Dataset:
+def world(references, places, queries, right):
     return Dataset(
         "world",
         Images.from_arrays(list(references), [f"r{i}.png" for i in range(len(references))]),
@@ -45,39 +38,39 @@ def world(
     )
 
 
-def two_traverses() -> Dataset:
+def two_traverses():
     """Return three places, each seen twice: at levels 10, 20, 30 and, in another order, at 110, 120, 130."""
     references = [plain(level) for level in (20, 10, 30, 130, 110, 120)]
     return world(references, [1, 0, 2, 2, 0, 1], [plain(level) for level in (35, 15)], [[2], [0]])
 
 
-def known(root: Path) -> thumbnails.Thumbnails:
+def known(root):
     found = thumbnails.find(root, FINGERPRINT)
     assert found is not None
     return found
 
 
-def kept(root: Path, dataset: Dataset) -> thumbnails.Thumbnails:
+def kept(root, dataset):
     root.mkdir(exist_ok=True)
     thumbnails.keep(root, FINGERPRINT, dataset)
     return known(root)
 
 
-def level(webp: bytes) -> int:
+def level(webp):
     return round(float(decoded(webp).mean()))
 
 
-def decoded(webp: bytes) -> Image:
+def decoded(webp):
     with PillowImage.open(io.BytesIO(webp)) as picture:
         assert picture.format == "WEBP"
         return np.asarray(picture.convert("RGB"))
 
 
-def path(root: Path) -> Path:
+def path(root):
     return root / "frames" / "0123456789abcdef.npz"
 
 
-def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path: Path) -> None:
+def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_their_order(tmp_path):
     found = kept(tmp_path, two_traverses())
     assert [level(found.references[place]) for place in range(3)] == pytest.approx([10, 20, 30], abs=2)
     assert [level(found.queries[i]) for i in range(2)] == pytest.approx([35, 15], abs=2)
@@ -87,9 +80,7 @@ def test_a_place_is_shown_by_its_first_reference_image_and_queries_are_kept_in_t
 @pytest.mark.parametrize(
     ("size", "small"), [((360, 640), (54, 96)), ((640, 360), (96, 54)), ((20, 40), (20, 40)), ((96, 96), (96, 96))]
 )
-def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
-    tmp_path: Path, size: tuple[int, int], small: tuple[int, int]
-) -> None:
+def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, size, small):
     red = plain(0, size)
     red[..., 0] = 200
     found = kept(tmp_path, world([red], [0], [red], [[0]]))
@@ -101,14 +92,14 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(
 
 
 @pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> Dataset:
+def large(monkeypatch):
     """Return a dataset of 30 places and 20 queries, of which 8 frames are kept for a run and 12 for all."""
     for name, number in (("_ALL", 40), ("_OF_RUN", 8), ("_MOST", 12)):
         monkeypatch.setattr(thumbnails, name, number)
     return world([plain(level) for level in range(30)], range(30), [plain(9)] * 20, [[i] for i in range(20)])
 
 
-def there(root: Path) -> tuple[list[int], list[int]]:
+def there(root):
     found = known(root)
     assert (len(found.query_names), len(found.reference_names)) == (20, 30)
     queries, places = ([i for i, frame in enumerate(kind) if frame] for kind in (found.queries, found.references))
@@ -116,8 +107,8 @@ def there(root: Path) -> tuple[list[int], list[int]]:
 
 
 def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it_until_a_page_holds_no_more(
-    tmp_path: Path, large: Dataset
-) -> None:
+    tmp_path, large
+):
     one = tmp_path / "one"
     one.mkdir()
     thumbnails.keep(one, FINGERPRINT, large, [(7, {1, 2}), (3, {2, 5}), (4, {1}), (0, {8, 9}), (1, {1})])
@@ -130,14 +121,12 @@ def test_of_a_large_dataset_a_run_keeps_what_it_shows_first_and_others_add_to_it
     assert there(tmp_path) == ([3, 7, 8, 10, 11], [1, 2, 5, 11, 12, 20, 21])
 
 
-def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(
-    tmp_path: Path, large: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_memory(tmp_path, large, monkeypatch):
     monkeypatch.setattr(read_ahead, "_BYTES", 4 << 20)
     monkeypatch.setattr(images, "_READERS", 2)
-    read: list[int] = []
+    read = []
 
-    def reading(i: int) -> Image:
+    def reading(i):
         read.append(i)
         return plain(i % 256, (700, 500))  # 1 MB
 
@@ -156,7 +145,7 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_me
 # Examples
 
 
-def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> None:
+def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path):
     random = np.random.default_rng(0)
     one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
     (example,) = kept(tmp_path, world([one, other], [1, 0], [unseen, query], [[], [0]])).examples
@@ -175,14 +164,12 @@ def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path: Path) -> N
         ([[]], []),
     ],
 )
-def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(
-    tmp_path: Path, right: list[list[int]], examples: list[tuple[int, int]]
-) -> None:
+def test_four_examples_are_spread_over_the_queries_that_have_a_right_place(tmp_path, right, examples):
     dataset = world([plain(1)] * 10, range(10), [plain(2)] * len(right), right)
     assert [(e.query, e.place) for e in kept(tmp_path, dataset).examples] == examples
 
 
-def detailed(seed: int) -> Image:
+def detailed(seed):
     """Return a picture without noise, but full of edges: overlapping bars, 180 x 320 pixels."""
     draw = np.random.default_rng(seed)
     image = np.zeros((180, 320, 3), np.uint8)
@@ -192,7 +179,7 @@ def detailed(seed: int) -> Image:
     return image
 
 
-def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path: Path) -> None:
+def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes(tmp_path):
     references, queries = [detailed(i) for i in range(55)], [detailed(1000 + i) for i in range(45)]
     fine = kept(tmp_path, world(references, range(55), queries, [[]] * 45))
     assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
@@ -203,8 +190,8 @@ def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes
 # Written once and whole
 
 
-def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path: Path) -> None:
-    told: list[tuple[str, float]] = []
+def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):
+    told = []
     with progress.listening(lambda stage, done: told.append((stage, done))):
         thumbnails.keep(tmp_path, FINGERPRINT, two_traverses(), iter([(1, {0})]))
     assert told == [("keeping small frames", i / 5) for i in range(5)]
@@ -214,15 +201,13 @@ def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_
     thumbnails.keep(tmp_path, FINGERPRINT, Dataset("world", unread, np.arange(2), unread, (np.array([0]),) * 2, {}))
 
 
-def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(tmp_path, monkeypatch):
     missing = Images.from_files([tmp_path / "gone.png"])
     with pytest.raises(BadInput, match=r"gone\.png"):
         thumbnails.keep(tmp_path, "a" * 64, Dataset("world", missing, np.array([0]), missing, (np.array([0]),), {}))
     assert list(tmp_path.iterdir()) == []
 
-    def refuse(to: Path, _: bytes) -> NoReturn:
+    def refuse(to, _):
         to.touch()
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -235,9 +220,7 @@ def test_a_full_disk_and_a_frame_that_cannot_be_read_leave_nothing_behind(
 @pytest.mark.parametrize(
     "spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2], lambda whole: b"<html></html>"]
 )
-def test_a_damaged_file_is_none_and_named_and_made_anew(
-    tmp_path: Path, spoil: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog):
     assert (thumbnails.find(tmp_path, FINGERPRINT), caplog.records) == (None, [])
     kept(tmp_path, two_traverses())
     path(tmp_path).write_bytes(spoil(path(tmp_path).read_bytes()))
@@ -248,7 +231,7 @@ def test_a_damaged_file_is_none_and_named_and_made_anew(
     assert thumbnails.find(tmp_path, FINGERPRINT[:16] + "f" * 48) is None  # of a hash that begins alike
 
 
-def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> None:
+def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path):
     right = kept(tmp_path, two_traverses())
     whole = path(tmp_path).read_bytes()
     lost = 0
@@ -263,8 +246,8 @@ def test_a_flipped_bit_anywhere_never_gives_another_picture(tmp_path: Path) -> N
 
 
 def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_where_the_disk_refuses_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+    tmp_path, monkeypatch, caplog
+):
     monkeypatch.chdir(tmp_path)
     here = tmp_path / "results" / "frames"
     main(["method=sad", *QUICK])
@@ -276,7 +259,7 @@ def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_w
         assert main(["method=sad", *options, *QUICK]) == 0
         assert list(here.glob("*.npz")) == frames
 
-    def refuse(*_: Any) -> NoReturn:
+    def refuse(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(thumbnails, "keep", refuse)

@@ -1,13 +1,10 @@
 """Whether a run is timed, for how long, when a stored one answers, and on which machine it was made."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import logging
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +16,8 @@ from little_runs import QUICK, asked_for, kinds, table
 
 from vprbench.run import machine
 from vprbench.run.compose import composed
-from vprbench.run.find_or_make import Made, made
+from vprbench.run.find_or_make import made
 from vprbench.run.machine import Machine
-from vprbench.run.record import Run
 from vprbench.run.settings import Settings, timings
 from vprbench.run.stopwatch import Protocol, Stopwatch
 from vprbench.run.store import Store
@@ -43,23 +39,21 @@ PROTOCOLS = st.builds(
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def asked(store: Store, protocol: Protocol, force: bool = False) -> Made:
+def asked(store, protocol, force=False):
     request = asked_for(Lookup(table(12, 4)), journey(12, 4), protocol)
     return made(request, Settings(frames=False, force=force), store, {})
 
 
-def the_only(store: Store) -> Run:
+def the_only(store):
     (run,) = store.runs()
     return run
 
 
-def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_where_by_more(
-    store: Store, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_where_by_more(store, caplog):
     caplog.set_level(logging.INFO)
     answers = [asked(store, protocol) for protocol in (UNTIMED, UNTIMED, QUICK, UNTIMED, MORE, QUICK)]
     told = [record.getMessage() for record in caplog.records if "running again" in record.getMessage()]
@@ -71,18 +65,14 @@ def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_w
 
 
 @given(PROTOCOLS, PROTOCOLS, PROTOCOLS)
-def test_what_answers_what_is_a_preorder_and_untimed_is_answered_by_everything(
-    one: Protocol, other: Protocol, third: Protocol
-) -> None:
+def test_what_answers_what_is_a_preorder_and_untimed_is_answered_by_everything(one, other, third):
     assert not one.shortfalls(one)
     assert not one.shortfalls(replace(other, rates=False))
     if not one.shortfalls(other) and not other.shortfalls(third):
         assert not one.shortfalls(third)
 
 
-def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order() -> (
-    None
-):
+def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order():
     for lesser in (
         *({name: value} for name, value in (("minimum_seconds", 1.0), ("minimum_queries", 63), ("sample", 255))),
         *({name: value} for name, value in (("batch_sizes", [1, 32, 128]), ("total_seconds", 100.0), ("rates", False))),
@@ -99,13 +89,11 @@ def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_an
     assert changed == {**asdict(named["quick"]), "minimum_seconds": 1}
 
 
-def interrupt(*_: object) -> None:
+def interrupt(*_):
     raise KeyboardInterrupt
 
 
-def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_timed_before(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_timed_before(store, monkeypatch):
     whole = asked(Store(store.root.parent / "other"), QUICK).run
     with monkeypatch.context() as patch:
         patch.setattr(Stopwatch, "measure", interrupt)
@@ -127,7 +115,7 @@ def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_t
 # The machine
 
 
-def _windows_of_memory_exist() -> bool:
+def _windows_of_memory_exist():
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     except OSError:
@@ -135,7 +123,7 @@ def _windows_of_memory_exist() -> bool:
     return True
 
 
-def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_notices_no_interrupted_lap() -> None:
+def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_notices_no_interrupted_lap():
     described = machine.capture("cpu", 1)
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert all(described[name] for name in ("processor", "python", "threads", "cores", "memory_bytes", "load_average"))
@@ -147,7 +135,7 @@ def test_the_machine_is_described_in_values_that_json_can_hold_and_its_canary_no
 
 
 @pytest.mark.skipif(not _windows_of_memory_exist(), reason="this system keeps no window of peak memory")
-def test_a_run_knows_the_peak_of_memory_that_its_method_took_and_a_new_window_forgets_it() -> None:
+def test_a_run_knows_the_peak_of_memory_that_its_method_took_and_a_new_window_forgets_it():
     assert 190e6 <= in_a_new_process(rise_in_a_window) <= 260e6
     assert in_a_new_process(fall_in_a_new_window) >= 150e6
     before, large, small = in_a_new_process(peaks_of_runs)
@@ -163,7 +151,7 @@ def test_a_run_knows_the_peak_of_memory_that_its_method_took_and_a_new_window_fo
         *((part, value, None) for part, value in (("time_utc", "2026-02-01T12:00:00Z"), ("load_average", [9.0] * 3))),
     ],
 )
-def test_another_part_is_another_machine_and_another_day_is_not(part: str, value: Any, same_hardware: Any) -> None:
+def test_another_part_is_another_machine_and_another_day_is_not(part, value, same_hardware):
     here, there = Machine.of(a_run().environment), Machine.of({**a_run().environment, part: value})
     assert (here == there) is (same_hardware is None)
     assert (here.hardware == there.hardware) is (same_hardware is not False)

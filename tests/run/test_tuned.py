@@ -1,14 +1,11 @@
 """What a yaml says of the places its settings were chosen on stands with every run, wherever that is shown."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from small_plan import RUN, install
 from vprbench.cli import main
 from vprbench.datasets.nordland import published_frames
 from vprbench.plugins import registry
-from vprbench.run.record import Run
 from vprbench.run.store import Store
 from vprbench.run.tuned import other_places, tuned_here, tuned_note
 from vprbench.run.views import rescored
@@ -34,7 +30,7 @@ PlugIn = Callable[[str, str], None]
 
 
 @pytest.fixture
-def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlugIn:
+def plug_in(tmp_path, monkeypatch):
     """Return what registers a yaml of another package; runs are made in a folder without a process of their own."""
     folder = tmp_path / "conf"
     (folder / "method").mkdir(parents=True)
@@ -42,7 +38,7 @@ def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlugIn:
     monkeypatch.setattr("vprbench.plugins.entries.conf_folders", lambda: {**ours, "other": folder})
     install(monkeypatch, tmp_path)
 
-    def registered(name: str, text: str) -> None:
+    def registered(name, text):
         (folder / "method" / f"{name}.yaml").write_text(text, encoding="utf-8")
 
     registered("mine", MINE)
@@ -50,19 +46,19 @@ def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PlugIn:
     return registered
 
 
-def printed(capsys: pytest.CaptureFixture[str], *options: str) -> Any:
+def printed(capsys, *options):
     capsys.readouterr()
     assert main([*options, *QUICK]) == 0
     text = capsys.readouterr().out
     return json.loads(text) if "output=json" in options else text.splitlines()
 
 
-def only_run(method: str = "mine") -> Run:
+def only_run(method="mine"):
     (run,) = (run for run in Store(Path("results"), read_only=True).runs() if run.method == method)
     return run
 
 
-def hits(run: Run, numbers: Sequence[int], tuned: Collection[int]) -> list[float]:
+def hits(run, numbers, tuned):
     """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
     assert run.scores is not None
     found = []
@@ -72,21 +68,19 @@ def hits(run: Run, numbers: Sequence[int], tuned: Collection[int]) -> list[float
     return found
 
 
-def wilson(share: float, n: int) -> tuple[float, float]:
+def wilson(share, n):
     z = 1.959963984540054
     half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
     return (share + z * z / (2 * n) - half) / (1 + z * z / n), (share + z * z / (2 * n) + half) / (1 + z * z / n)
 
 
-def told_elsewhere(text: str) -> list[float]:
+def told_elsewhere(text):
     """Return R@1, the ends of its interval and how many queries a note names."""
     found = re.search(r"([\d.]+) \[([\d.]+), ([\d.]+)\] on the (\d+) queries", text)
     return [] if found is None else [*map(float, found.groups())]
 
 
-def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_says_so_only_now(
-    plug_in: PlugIn, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_says_so_only_now(plug_in, capsys):
     plug_in("mine", NOT_TUNED)
     told = printed(capsys, "method=upper", "output=json")
     assert (told["tuned_on"], [note for note in told["notes"] if note["kind"] == "tuned"]) == (None, [])
@@ -120,8 +114,8 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned_even_if_its_yaml_sa
     ],
 )
 def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(
-    plug_in: PlugIn, capsys: pytest.CaptureFixture[str], asked: list[str], declared: str, named: str
-) -> None:
+    plug_in, capsys, asked, declared, named
+):
     plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
     assert main([*asked, *QUICK]) == 2
     error = capsys.readouterr().err
@@ -130,7 +124,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
 
 
 @pytest.mark.usefixtures("plug_in")
-def test_table_and_comparison_give_one_number_on_the_other_places(capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_and_comparison_give_one_number_on_the_other_places(capsys):
     asked = ["rows=[]", "methods=[mine]", "columns=[route]", *RUN]
     assert main(["table", *asked, "name=told"]) == 0
     there = hits(only_run(), range(4, 20), range(5, 12))
@@ -175,8 +169,8 @@ def test_table_and_comparison_give_one_number_on_the_other_places(capsys: pytest
     ],
 )
 def test_queries_of_tuned_places_are_told_by_their_numbers_and_all_are_suspected_where_these_are_not_known(
-    changes: dict[str, Any], tuned: bool, others: int | None
-) -> None:
+    changes, tuned, others
+):
     given = {"dataset": "synthetic", "tuned_on": {"dataset": "synthetic", "places": "0-7"}, **changes}
     right = given.pop("positives", [[i] for i in range(40)])
     made = run("mine", 0.5, 40, 40, **given, positives=tuple(map(np.array, right)))
@@ -186,14 +180,14 @@ def test_queries_of_tuned_places_are_told_by_their_numbers_and_all_are_suspected
     assert (len(told_elsewhere(tuned_note([made]))) == 4) == (others is not None)
 
 
-def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_is() -> None:
+def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_is():
     made = run("mine", 0.5, 40, 40, dataset="synthetic", tuned_on={"dataset": "synthetic", "places": "10-19"})
     left = other_places(rescored(made, np.asarray(made.scores), {"sequence": 4}, window=4))
     assert left is not None
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
 
 
-def test_tuned_settings_say_where_they_were_found() -> None:
+def test_tuned_settings_say_where_they_were_found():
     listed = published_frames()
     last = [frame for frame in listed if frame % 10 == 0][999]
     also = {}

@@ -1,7 +1,5 @@
 """What the report says of each query, from worked examples and a slow count."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import replace
@@ -13,12 +11,12 @@ from PIL import Image
 from report_page import SAD_WRONG, TEMPO_WRONG, UNANSWERABLE, answered, journey_run, right_place
 
 from vprbench.paper.page.fitting import fitting, text_bytes
-from vprbench.run.verdicts import Answers, by_interest, columns, judged, place_ranges, places_shown
+from vprbench.run.verdicts import by_interest, columns, judged, place_ranges, places_shown
 
 NO = -np.inf  # the score of a place that is no candidate
 
 
-def judged_alone(scores: list[float], right: list[int], depth: int | None = None) -> Answers:
+def judged_alone(scores, right, depth=None):
     """Judge one query; with a `depth` only so many best places are kept."""
     if depth is None:
         return judged(answered([scores], [right]))
@@ -45,12 +43,7 @@ def judged_alone(scores: list[float], right: list[int], depth: int | None = None
         ([0.25, 0.5], [1], None, ("r", 0.25, "=", [1, 0, -1], 1, 1)),
     ],
 )
-def test_a_query_is_judged(
-    scores: list[float],
-    right: list[int],
-    depth: int | None,
-    judgement: tuple[str, float | None, str, list[int], int, int],
-) -> None:
+def test_a_query_is_judged(scores, right, depth, judgement):
     verdict, margin, bound, places, right_place, rank = judgement
     answers = judged_alone(scores, right, depth)
     assert (answers.verdicts, answers.bounds) == (verdict, bound)
@@ -59,7 +52,7 @@ def test_a_query_is_judged(
     assert (answers.right_places.tolist(), answers.ranks.tolist()) == ([right_place], [rank])
 
 
-def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_counted() -> None:
+def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_counted():
     of_outcome = judged(replace(a_run(), scores=None))  # of a map of its own making
     assert (of_outcome.verdicts, of_outcome.ranks.tolist()) == ("rrww", [1, 1, 3, 8])
     assert judged_alone([0.125, 0.875, 0.5, 0.25], [1]).scores.tolist() == [[0.875, 0.5, 0.25]]
@@ -70,7 +63,7 @@ def test_scores_stand_beside_their_places_and_wrong_places_of_equal_score_are_co
 
 
 @pytest.mark.parametrize("depth", [2, 5, 9])
-def test_verdicts_and_margins_agree_with_a_slow_count_under_many_ties(depth: int) -> None:
+def test_verdicts_and_margins_agree_with_a_slow_count_under_many_ties(depth):
     random = np.random.default_rng(7)
     scores = random.integers(0, 6, (200, 9)).astype(np.float32)
     scores[random.random(scores.shape) < 0.1] = NO
@@ -91,7 +84,7 @@ def test_verdicts_and_margins_agree_with_a_slow_count_under_many_ties(depth: int
                 assert {"=": margin == true, "<": margin >= true, ">": margin <= true}[bound]
 
 
-def test_what_the_page_reads_is_plain_and_holds_every_query() -> None:
+def test_what_the_page_reads_is_plain_and_holds_every_query():
     scores = [[0.875, NO, 0.5], [0.875, NO, NO], [0.5, 0.25, 0.125], [1 / 3, 2 / 3, 0.0]]
     told = columns(judged(answered(scores, [[1], [0], [], [0]])))
     assert json.loads(json.dumps(told, allow_nan=False)) == {
@@ -107,7 +100,7 @@ def test_what_the_page_reads_is_plain_and_holds_every_query() -> None:
     }
 
 
-def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones() -> None:
+def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_ones():
     for places, text in (([], ""), ([4], "4"), ([7, 3, 4, 5], "3-5, 7")):
         assert place_ranges(np.array(places, np.int64)) == text
     first = judged_alone([0.5, 0.375, 0.25, 0.125, 0.0, 0.0], [4])
@@ -115,7 +108,7 @@ def test_places_read_as_ranges_and_those_shown_are_the_best_three_and_the_right_
     assert places_shown([first, second]) == [0, 1, 2, 4, 5]
 
 
-def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order() -> None:
+def test_queries_that_are_not_answered_right_come_first_with_their_places_and_then_all_others_in_one_order():
     run = journey_run(SAD_WRONG)
     listed = dict(by_interest(run))
     assert set([*listed][:6]) == {*SAD_WRONG, UNANSWERABLE}
@@ -127,7 +120,7 @@ def test_queries_that_are_not_answered_right_come_first_with_their_places_and_th
     assert sorted(common) != [query for query in first if query in common]  # from all over the journey
 
 
-def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit() -> None:
+def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit():
     frames = [b""]
     for pixels in np.random.default_rng(0).integers(0, 256, (3, 54, 96, 3), np.uint8):
         Image.fromarray(pixels).save(written := io.BytesIO(), "WEBP", quality=95)
