@@ -124,30 +124,6 @@ def test_a_dead_claim_is_taken_over_by_one_of_many(tmp_path):
         assert [*tmp_path.iterdir()] == []
 
 
-def test_an_owner_that_was_taken_for_dead_knows_it_and_touches_nothing_of_the_new_one(tmp_path):
-    lost = Claims(tmp_path).take(KEY, {})
-    assert isinstance(lost, Claim)
-    lost.path.unlink()
-    assert not lost.kept()
-    before = claimed(tmp_path, 10).stat()
-    assert not lost.kept()
-    lost.tell("fit", 0.5)
-    claims.beat(lost.path)
-    lost.release()
-    assert json.loads(lost.path.read_text()) == ELSEWHERE
-    assert lost.path.stat().st_mtime_ns == before.st_mtime_ns
-
-
-def test_a_process_that_nobody_waits_for_beats_itself(tmp_path, monkeypatch):
-    monkeypatch.setattr(claims, "BEAT_SECONDS", 0.01)
-    with Claims(tmp_path).take(KEY, {}) as claim:
-        os.utime(claim.path, (1.0, 1.0))
-        until = time.monotonic() + 20
-        while claim.path.stat().st_mtime == 1.0:
-            assert time.monotonic() < until
-            time.sleep(0.01)
-
-
 def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_path):
     left = claimed(tmp_path, 2 * EXPIRES_SECONDS)
     left.rename(left.with_name(".partial-1"))
@@ -158,16 +134,6 @@ def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_pa
         assert [*(tmp_path / ".claims").iterdir()] == [claim.path]
     Claims(tmp_path).tidy()
     assert [*tmp_path.iterdir()] == []
-
-
-def test_where_nothing_can_be_claimed_the_run_is_made_all_the_same(tmp_path, caplog):
-    (tmp_path / ".claims").write_text("no folder")
-    with Claims(tmp_path).take(KEY, {}) as claim:
-        claim.tell("fit", 0.5)
-        assert claim.kept()
-    assert Claims(tmp_path).held() == []
-    (warning,) = caplog.records
-    assert KEY in warning.getMessage()
 
 
 # Runs that are claimed

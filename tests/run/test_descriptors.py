@@ -2,11 +2,8 @@
 
 import json
 import os
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -280,41 +277,3 @@ def test_more_than_fits_into_memory_is_refused_where_the_disk_is_full_and_what_i
     monkeypatch.undo()
     made, kept, done = describe(tmp_path, some, MANY)
     assert (len(made), kept, done[-1]) == (2000, 1024, 976)
-
-
-def test_a_killed_encoding_goes_on_with_the_shard_that_it_had_not_finished(tmp_path):
-    command = [sys.executable, "-c", KILLED, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
-        assert killed.stdout is not None
-        assert killed.stdout.readline() == "1088\n"  # one shard of 1024 images, and 64 of the next
-        killed.kill()
-    encoded = []
-
-    def counted(images):
-        encoded.extend(number_in(image) for image in images)
-        return some(images)
-
-    made, kept, _ = describe(tmp_path, counted, MANY)
-    assert (kept, encoded) == (1024, [i % 100 for i in range(1024, 2000)])
-    assert np.array_equal(made, np.concatenate([some(MANY[first : first + 64]) for first in range(0, 2000, 64)]))
-    assert describe(tmp_path, counted, MANY)[1] == 2000
-
-
-#: Encodes 17 blocks of 64 images, says how many are done, and waits to be killed.
-KILLED = f"""
-import sys, time
-from pathlib import Path
-sys.path[:0] = {[str(Path(__file__).parent), *sys.path]}
-from test_descriptors import MANY, Described, some
-
-done = 0
-def encode(images):
-    global done
-    if done == 1088:
-        print(done, flush=True)
-        time.sleep(600)
-    done += len(images)
-    return some(images)
-
-Described(Path(sys.argv[1]), {{"method": "m"}}).descriptors(MANY, encode, lambda done: None)
-"""

@@ -7,16 +7,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from threading import Event, Timer
+from threading import Timer
 
 import psutil
 import pytest
 
 from vprbench import cli
 from vprbench.cluster import crew
-from vprbench.run import processes, slot, watched
+from vprbench.run import processes, slot
 from vprbench.run.processes import Ending
 from vprbench.run.store import Store
 from vprbench.storage import owner
@@ -106,13 +105,6 @@ def test_an_interruption_is_told_once_by_the_process_that_was_asked(in_sweep, mo
     assert len(capsys.readouterr().err.splitlines()) == (not in_sweep)
 
 
-@pytest.mark.parametrize(("after", "words"), [(4, "out of memory on "), (3, "not for want of memory")])
-def test_a_kill_for_want_of_memory_is_told_from_another(ends, after, words, monkeypatch):
-    counts = iter([3, after])
-    monkeypatch.setattr(watched, "_oom_kills", lambda: {"/proc/vmstat": next(counts)})
-    assert words in ends("kill -KILL $$").error
-
-
 def test_a_dead_child_leaves_no_claim_and_no_half_file(ends, tmp_path):
     store, host = tmp_path / "results", owner.mark().partition("-")[0]
     (store / ".claims").mkdir(parents=True)
@@ -146,50 +138,6 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path, monkeypatch)
 
 
 # One cell of a host is timed at a time
-
-
-def test_a_cell_in_any_thread_is_stopped_while_another_is_timed_and_its_limit_stands_still(ends, tmp_path):
-    ticks, words = tmp_path / "ticks", '"$VPRBENCH_ENDING"'
-    limit, bound = tmp_path / "limit", '{"bound": true}'
-    loop = f"for i in 1 2 3 4 5 6 7 8 9 10; do date +%s%N >> {ticks}; cat {limit} >> {words}; sleep 0.05; done"
-    script = f"echo '{bound}' >> {words}; touch {limit}; {loop}; cp {words} {tmp_path}/said; echo '{GOOD}' >> {words}"
-    with ThreadPoolExecutor(1) as pool:
-        ending = pool.submit(ends, script)
-        while not ticks.exists():
-            time.sleep(0.01)
-        limit.write_text(json.dumps({"until": time.monotonic() + 2, "limit_minutes": 0.03}) + "\n")
-        time.sleep(0.1)
-        with slot.alone() as alone:
-            began = time.time_ns()
-            time.sleep(2)
-            ended = time.time_ns()
-            assert alone()
-        assert ending.result() == Ending(0)
-    seen = [*map(int, ticks.read_text().split())]
-    assert len(seen) == 10
-    assert not [moment for moment in seen if began < moment < ended]
-    told = [json.loads(line).get("stopped", 0) for line in (tmp_path / "said").read_text().splitlines()]
-    assert 2 <= max(told) < 3
-
-
-def test_a_stopped_cell_is_interrupted_at_once(ends):
-    script = """echo '{"bound": true}' > "$VPRBENCH_ENDING"; (sleep 0.5; kill -INT $PPID) & exec sleep 20"""
-    began, over = Event(), Event()
-
-    def hold():
-        time.sleep(0.2)
-        with slot.alone():
-            began.set()
-            over.wait(20)
-
-    with ThreadPoolExecutor(1) as pool:
-        pool.submit(hold)
-        started = time.monotonic()
-        with pytest.raises(KeyboardInterrupt):
-            ends(script)
-        assert began.is_set()
-        over.set()
-    assert time.monotonic() - started < 5
 
 
 def test_who_wants_to_be_alone_waits_for_the_others():

@@ -9,7 +9,7 @@ from little import Lookup, journey, number_in, slow_pictures
 from little_runs import QUICK, kinds, run_of, table
 from stopped_clock import Clock
 
-from vprbench import ending, progress
+from vprbench import progress
 from vprbench.run import rows, slot
 
 pytestmark = pytest.mark.usefixtures("surroundings")
@@ -97,22 +97,6 @@ def test_every_stage_is_reported_and_a_share_rises_to_one_with_the_queries():
         run_of(Lookup(table(300, 4)), journey(300, 4))
     assert list(dict.fromkeys(stage for stage, _ in told)) == ["fit", "query", "timing"]
     assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
-
-
-def test_a_stop_is_no_part_of_what_a_run_measures(clock, monkeypatch):
-    stops = 0.0
-
-    class Stopped(Lookup):
-        def fit(self, references, places):
-            nonlocal stops
-            clock.spend(7)
-            stops += 5
-            return super().fit(references, places)
-
-    monkeypatch.setattr(ending, "stopped", lambda: stops)
-    run = run_of(Stopped(table(12, 4)), journey(12, 4))
-    assert (run.fit_seconds, run.harness_seconds) == (2, 0)
-    assert run.environment["stopped_seconds"] == 5
 
 
 # Notes
