@@ -111,15 +111,7 @@ def test_other_orders_are_not_taken_for_dictionary_order(names):
     assert not [finding for finding in checked(names=names, query_names=names) if finding.check == "order"]
 
 
-def test_the_notes_of_a_dataset_are_shown(tmp_path):
-    dataset = Dataset(
-        name="noted",
-        references=Images.from_arrays([picture(0)] * 2),
-        places=np.arange(2),
-        queries=Images.from_arrays([picture(0)] * 2),
-        positives=(np.array([0]), np.array([1])),
-        protocol={},
-        notes=("41 rows step back in time",),
-    )
-
+def test_the_notes_of_a_dataset_are_shown():
+    frames, own = Images.from_arrays([picture(0)] * 2), (np.array([0]), np.array([1]))
+    dataset = Dataset("noted", frames, np.arange(2), frames, own, {}, notes=("41 rows step back in time",))
     assert notes(quick(dataset), "dataset") == ["41 rows step back in time"]

@@ -41,7 +41,7 @@ def track(file: Path, metres: Callable[[float], float], times: np.ndarray) -> No
     file.with_suffix(".csv").write_text("\n".join(["time,lat,lon", *rows]) + "\n")
 
 
-def test_the_frames_of_the_same_number_show_the_same_place(options) -> None:
+def test_the_frames_of_the_same_number_show_the_same_place(options):
     dataset = event_folders(**options, window_ms=500.0, tolerance=1)
     assert (dataset.n_places, len(dataset.queries)) == (19, 13)
     assert rights(dataset)[:2] == [[0, 1], [0, 1, 2]]
@@ -54,7 +54,7 @@ def test_the_frames_of_the_same_number_show_the_same_place(options) -> None:
     assert (by_number.n_places, [int(image[..., 0].sum()) for image in by_number.queries]) == (10, [400] * 10)
 
 
-def test_positions_beside_the_files_say_what_lies_within_metres(options, tmp_path: Path) -> None:
+def test_positions_beside_the_files_say_what_lies_within_metres(options, tmp_path):
     # The map is driven at 10 m/s from 5 s on, the other drive at 20 m/s; its positions begin at 6 s.
     track(tmp_path / "map.aedat", lambda time: 10 * time, np.arange(5.0, 16.0))
     track(tmp_path / "drive.aedat", lambda time: 20 * time - 60, np.arange(6.0, 13.0, 0.5))
@@ -77,13 +77,13 @@ def test_positions_beside_the_files_say_what_lies_within_metres(options, tmp_pat
         ("a,b\n", "map.csv"),
     ],
 )
-def test_tables_that_do_not_fit_are_refused_by_name(options, tmp_path: Path, rows: str, told: str) -> None:
+def test_tables_that_do_not_fit_are_refused_by_name(options, tmp_path, rows, told):
     for name in ("map.csv", "drive.csv"):
         (tmp_path / name).write_text(rows)
     assert told in answer(event_folders, **options, ground_truth="gps")
 
 
-def test_recordings_that_are_missing_are_named(options, tmp_path: Path) -> None:
+def test_recordings_that_are_missing_are_named(options, tmp_path):
     assert "dataset.references" in answer(event_folders, kind=NotThere)
     assert "gone.h5" in answer(event_folders, kind=NotThere, **options | {"queries": "gone.h5"})
     assert "fetch brisbane_event_vpr" in answer(brisbane_event_vpr, kind=NotThere, root=str(tmp_path))
@@ -123,7 +123,7 @@ def log(begin: datetime, seconds: int, metres_a_second: float, kinds: tuple[str,
 
 
 @pytest.mark.parametrize("kinds", [("RMC",), ("GGA",), ("RMC", "GGA"), ("GGA", "RMC")])
-def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path, kinds):
     # The log of the camera car has a date of its own; events begin at 5 s, the logs at 3 s before midnight.
     midnight = datetime(2020, 1, 1, 23, 59, 57, tzinfo=UTC)
     for name, date, begin, seconds, speed in (
@@ -140,7 +140,7 @@ def test_a_brisbane_drive_is_placed_by_its_gps_log(tmp_path: Path, kinds: tuple[
     assert dataset.protocol["references"] == ["dvs_vpr_2020-04-22-17-24-21.hdf5"]
 
 
-def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path: Path) -> None:
+def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path):
     begin = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
     for name in ("map", "drive"):
         write_hdf5(tmp_path / f"{name}.h5", by_chance(4000, seconds=9.0), round(begin.timestamp() * 1e9))
@@ -152,7 +152,7 @@ def test_an_own_gps_log_is_read_on_the_clock_of_1970(tmp_path: Path) -> None:
     assert "map.nmea" in answer(event_folders, **files, **OPTIONS, ground_truth="gps")
 
 
-def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path: Path) -> None:
+def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path):
     write_aedat2(tmp_path / "bags_2021-08-19-08-25-42_denoised.aedat", by_chance(20_000, 1, 170.0))  # normal1
     write_aedat2(tmp_path / "bags_2021-08-20-10-19-45_denoised.aedat", by_chance(20_000, 2, 70.0))  # fast2
     dataset = qcr_event_vpr(root=str(tmp_path), **OPTIONS, queries="fast2")
@@ -167,7 +167,7 @@ def test_a_qcr_drive_is_placed_by_the_points_that_it_passes(tmp_path: Path) -> N
 
 
 @needs_real_frames
-def test_sad_finds_76_of_724_places_of_brisbane() -> None:
+def test_sad_finds_76_of_724_places_of_brisbane():
     dataset = brisbane_events_7x7("brisbane", root=str(REAL / "brisbane_events_7x7"))
     assert (dataset.n_places, len(dataset.queries), sum(map(len, dataset.positives))) == (641, 724, 822)
     sad = SAD(preprocessing="grey", height=7, width=7).fit(dataset.references, dataset.places)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,7 +48,7 @@ def nanoseconds(file):
 
 
 @pytest.mark.parametrize("layout", [dsec, seconds, table, nanoseconds])
-def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path: Path) -> None:
+def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         layout(file)
@@ -57,7 +56,7 @@ def test_layouts_of_hdf5_are_found_by_name(layout, tmp_path: Path) -> None:
     assert same(joined(events_in(tmp_path / "drive.h5")), replace(EVENTS, t=EVENTS.t + since))
 
 
-def test_parquet_as_brisbane_event_vpr_has_it_is_read(tmp_path: Path) -> None:
+def test_parquet_as_brisbane_event_vpr_has_it_is_read(tmp_path):
     parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
     columns = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
     parquet.write_table(arrow.table(columns), tmp_path / "drive.parquet")
@@ -67,18 +66,18 @@ def test_parquet_as_brisbane_event_vpr_has_it_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("begin", [0, 2**31 - 10_000_000, 2**32 - 20_000_000])
-def test_aedat_2_is_read_though_its_clock_wraps(begin: int, tmp_path: Path) -> None:
+def test_aedat_2_is_read_though_its_clock_wraps(begin, tmp_path):
     found = joined(events_in(write_aedat2(tmp_path / "drive.aedat", EVENTS, begin)))
     since = begin - 2**32 * (begin >= 2**31)  # its numbers are signed
     assert same(found, replace(EVENTS, t=EVENTS.t + since))
 
 
-def test_aedat_4_is_read(tmp_path: Path) -> None:
+def test_aedat_4_is_read(tmp_path):
     pytest.importorskip("aedat")
     assert same(joined(events_in(write_aedat4(tmp_path / "drive.aedat4", EVENTS))), EVENTS)
 
 
-def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events(tmp_path: Path) -> None:
+def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events(tmp_path):
     assert same(joined(events_in(write_evt3(tmp_path / "drive.raw", EVENTS))), EVENTS)
     words = [0x8001, 0x6005, 0x0007, 0x3800 | 100, 0x4803, 0x5081]  # base 100, brighter: twelve, then eight pixels
     (tmp_path / "drive.raw").write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
@@ -97,7 +96,7 @@ def test_evt3_is_read_though_its_clock_wraps_and_its_vectors_are_events(tmp_path
         ("gone.h5", None, "gone.h5"),
     ],
 )
-def test_what_is_no_recording_is_refused_by_name(name: str, content: bytes | None, told: str, tmp_path: Path) -> None:
+def test_what_is_no_recording_is_refused_by_name(name, content, told, tmp_path):
     if name == "drive.h5":
         pytest.importorskip("h5py")
     if content is None:
@@ -107,7 +106,7 @@ def test_what_is_no_recording_is_refused_by_name(name: str, content: bytes | Non
         assert told in answer(joined, events_in(tmp_path / name))
 
 
-def test_hdf5_without_events_or_its_library_is_refused(tmp_path: Path, monkeypatch) -> None:
+def test_hdf5_without_events_or_its_library_is_refused(tmp_path, monkeypatch):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "drive.h5", "w") as file:
         file["events/t"] = EVENTS.t

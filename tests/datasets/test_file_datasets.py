@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -62,22 +61,20 @@ def listed(references: str, queries: str, **options: Any) -> Dataset:
         ("image,east,north\n0.jpg,3,4\n1.jpg,4,4\n", "image,east,north\n0.jpg,0,0\n", {"radius_metres": 5}, [[0]]),
     ],
 )
-def test_columns_of_a_list_are_found_by_their_names(
-    references: str, queries: str, options: dict[str, Any], right: list[list[int]]
-) -> None:
+def test_columns_of_a_list_are_found_by_their_names(references, queries, options, right):
     assert rights(listed(references, queries, **options)) == right
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).
 @pytest.mark.parametrize(("moved", "metres"), [("-27.499,153.0", 110.80), ("-27.5,153.001", 98.83)])
-def test_positions_in_degrees_are_right_within_the_radius(moved: str, metres: float) -> None:
+def test_positions_in_degrees_are_right_within_the_radius(moved, metres):
     references, query = "image,lat,lon\n0.jpg,-27.5,153.0\n", f"image,lat,lon\n0.jpg,{moved}\n"
     near = listed(references, query, radius_metres=metres + 0.05)
     assert (rights(near), near.protocol["ground_truth"]) == ([[0]], "lat_lon")
     assert rights(listed(references, query, radius_metres=metres - 0.05, unmatched="keep")) == [[]]
 
 
-def test_paths_of_a_list_may_start_from_another_folder() -> None:
+def test_paths_of_a_list_may_start_from_another_folder():
     fill(Path("frames"), ["0.jpg"])
     Path("list.csv").write_text("image,place\n0.jpg,a\n")
     assert len(image_list(references=["list.csv"], queries="list.csv", root="frames").queries) == 1
@@ -86,7 +83,7 @@ def test_paths_of_a_list_may_start_from_another_folder() -> None:
 # Folders whose names hold positions
 
 
-def test_queries_without_a_right_place_are_left_out_where_asked() -> None:
+def test_queries_without_a_right_place_are_left_out_where_asked():
     fill(Path("database"), at((0, 0), (20, 0)))
     fill(Path("queries"), at((900, 0), (0, 5), (30, 0)))
     dataset = utm_folders(root=".", unmatched="drop")
@@ -96,7 +93,7 @@ def test_queries_without_a_right_place_are_left_out_where_asked() -> None:
 
 
 @pytest.mark.parametrize("way", ["images/val", "val", "."])
-def test_both_folders_are_found_in_each_of_the_three_layouts(way: str) -> None:
+def test_both_folders_are_found_in_each_of_the_three_layouts(way):
     fill(Path(way) / "database", at((0, 0)))
     fill(Path(way) / "queries", at((1, 1)))
     dataset = utm_folders(root=".", split="val")
@@ -107,7 +104,7 @@ def test_both_folders_are_found_in_each_of_the_three_layouts(way: str) -> None:
         assert len(utm_folders(root=".", split="val").references) == 1
 
 
-def test_an_at_sign_in_the_path_does_not_matter_and_images_come_in_the_order_of_their_whole_paths() -> None:
+def test_an_at_sign_in_the_path_does_not_matter_and_images_come_in_the_order_of_their_whole_paths():
     fill(Path("me@7@8/gallery"), ["b/@1@0@.jpg", "a/@9@0@.jpg", "@5@0@.jpg", "a/@10@0@.jpg"])
     fill(Path("me@7@8/queries"), at((3, 4)))
     dataset = utm_folders(root="me@7@8", database="gallery", radius_metres=5)
@@ -115,7 +112,7 @@ def test_an_at_sign_in_the_path_does_not_matter_and_images_come_in_the_order_of_
     assert rights(dataset) == [[0, 3]]
 
 
-def test_a_list_beside_the_folder_says_which_images_and_in_which_order(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_list_beside_the_folder_says_which_images_and_in_which_order(monkeypatch):
     names = at((0, 0), (20, 0), (40, 0))
     fill(Path("town/database"), names)
     fill(Path("town/queries"), at((0, 5)))
@@ -129,7 +126,7 @@ def test_a_list_beside_the_folder_says_which_images_and_in_which_order(monkeypat
 # dbStruct
 
 
-def test_fields_of_dbstruct_are_taken_by_position_padded_names_are_read_and_suffixes_replaced() -> None:
+def test_fields_of_dbstruct_are_taken_by_position_padded_names_are_read_and_suffixes_replaced():
     fill(Path(), ["a.png", "b.png", "q1.jpg", "q2.jpg"])
     fields = ["test", cells(["a.jpg", "b.jpg"]), np.array([[0, 30], [0, 0]]), np.array(["q1.jpg    ", "q2.jpg    "])]
     savemat("set.mat", {"dbStruct": dict(zip("abcde", [*fields, np.array([[25.0, 56.0], [0, 0]])], strict=True))})
@@ -141,7 +138,7 @@ def test_fields_of_dbstruct_are_taken_by_position_padded_names_are_read_and_suff
 # VPR-Bench
 
 
-def test_the_pickle_comes_before_a_csv_that_says_the_same_and_queries_without_references_are_noted() -> None:
+def test_the_pickle_comes_before_a_csv_that_says_the_same_and_queries_without_references_are_noted():
     for part in ("query", "ref"):
         fill(Path(part), numbered(11))
     np.save("ground_truth_new.npy", lists(*([query, 0] for query in range(11))), allow_pickle=True)
@@ -155,7 +152,7 @@ def test_the_pickle_comes_before_a_csv_that_says_the_same_and_queries_without_re
     assert "1 of 11 queries have no right reference in ground_truth.csv" in from_csv.notes[0]
 
 
-def test_clipped_numbers_are_left_out_and_counted() -> None:
+def test_clipped_numbers_are_left_out_and_counted():
     for part in ("query", "ref"):
         fill(Path(part), numbered(3))
     np.save("ground_truth_new.npy", lists([-1, 0, 1], [1, 0, 1], [1, 2, 3]), allow_pickle=True)
@@ -165,7 +162,7 @@ def test_clipped_numbers_are_left_out_and_counted() -> None:
     assert "in 2 of 3 rows (first: query 0)" in dataset.notes[0]
 
 
-def test_rows_are_taken_by_their_query_and_never_by_their_place() -> None:
+def test_rows_are_taken_by_their_query_and_never_by_their_place():
     rows = [(1, [1]), (7, [0]), (0, [0]), (2, [5, 6])]
     assert in_range("it", rows, 3, 6, "clip") == ([[0], [1], [5]], [7, 2])
     with pytest.raises(BadInput, match="for query 2, "):
@@ -175,7 +172,7 @@ def test_rows_are_taken_by_their_query_and_never_by_their_place() -> None:
 
 
 @needs_real_frames
-def test_the_matches_that_vpr_bench_stored_of_corridor_give_the_recalls_that_it_published() -> None:
+def test_the_matches_that_vpr_bench_stored_of_corridor_give_the_recalls_that_it_published():
     corridor = configured("corridor")
     assert rights(corridor) == [[n for n in range(query - 2, query + 3) if 0 <= n < 111] for query in range(111)]
     assert corridor.queries.names[7] == corridor.references.names[7] == "0000007.jpg"
@@ -192,7 +189,7 @@ def test_the_matches_that_vpr_bench_stored_of_corridor_give_the_recalls_that_it_
 # VPR_Tutorial
 
 
-def test_gardens_point_is_right_by_number_within_eight_or_within_a_tolerance() -> None:
+def test_gardens_point_is_right_by_number_within_eight_or_within_a_tolerance():
     for folder in ("day_left", "day_right", "night_right"):
         fill(Path(folder), numbered(20))
     right = rights(gardens_point(root=".", images=19, ground_truth="soft"))  # of the first 19
@@ -208,9 +205,7 @@ SOFT = np.array([[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0]], bool)
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8, float])
-def test_columns_of_a_matrix_of_zeros_and_ones_are_queries_and_images_stand_in_the_order_of_their_paths(
-    kind: Callable[..., Any],
-) -> None:
+def test_columns_of_a_matrix_of_zeros_and_ones_are_queries_and_images_stand_in_the_order_of_their_paths(kind):
     fill(Path("dry"), ["image10.jpg", "image11.jpg", "image9.jpg"])
     fill(Path("jan"), numbered(4))
     np.savez("GT.npz", GThard=HARD.astype(kind), GTsoft=SOFT.astype(kind))
@@ -222,7 +217,7 @@ def test_columns_of_a_matrix_of_zeros_and_ones_are_queries_and_images_stand_in_t
 @pytest.mark.parametrize(
     ("name", "reference", "query"), [("st_lucia", "100909_0845", "180809_1545"), ("sfu_mountain", "dry", "jan")]
 )
-def test_the_folders_of_the_tutorial_are_set(name: str, reference: str, query: str) -> None:
+def test_the_folders_of_the_tutorial_are_set(name, reference, query):
     fill(Path(reference), numbered(3))
     fill(Path(query), numbered(4))
     np.savez("GT.npz", GThard=HARD)
@@ -232,7 +227,7 @@ def test_the_folders_of_the_tutorial_are_set(name: str, reference: str, query: s
 
 
 @needs_real_frames
-def test_the_ten_real_frames_of_gardens_point_are_read_grey_night_and_all() -> None:
+def test_the_ten_real_frames_of_gardens_point_are_read_grey_night_and_all():
     root = str(REAL / "gardens_point_sample10")
     dataset = configured("gardens_point", root=root, references=["day_left"], images=10, tolerance=2)
     night = dataset.queries[9]

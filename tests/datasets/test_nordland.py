@@ -240,7 +240,7 @@ BY_SOURCE: dict[str, Callable[[int, int], bool]] = {
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_each_way_asks_the_frames_and_seasons_that_are_published(datasets: Mapping[str, Dataset], name: str) -> None:
+def test_each_way_asks_the_frames_and_seasons_that_are_published(datasets, name):
     dataset, (references, query, mapped, queried, tolerance) = datasets[name], PUBLISHED[name]
     assert [*dataset.references.names] == mapped * len(references)
     assert [*dataset.queries.names] == queried
@@ -259,7 +259,7 @@ def test_each_way_asks_the_frames_and_seasons_that_are_published(datasets: Mappi
 
 
 @pytest.mark.parametrize("name", BY_SOURCE)
-def test_right_are_the_frames_that_the_source_counts_as_right(datasets: Mapping[str, Dataset], name: str) -> None:
+def test_right_are_the_frames_that_the_source_counts_as_right(datasets, name):
     positives, stride = datasets[name].positives, 10 if name == "nordland_vprbench" else 1
     n = len(positives)
     for number in (*range(11), 500, *range(n - 11, n)):
@@ -268,12 +268,12 @@ def test_right_are_the_frames_that_the_source_counts_as_right(datasets: Mapping[
 
 
 @pytest.mark.parametrize("name", BY_SOURCE)
-def test_columns_of_whole_maps_are_shown_on_request_and_vprtempos_modules_are_nearly_of_one_size(name: str) -> None:
+def test_columns_of_whole_maps_are_shown_on_request_and_vprtempos_modules_are_nearly_of_one_size(name):
     column = read_plan(registry.conf_folders()["vprbench"] / "table.yaml").columns[name]
     assert (column.on_request, column.published) == (True, None)
     sizes = [fits["max_module"] for fits in column.fits.values()]
     assert all(size <= 1100 and size - 27_592 % size < 0.05 * size for size in sizes)
 
 
-def test_vprsnns_by_its_name_is_the_papers_with_another_protocol() -> None:
+def test_vprsnns_by_its_name_is_the_papers_with_another_protocol():
     assert config("dataset=nordland_vprsnn") == config("dataset=nordland", "dataset.protocol=vprsnn")

@@ -51,19 +51,17 @@ def column(protocol: str, **dataset: Any) -> ResolvedColumn:
     return ResolvedColumn(planned, dataset or {**SYNTHETIC, "protocol": protocol})
 
 
-def test_runs_of_two_protocols_never_share_a_column() -> None:
-    mine, other = asked_for("vprtempo"), asked_for("vprsnn")
-    first, second = groups([mine, other], [], [column("vprtempo"), column("vprsnn")], ROWS)
-    assert (first.runs, second.runs) == ((mine,), (other,))
+def test_runs_of_two_protocols_never_share_a_column_whose_caption_names_its_protocol_and_no_count_twice():
+    runs, columns = [asked_for("vprtempo"), asked_for("vprsnn")], [column("vprtempo"), column("vprsnn")]
+    assert [group.runs for group in groups(runs, [], columns, ROWS)] == [(mine,) for mine in runs]
+    captions = [made.protocol for made in table(runs, rows=[SAD], asked=columns).columns]
+    assert captions == [
+        f"protocol {name}, references spring+fall, query summer, {size}, tolerance places 0"
+        for name, size in (("vprtempo", "first query place 2"), ("vprsnn", "held out places 2"))
+    ]
 
 
-@pytest.mark.parametrize(("protocol", "size"), [("vprtempo", "first query place 2"), ("vprsnn", "held out places 2")])
-def test_the_caption_of_a_column_names_its_protocol_and_no_count_twice(protocol: str, size: str) -> None:
-    (made,) = table([asked_for(protocol)], rows=[SAD], asked=[column(protocol)]).columns
-    assert made.protocol == f"protocol {protocol}, references spring+fall, query summer, {size}, tolerance places 0"
-
-
-def test_columns_of_other_sizes_are_told_apart_by_what_was_asked_and_not_by_what_follows() -> None:
+def test_columns_of_other_sizes_are_told_apart_by_what_was_asked_and_not_by_what_follows():
     sizes = [asked_for("vprtempo", places) for places in (12, 20)]
     titles = [made.title for made in table(sizes, rows=[SAD], asked=[column("vprtempo", name="synthetic")]).columns]
     assert sorted(titles) == [
@@ -72,7 +70,7 @@ def test_columns_of_other_sizes_are_told_apart_by_what_was_asked_and_not_by_what
     ]
 
 
-def test_the_report_says_what_a_protocol_means() -> None:
+def test_the_report_says_what_a_protocol_means():
     protocols = (record("vprtempo"), record("vprsnn"), {"protocol": "sift"})
     vprtempo, vprsnn, own = (dict(words.protocol([a_run(protocol=protocol)])) for protocol in protocols)
     assert vprtempo["Protocol"].startswith("vprtempo: all places are in the map")
@@ -81,7 +79,7 @@ def test_the_report_says_what_a_protocol_means() -> None:
     assert own["Also recorded"] == "protocol: sift"
 
 
-def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone() -> None:
+def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone():
     row = Row("VPRTempo", "vprtempo", boundary="match")
     sized = [figure_runs.sized(n, 1.0, 0.001, protocol=record("vprtempo", n, n // 5)) for n in (100, 300)]
     assert samples(row, sized, ()).runs == tuple(sized)
@@ -92,7 +90,7 @@ def test_maps_of_other_sizes_are_one_growth_under_one_protocol_alone() -> None:
 # Searches of settings
 
 
-def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_its_held_out_places() -> None:
+def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_its_held_out_places():
     with pytest.raises(BadInput, match=r"dataset\.protocol=vprsnn: a search needs places in a row"):
         searchable("nordland", {**NORDLAND, "protocol": "vprsnn"}, 20, [])
     nordland, rendered = (
@@ -108,7 +106,7 @@ def test_nothing_is_searched_under_a_protocol_or_beside_a_column_that_scatters_i
 
 
 @pytest.mark.parametrize(("protocol", "named"), [("vprtempo", False), ("vprsnn", True)])
-def test_a_stored_run_whose_queries_are_scattered_may_query_any_place(protocol: str, named: bool) -> None:
+def test_a_stored_run_whose_queries_are_scattered_may_query_any_place(protocol, named):
     stored = a_run(
         dataset="nordland",
         config={**a_run().config, "dataset": {**NORDLAND, "protocol": protocol}},

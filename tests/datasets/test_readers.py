@@ -196,7 +196,7 @@ def read(source: str, **changed: Any) -> Dataset:
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_what_was_written_is_read(source: str) -> None:
+def test_what_was_written_is_read(source):
     expected, dataset = SOURCES[source], read(source)
     assert dataset.name == "mine"
     assert rights(dataset) == expected.rights
@@ -410,18 +410,16 @@ def refusal(source: str, files: dict[str, Any], options: dict[str, Any], kind: t
 
 
 @cases(REFUSED)
-def test_what_does_not_fit_or_is_damaged_or_hostile_is_refused(
-    source: str, files: dict[str, Any], options: dict[str, Any], told: str
-) -> None:
+def test_what_does_not_fit_or_is_damaged_or_hostile_is_refused(source, files, options, told):
     assert told in refusal(source, files, options, BadInput)
 
 
 @cases(MISSING)
-def test_what_is_missing_is_named(source: str, files: dict[str, Any], options: dict[str, Any], told: str) -> None:
+def test_what_is_missing_is_named(source, files, options, told):
     assert told in refusal(source, files, options, NotThere)
 
 
-def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_mat_file_that_unpacks_to_a_large_one_is_refused(monkeypatch):
     monkeypatch.setattr(mat_files, "_LEAST_BYTES", 1 << 24)
     bomb = partial(savemat, mdict={"dbStruct": structure(), "zeros": np.zeros(1 << 26, np.uint8)}, do_compression=True)
     make, options = written("dbstruct")

@@ -90,15 +90,13 @@ def test_light_and_colours_differ_as_those_of_weather_and_seasons_do():
     ("dataset", "references", "places", "queries", "first"),
     [(street, 900, 450, 360, "dusk/place-00090"), (synthetic, 6600, 3300, 2700, "summer/place-00600")],
 )
-def test_the_defaults_are_as_large_as_oxford_and_nordland_in_the_paper(dataset, references, places, queries, first):
+def test_the_defaults_are_as_large_as_oxford_and_nordland_and_the_protocol_says_what_was_selected(
+    dataset, references, places, queries, first
+):
     default = dataset()
     assert (len(default.references), default.n_places, len(default.queries)) == (references, places, queries)
     assert default.queries.names[0] == first
     assert default.positives[0].tolist() == [places - queries]
-
-
-@each_dataset
-def test_the_protocol_says_everything_that_was_selected(dataset):
     reference, *_, query = TRAVERSES[dataset]
     selected = dataset("mine", 50, [reference], query, first_query_place=5, query_places=7, tolerance=1, seed=3)
     assert selected.name == "mine"
@@ -147,15 +145,7 @@ def test_first_query_place_and_number_of_queries_are_kept_when_given(asked, expe
     assert shown(little_journey(**asked).queries) == expected
 
 
-def test_the_painter_of_the_seed_renders_each_query_and_reference():
-    dataset = little_journey(references=["midday", "dawn"], query="dawn", seed=9)
-    assert dataset.references[5][0, 0].tolist() == [9, 5, len("midday")]
-    assert dataset.references[8 + 5][0, 0].tolist() == [9, 5, len("dawn")]
-    assert dataset.queries[1][0, 0].tolist() == [9, 3, len("dawn")]
-    assert dataset.protocol["renderer"] == 7
-
-
-def test_as_vprsnns_authors_evaluate_the_places_set_aside_are_neither_in_the_map_nor_queried():
+def test_frames_are_painted_by_the_seed_and_vprsnns_places_set_aside_are_neither_in_the_map_nor_queried():
     # numpy's RandomState(42) draws of eight places first 1, then 5, then 0.
     dataset = little_journey(references=["midday", "dawn"], first_query_place=3, protocol="vprsnn")
     assert shown(dataset.references) == [2, 3, 4, 6, 7, 2, 3, 4, 6, 7]
@@ -163,6 +153,11 @@ def test_as_vprsnns_authors_evaluate_the_places_set_aside_are_neither_in_the_map
     assert [right.tolist() for right in dataset.positives] == [[0], [1], [2], [3], [4]]
     assert (shown(dataset.held_out.references), shown(dataset.held_out.queries)) == ([0, 1, 5, 0, 1, 5], [0, 1, 5])
     assert not dataset.held_out.in_map
+    painted = little_journey(references=["midday", "dawn"], query="dawn", seed=9)
+    assert painted.references[5][0, 0].tolist() == [9, 5, len("midday")]
+    assert painted.references[8 + 5][0, 0].tolist() == [9, 5, len("dawn")]
+    assert painted.queries[1][0, 0].tolist() == [9, 3, len("dawn")]
+    assert painted.protocol["renderer"] == 7
 
 
 def test_damage_on_purpose_shifts_the_queries_and_adds_some_that_have_no_answer():

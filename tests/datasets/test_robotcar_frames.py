@@ -26,7 +26,6 @@ from robotcar_download import (
     raw_folder,
     uniform,
     write_download,
-    write_raw,
     write_table,
 )
 from scipy.ndimage import map_coordinates
@@ -56,7 +55,7 @@ def noise(camera: Camera) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (camera.height, camera.width), dtype=np.uint8)
 
 
-def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_its_decimals_cut_off(tmp_path: Path) -> None:
+def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_its_decimals_cut_off(tmp_path):
     # Every channel inside the frame: the pixel itself, or else its two or four nearest neighbours that record it.
     raw = noise(SMALL)
     seen = processed(raw, calibration(tmp_path, *grid()))
@@ -69,7 +68,7 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_its_decimals_
         assert seen[y + 1, x + 1, channel] == sum(nearest) // len(nearest)
 
 
-def test_half_a_pixel_is_the_mean_of_two_and_the_frame_ends_at_its_last_pixel(tmp_path: Path) -> None:
+def test_half_a_pixel_is_the_mean_of_two_and_the_frame_ends_at_its_last_pixel(tmp_path):
     image = uniform((0, 0, 0))
     image[:, :, 1] = 8 * np.arange(16)  # green, a ramp that demosaicing leaves as it is but at the ends
     x, y = grid()
@@ -80,7 +79,7 @@ def test_half_a_pixel_is_the_mean_of_two_and_the_frame_ends_at_its_last_pixel(tm
 
 
 @pytest.mark.parametrize("camera", [Camera(40, 30, (1, 1), (1, 1)), STEREO_LEFT], ids=["small", "full size"])
-def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path: Path, camera: Camera) -> None:
+def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path, camera):
     raw = noise(camera)
     x, y = bent(camera)
     straight = processed(raw, calibration(tmp_path / "straight", *grid(camera), camera)).astype(float)
@@ -106,7 +105,7 @@ def test_a_bent_table_is_followed_as_scipy_interpolates_in_float64(tmp_path: Pat
     ],
     ids=["another size", "no number", "infinity", "outside the frame", "y before x"],
 )
-def test_a_table_that_is_none_is_refused(tmp_path: Path, spoil, told: str) -> None:
+def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
     path = write_table(tmp_path, *grid())
     path.write_bytes(spoil(np.frombuffer(path.read_bytes())).tobytes())
     with pytest.raises(BadInput, match=f"{path} .*{told}.*robotcar-dataset-sdk"):
@@ -122,9 +121,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, spoil, told: str) -> No
         ("elsewhere", f"elsewhere/{TABLE}"),
     ],
 )
-def test_the_table_is_found_in_the_root_or_where_the_option_says(
-    tmp_path: Path, folder: str, given: str | None
-) -> None:
+def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folder, given):
     asked = given and str(tmp_path / given)
     with pytest.raises(NotThere) as error:
         find_calibration(tmp_path, asked)
@@ -175,9 +172,7 @@ def shows_all(found: Dataset) -> bool:
     return all((image == uniform(colour)).all() for image, colour in zip(seen, expected, strict=True))
 
 
-def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_where_it_is_kept(
-    root: Path, processings: list[None]
-) -> None:
+def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_where_it_is_kept(root, processings):
     before = sorted(root.rglob("*"))
     found = dataset(root)
     assert sorted(root.rglob("*")) == before
@@ -199,7 +194,7 @@ def test_a_frame_is_processed_once_when_it_is_looked_at_and_then_taken_from_wher
     assert record["code_version"] == kept.VERSION
 
 
-def test_every_flip_of_a_bit_is_noticed_or_changes_no_pixel(root: Path) -> None:
+def test_every_flip_of_a_bit_is_noticed_or_changes_no_pixel(root):
     right = dataset(root).queries[0]
     path = frame_path(root, "dusk", 1)
     content = path.read_bytes()
@@ -214,8 +209,8 @@ def test_every_flip_of_a_bit_is_noticed_or_changes_no_pixel(root: Path) -> None:
 
 
 def test_another_table_frame_or_version_makes_a_frame_anew_and_so_does_the_first_one_again(
-    root: Path, processings: list[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    root, processings, monkeypatch
+):
     PillowImage.fromarray(noise(SMALL)).save(raw_path(root, "dusk", 1))
     x, y = grid()
     straight = dataset(root).queries[0]
@@ -232,7 +227,7 @@ def test_another_table_frame_or_version_makes_a_frame_anew_and_so_does_the_first
     assert len(processings) == 5
 
 
-def test_the_fingerprint_is_of_the_raw_frames_and_the_table_and_not_of_what_is_kept(root: Path) -> None:
+def test_the_fingerprint_is_of_the_raw_frames_and_the_table_and_not_of_what_is_kept(root):
     before = fingerprint(dataset(root))
     [*dataset(root).references]
     assert fingerprint(dataset(root)) == before
@@ -241,9 +236,13 @@ def test_the_fingerprint_is_of_the_raw_frames_and_the_table_and_not_of_what_is_k
     assert fingerprint(dataset(root)) != before
 
 
-def test_a_file_in_the_place_of_the_folder_costs_a_warning_and_no_frame(
-    root: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_another_folder_may_keep_the_frames_and_a_file_in_its_place_costs_a_warning_and_no_frame(
+    root, tmp_path, caplog
+):
+    before, aside = sorted(root.rglob("*")), tmp_path / "aside"
+    assert shows_all(dataset(root, processed=str(aside)))
+    assert sorted(root.rglob("*")) == before
+    assert (aside / RECORDINGS["dusk"] / f"{STAMPS['dusk'][1]}.png").is_file()
     for traverse in RECORDINGS:
         frame_path(root, traverse, 0).parent.write_text("no folder")
     with caplog.at_level(logging.WARNING):
@@ -254,14 +253,7 @@ def test_a_file_in_the_place_of_the_folder_costs_a_warning_and_no_frame(
     assert "dataset.processed" in told
 
 
-def test_another_folder_may_keep_the_frames_and_nothing_is_written_to_the_root(root: Path, tmp_path: Path) -> None:
-    before = sorted(root.rglob("*"))
-    assert shows_all(dataset(root, processed=str(tmp_path / "aside")))
-    assert sorted(root.rglob("*")) == before
-    assert (tmp_path / "aside" / RECORDINGS["dusk"] / f"{STAMPS['dusk'][1]}.png").is_file()
-
-
-def test_many_threads_may_look_at_the_same_frames_at_once(root: Path) -> None:
+def test_many_threads_may_look_at_the_same_frames_at_once(root):
     several = [dataset(root) for _ in range(4)]
     with ThreadPoolExecutor(8) as readers:
         images = [*readers.map(lambda i: several[i % 4].references[i % 8], range(64))]
@@ -282,7 +274,7 @@ def write_processed(folder: Path, traverse: str, places: int = 4, mode: str = "R
 
 
 @pytest.mark.parametrize("where", ["demosaiced", "traverse"])
-def test_frames_that_somebody_processed_come_before_raw_ones_where_all_are_there(root: Path, where: str) -> None:
+def test_frames_that_somebody_processed_come_before_raw_ones_where_all_are_there(root, where):
     write_processed(frame_path(root, "sun", 0).parent if where == "demosaiced" else root / "sun", "sun")
     found = dataset(root)
     assert [image[0, 0].tolist() for image in found.references[:4]] == [[250, place, 0] for place in range(4)]
@@ -290,7 +282,7 @@ def test_frames_that_somebody_processed_come_before_raw_ones_where_all_are_there
     assert any(note.startswith("frames of sun: ") and "by somebody else" in note for note in found.notes)
 
 
-def test_where_some_are_missing_raw_frames_are_taken_and_those_of_somebody_else_stay_as_they_are(root: Path) -> None:
+def test_where_some_are_missing_raw_frames_are_taken_and_those_of_somebody_else_stay_as_they_are(root):
     theirs = frame_path(root, "sun", 0).parent
     write_processed(theirs, "sun", 2)
     before = {path: path.read_bytes() for path in theirs.iterdir()}
@@ -299,7 +291,7 @@ def test_where_some_are_missing_raw_frames_are_taken_and_those_of_somebody_else_
     assert {path: path.read_bytes() for path in theirs.iterdir() if path.is_file()} == before
 
 
-def test_kept_frames_of_one_table_are_enough_without_the_raw_ones(root: Path) -> None:
+def test_kept_frames_of_one_table_are_enough_without_the_raw_ones(root):
     assert shows_all(dataset(root))
     for traverse in RECORDINGS:
         raw_folder(root, traverse).rename(root / f"moved-{traverse}")
@@ -324,7 +316,7 @@ def test_kept_frames_of_one_table_are_enough_without_the_raw_ones(root: Path) ->
         ("", (0, 0), "cannot be read as an image"),
     ],
 )
-def test_a_file_that_is_no_raw_frame_is_named_when_it_is_read(root: Path, mode, size, told) -> None:
+def test_a_file_that_is_no_raw_frame_is_named_when_it_is_read(root, mode, size, told):
     for place in (2, 0):  # the first is looked at when the dataset is made
         path = raw_path(root, "sun", place)
         path.write_bytes(path.read_bytes()[:-40])
@@ -335,7 +327,7 @@ def test_a_file_that_is_no_raw_frame_is_named_when_it_is_read(root: Path, mode, 
 
 
 @pytest.mark.parametrize("traverse", ["rain", "dusk"])
-def test_raw_frames_among_processed_ones_are_refused_for_what_they_are(tmp_path: Path, traverse: str) -> None:
+def test_raw_frames_among_processed_ones_are_refused_for_what_they_are(tmp_path, traverse):
     for name in RECORDINGS:
         write_processed(tmp_path / name, name, mode="L" if name == traverse else "RGB")
     message = answer(dataset, tmp_path)
@@ -345,18 +337,9 @@ def test_raw_frames_among_processed_ones_are_refused_for_what_they_are(tmp_path:
     assert f"{STAMPS['sun'][0]}.png cannot be read as an image" in answer(dataset, tmp_path)
 
 
-def test_without_a_root_the_download_is_taken_whatever_the_dataset_is_called(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_root_the_download_is_taken_whatever_the_dataset_is_called(tmp_path, monkeypatch):
     for traverse in RECORDINGS:
         write_processed(tmp_path / "oxford_robotcar" / traverse, traverse)
     monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path))
     found = robotcar.oxford_robotcar("mine", **TINY)
     assert [image[0, 0].tolist() for image in found.queries] == [[250, place, 0] for place in (1, 2, 3)]
-
-
-def test_raw_frames_of_a_traverse_that_is_map_and_query_are_read_for_both(root: Path, tmp_path: Path) -> None:
-    write_raw(tmp_path / "one", "sun")
-    write_table(tmp_path / "one" / "models", *grid())
-    found = dataset(tmp_path / "one", references=["sun"], query="sun")
-    assert (found.queries[0] == found.references[1]).all()

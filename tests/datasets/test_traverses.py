@@ -59,7 +59,7 @@ def asked(draw: st.DrawFn) -> Asked:
 
 @quickly
 @given(asked())
-def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_within_the_tolerance(given: Asked) -> None:
+def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_within_the_tolerance(given):
     parts = given.parts()
     mapped, queried, held_out = parts.mapped.tolist(), parts.queried.tolist(), parts.held_out.tolist()
     assert all(numbers == sorted({*numbers}) for numbers in (mapped, queried, held_out))
@@ -73,7 +73,7 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
         assert right.tolist() == [i for i, place in enumerate(mapped) if abs(place - query) <= given.tolerance]
 
 
-def test_the_places_set_aside_are_the_published_draw() -> None:
+def test_the_places_set_aside_are_the_published_draw():
     # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
     assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
 
@@ -85,16 +85,14 @@ def test_the_places_set_aside_are_the_published_draw() -> None:
         ("vprsnn", 1, {"reference_places": 7, "held_out_places": 3}),
     ],
 )
-def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, stride, recorded) -> None:
+def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, stride, recorded):
     told = {"places": 10, "query_places": 4, "tolerance_places": 1}
     assert split(protocol, 10, 3, 4, 1, stride).record() == told | recorded
 
 
 @quickly
 @given(protocols, anything, anything, anything, anything, anything)
-def test_a_split_of_any_numbers_is_made_or_refused_by_name(
-    protocol: Evaluation, places: int, first: int, queries: int, tolerance: int, stride: int
-) -> None:
+def test_a_split_of_any_numbers_is_made_or_refused_by_name(protocol, places, first, queries, tolerance, stride):
     fits = (
         first >= 0
         and queries >= 1
@@ -125,11 +123,11 @@ def test_a_split_of_any_numbers_is_made_or_refused_by_name(
         ("vprtempo", (1, 3, -1), "dataset.tolerance=-1"),
     ],
 )
-def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told) -> None:
+def test_a_split_that_does_not_fit_six_places_is_refused_with_its_options(protocol, asked, told):
     assert told in answer(split, protocol, 6, *asked)
 
 
-def test_frames_that_are_missing_between_places_break_the_journey() -> None:
+def test_frames_that_are_missing_between_places_break_the_journey():
     numbers = [10, 20, 30, 60, 70, 110]
     assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.arange(6)).tolist() == [3, 5]
     assert Traverses(["a"], "b", None, numbers=numbers).breaks(np.array([1, 2, 4])).tolist() == [2]
@@ -150,9 +148,7 @@ def made(given: Asked, traverses: list[int], query: int) -> Dataset:
 
 @quickly
 @given(asked(), st.lists(st.integers(0, 4), min_size=1, max_size=3, unique=True), st.integers(0, 4))
-def test_images_come_traverse_by_traverse_and_every_query_has_its_own_place_right(
-    given: Asked, traverses: list[int], query: int
-) -> None:
+def test_images_come_traverse_by_traverse_and_every_query_has_its_own_place_right(given, traverses, query):
     dataset, parts = made(given, traverses, query), given.parts()
     mapped = parts.mapped.tolist()
     shown = numbers_in(dataset.references)
@@ -177,7 +173,7 @@ def test_images_come_traverse_by_traverse_and_every_query_has_its_own_place_righ
 
 @quickly
 @given(st.integers(-2, 9), st.integers(-2, 12), st.integers(0, 30))
-def test_every_so_manieth_entry_of_a_list_is_a_place_or_the_list_is_too_short(stride: int, places: int, n: int) -> None:
+def test_every_so_manieth_entry_of_a_list_is_a_place_or_the_list_is_too_short(stride, places, n):
     if min(stride, places) < 1 or len(range(0, n, stride)) < places:
         with pytest.raises(BadInput, match=r"^dataset\."):
             every(range(n), stride, places)
@@ -187,7 +183,7 @@ def test_every_so_manieth_entry_of_a_list_is_a_place_or_the_list_is_too_short(st
 
 @quickly
 @given(st.lists(st.sampled_from(["dawn", "noon", "tea"]), max_size=3), st.sampled_from(["dawn", "noon", "tea"]))
-def test_traverses_are_taken_if_all_are_recorded_and_none_is_named_twice(references: list[str], query: str) -> None:
+def test_traverses_are_taken_if_all_are_recorded_and_none_is_named_twice(references, query):
     if references and "tea" not in [*references, query] and len({*references}) == len(references):
         check_recorded("Town", "hour", ("dawn", "noon"), references, query)
     else:

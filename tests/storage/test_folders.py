@@ -9,7 +9,6 @@ import pytest
 
 from vprbench.api.checkpoints import partial_folder
 from vprbench.api.weights import weights_folder
-from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.storage.hashes import hashes_folder
 
@@ -38,10 +37,3 @@ def test_a_cache_without_a_home_asks_for_its_variable(variable, monkeypatch):
         FOLDERS[variable]()
     monkeypatch.setenv(variable, "kept")
     assert FOLDERS[variable]() == Path("kept")
-
-
-def test_bad_input_without_a_home_is_told_and_stored(capsys, monkeypatch):
-    monkeypatch.setenv("VPRBENCH_IN_SWEEP", "1")
-    assert main(["method.patch=0", "dataset.places=12", "dataset.first_query_place=0"]) == 2
-    assert capsys.readouterr().err.splitlines()[-1].startswith("vprbench: method.patch=0")
-    assert len(list(Path("results").rglob("failure.json"))) == 1
