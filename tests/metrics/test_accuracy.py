@@ -11,26 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from sklearn.metrics import auc as sklearn_auc
-from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
+from sklearn import metrics as sklearn_metrics
 
 from vprbench.errors import BadInput
-from vprbench.metrics import ranking
-from vprbench.metrics.accuracy import (
-    PRCurve,
-    Recall,
-    auc,
-    auc_roc,
-    average_precision,
-    extended_precision,
-    f1_max,
-    hits_at,
-    pr_curve,
-    pr_curve_multi,
-    precision_at_full_recall,
-    recall_at,
-    recall_at_full_precision,
-)
+from vprbench.metrics import accuracy, ranking
 from vprbench.metrics.ranking import Outcome, concatenate, outcome
 
 Matrix = npt.NDArray[np.float32]
@@ -66,7 +50,7 @@ WORKED = best_matches((0.9, True), (0.8, True), (0.7, False), (0.6, True), (0.5,
 
 def test_a_right_place_named_twice_counts_once_and_scores_are_left_as_they_were() -> None:
     given = scored([1, 1, 0], [1, 1, 0])
-    assert hits_at(outcome(given, places([0], [0, 0]), places([1], [])), 1).tolist() == [1, 0.5]
+    assert accuracy.hits_at(outcome(given, places([0], [0, 0]), places([1], [])), 1).tolist() == [1, 0.5]
     assert given.tolist() == [[1, 1, 0]] * 2
 
 
@@ -82,9 +66,9 @@ def test_hits_are_the_mean_worst_and_best_over_all_orders_of_tied_places(levels:
                 ranked = sorted((place for place in order if row[place] > -INF), key=lambda p, r=row: -r[p])
                 orders.append(bool(set(ranked[:n]) & set(right.tolist())))
             hits.append((np.mean(orders), min(orders), max(orders)))
-        recall = recall_at(found, n)
+        recall = accuracy.recall_at(found, n)
         for way, wanted in zip(("expected", "pessimistic", "optimistic"), np.array(hits).T, strict=True):
-            assert hits_at(found, n, way) == pytest.approx(wanted, abs=1e-12)
+            assert accuracy.hits_at(found, n, way) == pytest.approx(wanted, abs=1e-12)
             assert getattr(recall, way) == pytest.approx(wanted.mean(), abs=1e-12)
 
 
@@ -99,19 +83,21 @@ def test_hits_of_ties_across_the_boundary_follow_the_binomial_formula(above: int
     found = outcome(row[None], [np.arange(above, above + correct)])
     slots = n - above
     only_wrong = comb(tied - correct, slots) / comb(tied, slots) if slots > 0 else 1
-    assert hits_at(found, n)[0] == pytest.approx(1 - only_wrong, abs=1e-13)
+    assert accuracy.hits_at(found, n)[0] == pytest.approx(1 - only_wrong, abs=1e-13)
 
 
 def test_recall_is_over_all_or_over_answerable_queries() -> None:
-    assert recall_at(WORKED, 1) == recall_at(WORKED, 1, "all") == Recall(3 / 5, 3 / 5, 3 / 5, 5)
-    assert recall_at(WORKED, 1, "answerable") == Recall(3 / 4, 3 / 4, 3 / 4, 4)
+    assert (
+        accuracy.recall_at(WORKED, 1) == accuracy.recall_at(WORKED, 1, "all") == accuracy.Recall(3 / 5, 3 / 5, 3 / 5, 5)
+    )
+    assert accuracy.recall_at(WORKED, 1, "answerable") == accuracy.Recall(3 / 4, 3 / 4, 3 / 4, 4)
 
 
 def test_half_a_point_between_the_ways_to_break_ties_is_not_yet_flagged_and_more_is() -> None:
     for n_queries, flagged in ((200, False), (199, True)):
         scores = np.tile(scored([1, 0]), (n_queries, 1))
         scores[0] = 1
-        assert recall_at(outcome(scores, places([0]) * n_queries), 1).hangs_on_ties is flagged
+        assert accuracy.recall_at(outcome(scores, places([0]) * n_queries), 1).hangs_on_ties is flagged
 
 
 def test_places_of_the_soft_band_count_as_if_they_did_not_exist() -> None:
@@ -121,7 +107,9 @@ def test_places_of_the_soft_band_count_as_if_they_did_not_exist() -> None:
         left = np.setdiff1d(np.arange(9), np.setdiff1d([2, 5], right))
         whole = outcome(scores[[query]], [right], [band[query]])
         smaller = outcome(scores[[query]][:, left], [np.searchsorted(left, right)])
-        assert [hits_at(whole, n)[0] for n in (1, 2, 3)] == [hits_at(smaller, n)[0] for n in (1, 2, 3)]
+        assert [accuracy.hits_at(whole, n)[0] for n in (1, 2, 3)] == [
+            accuracy.hits_at(smaller, n)[0] for n in (1, 2, 3)
+        ]
         for name in ("best_score", "top_tied", "top_tied_correct"):
             assert getattr(whole, name) == getattr(smaller, name)
 
@@ -138,7 +126,7 @@ def test_places_of_the_soft_band_count_as_if_they_did_not_exist() -> None:
     ],
 )
 def test_scores_and_places_that_cannot_be_are_refused_by_name(scores: Any, right: Any, error: Any, named: str) -> None:
-    for judge in (outcome, pr_curve_multi):
+    for judge in (outcome, accuracy.pr_curve_multi):
         with pytest.raises(error, match=named):
             judge(scores, places(*right))
 
@@ -148,10 +136,10 @@ def test_scores_and_places_that_cannot_be_are_refused_by_name(scores: Any, right
     [
         (lambda: concatenate([outcome(np.zeros((1, n), np.float32), places([0])) for n in (2, 3)]), ValueError),
         (lambda: outcome(np.zeros((1, 2)), places([0]), places([2])), BadInput),
-        (lambda: pr_curve(WORKED, "C"), ValueError),
-        (lambda: recall_at(WORKED, 1, "some"), ValueError),
-        (lambda: hits_at(WORKED, 1, "lucky"), ValueError),
-        (lambda: hits_at(WORKED, 0), BadInput),
+        (lambda: accuracy.pr_curve(WORKED, "C"), ValueError),
+        (lambda: accuracy.recall_at(WORKED, 1, "some"), ValueError),
+        (lambda: accuracy.hits_at(WORKED, 1, "lucky"), ValueError),
+        (lambda: accuracy.hits_at(WORKED, 0), BadInput),
     ],
 )
 def test_unknown_names_a_rank_of_0_and_other_maps_are_refused(refused: Any, error: type[Exception]) -> None:
@@ -161,7 +149,7 @@ def test_unknown_names_a_rank_of_0_and_other_maps_are_refused(refused: Any, erro
 
 @pytest.mark.parametrize("kind", ["bool", "uint8", "int64", "float16", "float64"])
 def test_real_scores_of_any_type_are_ranked(kind: str) -> None:
-    assert list(hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
+    assert list(accuracy.hits_at(outcome(np.array([[1, 0], [1, 0]]).astype(kind), places([0], [1])), 1)) == [1, 0]
 
 
 def test_blocks_of_queries_give_what_the_whole_gives(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +168,7 @@ def test_the_single_match_curves_of_the_worked_case() -> None:
     precision = [1, 1, 1, 2 / 3, 3 / 4, 3 / 5]
     recalls = {"A": [0, 1 / 4, 2 / 4, 2 / 4, 3 / 4, 3 / 4], "B": [0, 1 / 3, 2 / 3, 2 / 3, 1, 1]}
     for kind, recall in recalls.items():
-        curve = pr_curve(WORKED, kind)
+        curve = accuracy.pr_curve(WORKED, kind)
         np.testing.assert_allclose(curve.precision, precision, atol=1e-15)
         np.testing.assert_allclose(curve.recall, recall, atol=1e-15)
         np.testing.assert_array_equal(curve.threshold, np.float32([INF, 0.9, 0.8, 0.7, 0.6, 0.5]))
@@ -193,7 +181,7 @@ def test_the_single_match_curves_are_the_mean_over_all_choices_among_tied_places
     best = scores.max(axis=1)
     ties = [np.flatnonzero((row == row.max()) & (row > -INF)) for row in scores]
     choices = list(product(*(tied if len(tied) else [None] for tied in ties)))
-    curve = pr_curve(outcome(scores, positives), "A")
+    curve = accuracy.pr_curve(outcome(scores, positives), "A")
     for precision, recall, threshold in zip(curve.precision[1:], curve.recall[1:], curve.threshold[1:], strict=True):
         kept = [query for query in range(6) if best[query] >= threshold]
         right = [sum(chosen[query] in positives[query].tolist() for query in kept) for chosen in choices]
@@ -204,17 +192,19 @@ def test_the_single_match_curves_are_the_mean_over_all_choices_among_tied_places
 def test_area_a_is_recall_at_1_times_area_b_also_with_ties_and_unanswerable_queries() -> None:
     for seed in range(3):
         found = outcome(*random_case(seed, 60, 5, 6))
-        area_a, area_b = (auc(pr_curve(found, kind)) for kind in ("A", "B"))
-        assert area_a == pytest.approx(recall_at(found, 1, "answerable").expected * area_b, abs=1e-12)
+        area_a, area_b = (accuracy.auc(accuracy.pr_curve(found, kind)) for kind in ("A", "B"))
+        assert area_a == pytest.approx(accuracy.recall_at(found, 1, "answerable").expected * area_b, abs=1e-12)
 
 
-def assert_that_of_scikit_learn(curve: PRCurve, right: npt.NDArray[np.bool_], scores: Matrix) -> None:
-    precision, recall, threshold = precision_recall_curve(right, scores)
+def assert_that_of_scikit_learn(curve: accuracy.PRCurve, right: npt.NDArray[np.bool_], scores: Matrix) -> None:
+    precision, recall, threshold = sklearn_metrics.precision_recall_curve(right, scores)
     np.testing.assert_allclose(curve.precision, precision[::-1], atol=1e-12)
     np.testing.assert_allclose(curve.recall, recall[::-1], atol=1e-12)
     np.testing.assert_array_equal(curve.threshold[1:], threshold[::-1])
-    assert average_precision(curve) == pytest.approx(average_precision_score(right, scores), abs=1e-12)
-    assert auc(curve) == pytest.approx(sklearn_auc(recall, precision), abs=1e-12)
+    assert accuracy.average_precision(curve) == pytest.approx(
+        sklearn_metrics.average_precision_score(right, scores), abs=1e-12
+    )
+    assert accuracy.auc(curve) == pytest.approx(sklearn_metrics.auc(recall, precision), abs=1e-12)
 
 
 @pytest.mark.parametrize("decimals", [6, 1])
@@ -222,8 +212,8 @@ def test_curve_b_and_its_areas_are_those_of_scikit_learn(decimals: int) -> None:
     random = np.random.default_rng(decimals)
     best, right = random.random(80).round(decimals).astype(np.float32), random.random(80) < 0.6
     found = best_matches(*zip(best.tolist(), right.tolist(), strict=True))
-    assert_that_of_scikit_learn(pr_curve(found, "B"), right, best)
-    assert auc_roc(found) == pytest.approx(roc_auc_score(right, best), abs=1e-12)
+    assert_that_of_scikit_learn(accuracy.pr_curve(found, "B"), right, best)
+    assert accuracy.auc_roc(found) == pytest.approx(sklearn_metrics.roc_auc_score(right, best), abs=1e-12)
 
 
 @pytest.mark.parametrize("levels", [3, 1000])
@@ -233,20 +223,28 @@ def test_the_multi_match_curve_is_that_of_scikit_learn_over_all_pairs(levels: in
     right = random.random(scores.shape) < 0.2
     soft = ~right & (random.random(scores.shape) < 0.3)
     rows = [[np.flatnonzero(row) for row in cells] for cells in (right, soft | right)]
-    assert_that_of_scikit_learn(pr_curve_multi(scores, *rows), right[~soft], scores[~soft])
+    assert_that_of_scikit_learn(accuracy.pr_curve_multi(scores, *rows), right[~soft], scores[~soft])
 
 
 def numbers_of(found: Outcome) -> list[Any]:
     """Return AP and area of curve A, AP of curve B, R@100P, P@100R, EP, AUC-ROC and F1."""
     curves = (
-        (average_precision, pr_curve(found, "A")),
-        (auc, pr_curve(found, "A")),
-        (average_precision, pr_curve(found, "B")),
+        (accuracy.average_precision, accuracy.pr_curve(found, "A")),
+        (accuracy.auc, accuracy.pr_curve(found, "A")),
+        (accuracy.average_precision, accuracy.pr_curve(found, "B")),
     )
     return [
         *(None if curve is None else area(curve) for area, curve in curves),
-        recall_at_full_precision(found),
-        *(metric(found) for metric in (precision_at_full_recall, extended_precision, auc_roc, f1_max)),
+        accuracy.recall_at_full_precision(found),
+        *(
+            metric(found)
+            for metric in (
+                accuracy.precision_at_full_recall,
+                accuracy.extended_precision,
+                accuracy.auc_roc,
+                accuracy.f1_max,
+            )
+        ),
     ]
 
 
@@ -276,12 +274,12 @@ NINES = scored([9, 0, 0], [8, 8, 0], [7, 0, 0])
 )
 def test_the_single_numbers_of_worked_cases(found: Outcome, expected: list[float | None]) -> None:
     assert numbers_of(found) == pytest.approx(expected, abs=1e-12)
-    assert (recall_at(found, 1) is None) == (expected[3] is None)
+    assert (accuracy.recall_at(found, 1) is None) == (expected[3] is None)
 
 
 def test_pairs_of_worked_cases() -> None:
-    assert pr_curve_multi(np.zeros((2, 3), np.float32), places([], [])) is None
-    curve = pr_curve_multi(scored([2, -INF], [1, -INF]), places([0, 1], [1]))
+    assert accuracy.pr_curve_multi(np.zeros((2, 3), np.float32), places([], [])) is None
+    curve = accuracy.pr_curve_multi(scored([2, -INF], [1, -INF]), places([0, 1], [1]))
     np.testing.assert_array_equal(curve.recall, [0, 1 / 3, 1 / 3])  # a right pair that is no candidate
     np.testing.assert_array_equal(curve.precision, [1, 1, 1 / 2])
 

@@ -10,14 +10,6 @@ import numpy.typing as npt
 import pytest
 
 from vprbench.metrics import sequences
-from vprbench.metrics.sequences import (
-    Filter,
-    Sequences,
-    filtered_scores,
-    local_contrast,
-    sequence_scores,
-    stretches,
-)
 
 Scores = npt.NDArray[np.float32]
 N_QUERIES, N_PLACES = 23, 17
@@ -48,9 +40,13 @@ def slow(scores: Scores, offsets: list[tuple[int, int]], query_breaks: list[int]
     return found
 
 
-def fast(scores: Scores, asked: Sequences, breaks: bool = True, step: float = 1.0) -> tuple[Scores, list[int]]:
+def fast(
+    scores: Scores, asked: sequences.Sequences, breaks: bool = True, step: float = 1.0
+) -> tuple[Scores, list[int]]:
     queries, places = (QUERY_BREAKS, PLACE_BREAKS) if breaks else (None, None)
-    found, counts = sequence_scores(scores, asked, stretches(N_QUERIES, queries), stretches(N_PLACES, places), step)
+    found, counts = sequences.sequence_scores(
+        scores, asked, sequences.stretches(N_QUERIES, queries), sequences.stretches(N_PLACES, places), step
+    )
     return found, counts.tolist()
 
 
@@ -58,16 +54,16 @@ def fast(scores: Scores, asked: Sequences, breaks: bool = True, step: float = 1.
 @pytest.mark.parametrize(
     ("asked", "steps"),
     [
-        (Sequences(1), [0]),
-        (Sequences(3), [-2, -1, 0]),
-        (Sequences(4, "centred"), [-2, -1, 0, 1]),
-        (Sequences(5, "centred"), [-2, -1, 0, 1, 2]),
-        (Sequences(4, "lens"), [-1, 0, 1, 2]),
-        (Sequences(40), list(range(-39, 1))),  # longer than the journey
+        (sequences.Sequences(1), [0]),
+        (sequences.Sequences(3), [-2, -1, 0]),
+        (sequences.Sequences(4, "centred"), [-2, -1, 0, 1]),
+        (sequences.Sequences(5, "centred"), [-2, -1, 0, 1, 2]),
+        (sequences.Sequences(4, "lens"), [-1, 0, 1, 2]),
+        (sequences.Sequences(40), list(range(-39, 1))),  # longer than the journey
     ],
 )
 def test_a_sequence_is_the_mean_along_the_diagonal(
-    asked: Sequences, steps: list[int], breaks: bool, monkeypatch: pytest.MonkeyPatch
+    asked: sequences.Sequences, steps: list[int], breaks: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sequences, "_BLOCK_CELLS", 7 * N_PLACES)
     queries, places = (QUERY_BREAKS, PLACE_BREAKS) if breaks else ([], [])
@@ -82,16 +78,16 @@ def test_of_several_velocities_the_best_mean_counts_and_a_step_may_be_several_pl
         [(-3, -3), (-2, -2), (-1, -1), (0, 0)],
         [(-3, -4), (-2, -2), (-1, -1), (0, 0)],  # 1.2: -3.6, -2.4, -1.2
     ]
-    found, _ = fast(scores, Sequences(4, velocities=(0.8, 1.0, 1.2)))
+    found, _ = fast(scores, sequences.Sequences(4, velocities=(0.8, 1.0, 1.2)))
     wanted = np.maximum.reduce([slow(scores, way, QUERY_BREAKS, PLACE_BREAKS) for way in ways])
     np.testing.assert_allclose(found, wanted, rtol=1e-6)
-    twice, _ = fast(scores, Sequences(2), step=2.0)
+    twice, _ = fast(scores, sequences.Sequences(2), step=2.0)
     np.testing.assert_allclose(twice, slow(scores, [(-1, -2), (0, 0)], QUERY_BREAKS, PLACE_BREAKS), rtol=1e-6)
 
 
 def test_the_counts_say_how_full_each_window_is() -> None:
     wanted = [1, 2, 3, 3, 1, 1, 2, *[3] * 7, 1, 2, *[3] * 7]
-    assert fast(matrix(), Sequences(3))[1] == wanted
+    assert fast(matrix(), sequences.Sequences(3))[1] == wanted
 
 
 @pytest.mark.parametrize("width", [2, 5, 10, 100])
@@ -107,28 +103,28 @@ def test_local_contrast_is_that_of_openseqslam(width: int) -> None:
             spread = values.std(ddof=1) if len(values) > 1 else 0.0
             wanted[q, p] = (float(scores[q, p]) - values.mean()) / spread if spread > 1e-7 else 0.0
     wanted[~np.isfinite(scores)] = -np.inf
-    found = local_contrast(scores, width, stretches(N_PLACES, PLACE_BREAKS))
+    found = sequences.local_contrast(scores, width, sequences.stretches(N_PLACES, PLACE_BREAKS))
     np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
 
 
 def test_the_filter_is_the_forward_pass_of_its_hidden_markov_model() -> None:
-    scores, asked = matrix(2), Filter(back=-1, ahead=2, ratio=3.0)
+    scores, asked = matrix(2), sequences.Filter(back=-1, ahead=2, ratio=3.0)
     low, high = np.quantile(scores[0].astype(float), [0.025, 0.975])
     moves = np.array([[float(-1 <= to - at <= 2) for to in range(N_PLACES)] for at in range(N_PLACES)])
     belief = np.ones(N_PLACES)
-    found = filtered_scores(scores, asked, stretches(N_QUERIES, QUERY_BREAKS))
+    found = sequences.filtered_scores(scores, asked, sequences.stretches(N_QUERIES, QUERY_BREAKS))
     for query in range(N_QUERIES):
         prior = np.ones(N_PLACES) if query in (0, *QUERY_BREAKS) else belief @ moves
         belief = prior * np.exp(scores[query].astype(float) * math.log(3.0) / (high - low))
         belief /= belief.sum()
         np.testing.assert_allclose(np.exp(found[query]), belief, rtol=1e-4)
-    assert (Filter().back, Filter().ahead, Filter().ratio) == (0, 2, 5.0)
+    assert (sequences.Filter().back, sequences.Filter().ahead, sequences.Filter().ratio) == (0, 2, 5.0)
 
 
 def test_a_filter_that_is_lost_begins_anew_and_hopeless_queries_have_no_candidate() -> None:
     scores = np.full((4, 9), -np.inf, np.float32)
     scores[0, 0] = scores[1, 8] = scores[3, 4] = 1.0  # nobody moves 8 places, and query 2 is nowhere
-    found = filtered_scores(scores, Filter(), stretches(4, None))
+    found = sequences.filtered_scores(scores, sequences.Filter(), sequences.stretches(4, None))
     assert [np.flatnonzero(row > -np.inf).tolist() for row in found] == [[0], [8], [], [4]]
     assert not np.isnan(found).any()
 
@@ -136,18 +132,18 @@ def test_a_filter_that_is_lost_begins_anew_and_hopeless_queries_have_no_candidat
 @pytest.mark.parametrize(
     ("kind", "options"),
     [
-        (Sequences, {"length": 0}),
-        (Sequences, {"velocities": (0.0,)}),
-        (Sequences, {"velocities": (math.inf,)}),
-        (Sequences, {"velocities": ()}),
-        (Sequences, {"contrast": 1}),
-        (Sequences, {"contrast": -2}),
-        (Sequences, {"window": "lens", "contrast": 4}),
-        (Filter, {"back": 3}),
-        (Filter, {"ratio": 1.0}),
-        (Filter, {"ratio": math.inf}),
+        (sequences.Sequences, {"length": 0}),
+        (sequences.Sequences, {"velocities": (0.0,)}),
+        (sequences.Sequences, {"velocities": (math.inf,)}),
+        (sequences.Sequences, {"velocities": ()}),
+        (sequences.Sequences, {"contrast": 1}),
+        (sequences.Sequences, {"contrast": -2}),
+        (sequences.Sequences, {"window": "lens", "contrast": 4}),
+        (sequences.Filter, {"back": 3}),
+        (sequences.Filter, {"ratio": 1.0}),
+        (sequences.Filter, {"ratio": math.inf}),
     ],
 )
 def test_what_cannot_be_is_refused(kind: type, options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
-        kind(**({"length": 2} if kind is Sequences else {}) | options)
+        kind(**({"length": 2} if kind is sequences.Sequences else {}) | options)
