@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 import yaml
 from checkout import ROOT
-from little_vprsnn import WORLD, fitted, images, layers
+from little_vprsnn import WORLD, fitted, images
 
 from vprbench.errors import BadInput
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
@@ -226,14 +226,3 @@ def test_every_argument_of_the_training_changes_what_is_learnt(change: dict[str,
 @cache
 def usual() -> npt.NDArray[np.float64]:
     return fitted(epochs=2).state()["weights"]
-
-
-def test_an_inhibitory_neuron_resets_to_its_reset_potential_before_it_fires_again() -> None:
-    # After its refractory period of 2 ms the conductance is 30 * 0.9**20 = 3.6 and moves it by less than
-    # 3.6 * 1 ms / 10 ms = 36 % of what is left to 0 mV: from -45 mV past -40 mV, from -80 mV to -51 mV at most.
-    codes = fitted().encode(QUERIES)
-    often, once = (
-        layers(fitted(inhibitory_reset_mv=mv, excitatory_to_inhibitory_weight=30.0), codes) for mv in (-45.0, -80.0)
-    )
-    assert often["inhibitory"].sum() > 1.8 * often["excitatory"].sum() > 0
-    assert 0 < once["inhibitory"].sum() <= once["excitatory"].sum()

@@ -81,21 +81,6 @@ def test_scores_are_the_sum_of_the_members_scores(change: dict[str, Any]) -> Non
     assert together.match(codes).dtype == np.float32
 
 
-def test_an_ensemble_of_one_is_the_method_of_its_seed() -> None:
-    single = ensemble(seeds=[10])
-    assert same(single.state(), alone(seed=10).state())
-    codes = single.encode(QUERIES)
-    assert np.array_equal(single.match(codes), alone(seed=10).match(codes))
-
-
-def test_probabilities_are_those_of_the_summed_scores() -> None:
-    plain = ensemble()
-    parts = VPRSNNEnsemble(**SMALL, seeds=[0, 10], probabilities=True).restore(plain.state())
-    codes = plain.encode(QUERIES)
-    less = plain.match(codes) - plain.match(codes).min(axis=1, keepdims=True)
-    assert parts.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
-
-
 def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:
     """Return an ensemble of networks of two places whose neurons hear the inputs that are said."""
     state = {
@@ -159,11 +144,6 @@ def test_other_arrays_than_those_of_the_members_are_refused(numbers: tuple[int, 
         method.restore({**stored(*numbers), **{name: alone().state()[name] for name in more}})
     with pytest.raises(NotFittedError):
         method.state()
-
-
-def test_the_networks_of_an_ensemble_are_none_for_the_method_alone() -> None:
-    with pytest.raises(BadInput):
-        VPRSNN(**SMALL).restore(stored(0, 1))
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------

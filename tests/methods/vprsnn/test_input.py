@@ -35,13 +35,6 @@ def test_each_input_has_the_rate_of_its_own_level():
     assert (np.abs(counts - 40 * SHOWN * probability) <= spread + 1e-9).all()
 
 
-def test_a_level_of_0_is_silent():
-    train = drawn([0, 255, 0, 255, 0], 2, 0.1)
-    assert np.diff(train.first)[[0, 2, 4]].tolist() == [0, 0, 0]
-    assert np.diff(train.first)[[1, 3]].min() > 500
-    assert len(drawn(np.zeros(784)).step) == 0
-
-
 def test_a_longer_step_makes_a_spike_in_it_more_probable():
     train = spike_train(np.full(784, 200, np.uint8), np.random.default_rng(3), 4.0, 700, 0.5)
     assert len(train.step) == pytest.approx(784 * 700 * 0.025, abs=five_sigma(784 * 700, 0.025))
@@ -68,15 +61,6 @@ def test_the_first_and_the_last_step_are_as_probable_as_any():
     grid = as_grid(drawn(np.full(20_000, 240), 6, 240 * 1e-4 / probability, 8), 8)
     assert grid.sum(axis=0).max() <= 8
     assert grid.sum(axis=1) == pytest.approx(np.full(8, 20_000 * probability), abs=five_sigma(20_000, probability))
-
-
-@pytest.mark.parametrize("lag", [1, 2, 10])
-def test_a_spike_says_nothing_of_later_steps(lag):
-    probability = 0.2
-    grid = as_grid(drawn(np.full(300, 200), 7, 200 * 1e-4 / probability))
-    pairs = int((grid[lag:] & grid[:-lag]).sum())
-    draws = (SHOWN - lag) * 300
-    assert pairs == pytest.approx(draws * probability**2, abs=1.5 * five_sigma(draws, probability**2))
 
 
 def test_an_input_says_nothing_of_its_neighbour():

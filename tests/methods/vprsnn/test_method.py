@@ -59,12 +59,6 @@ def test_fast_leaves_out_the_delays_and_nothing_else() -> None:
     assert np.mean(fast.query(shown).argmax(1) == places) > 0.7
 
 
-def test_fast_is_called_an_approximation() -> None:
-    first = (CONFIGURATIONS / "vprsnn_fast.yaml").read_text().splitlines()[0]
-    assert "approximation" in first
-    assert "approximation" in (VPRSNN.__doc__ or "")
-
-
 # --- before a network is there ----------------------------------------------------------------------------------
 
 

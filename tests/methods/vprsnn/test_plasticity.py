@@ -15,7 +15,6 @@ from vprsnn_modules import Module, spikes_at
 from vprbench.methods.vprsnn.arguments import Arguments
 
 RESTLESS = 0.0  # mV of theta: a threshold of -72 mV
-KEEP = 1 - 1e-8  # of theta in a step of 0.1 ms, by a time constant of 1e7 ms
 AT_SPIKES = {"pre_rate": 0.0}  # the neurons' own
 AT_ARRIVALS = {"post_rate": 0.0}
 SLOW = {**AT_ARRIVALS, "excitatory_minimum_interval_ms": 300.0}  # spikes in steps 0 and 3001
@@ -62,30 +61,8 @@ def test_arrivals_before_and_after_a_spike_change_the_weight_by_the_pair_rules(c
     assert module.weights[0, 0] - 0.3 == pytest.approx(change, abs=1e-11)
 
 
-def test_each_synapse_counts_from_its_own_arrival():
-    delays = np.array([[0, 1, 30, 100], [70, 71, 72, 99]])
-    module = restless(np.full((2, 4), 0.3), delays, **AT_SPIKES)
-    module.show(spikes_at(3500, 2, (401, 0), (430, 1)))
-    # Input 1 reaches the second neuron in the step of its spike, and the two others after it.
-    first = np.array([[100, 99, 70, 0], [1, 0, np.inf, np.inf]])
-    # All fire again 501 steps later, and so on to step 3006 and, in the rest, to 4509.
-    arrivals = np.array([401, 430])[:, None] + delays
-    expected = np.exp(-first / 200) * math.exp(-501 / 400)
-    for spike in range(1002, 5000, 501):
-        expected += np.exp(-(spike - arrivals) / 200) * math.exp(-501 / 400)
-    assert module.weights - 0.3 == pytest.approx(0.01 * expected, abs=1e-10)
-
-
-def test_an_arrival_in_one_presentation_counts_for_a_spike_in_the_next():
-    module = restless([[0.3]], 60, **AT_SPIKES, presentation_ms=40.0, rest_ms=10.0)
-    module.show(spikes_at(400, 1, (350, 0)))
-    assert module.weights[0, 0] == 0.3
-    module.show(spikes_at(400, 1))
-    assert module.weights[0, 0] - 0.3 == pytest.approx(pair(501 - 410), abs=1e-11)
-
-
-@pytest.mark.parametrize("late", [511, 512, 513, 514, 1023, 1024, 1025, 1026])
-@pytest.mark.parametrize("delay", [0, 1, 100])
+@pytest.mark.parametrize("late", [511, 512, 513, 1024, 1025])
+@pytest.mark.parametrize("delay", [0, 100])
 def test_an_arrival_counts_once_wherever_the_simulation_looks_at_it(late, delay):
     # The input of a neuron that fired is summed in stretches of 512 steps: none may be missed or counted twice.
     module = restless([[0.3], [0.2]], [[delay], [0]], **SLOW)
@@ -109,31 +86,6 @@ def test_a_neuron_that_never_fired_or_is_asked_learns_nothing(theta, learning):
     assert (module.counts.min() == 7) is not learning
     assert (module.weights == 0.3).all()
     assert learning or (module.theta == RESTLESS).all()
-
-
-# --- The threshold ----------------------------------------------------------------------------------------------
-
-
-def test_each_spike_raises_theta_by_5_hundredths_of_a_millivolt():
-    module = restless([[0.3]])
-    spikes = list(range(0, 5000, 501))
-    module.show(spikes_at(3500, 1))
-    expected = sum(0.05 * KEEP ** (4999 - spike) for spike in spikes)
-    assert len(spikes) == 10
-    assert module.theta[0] == pytest.approx(expected, abs=1e-11)
-    # From 6.86 mV three spikes lead past 7 mV, the threshold at rest.
-    rising = Module(np.full((1, 1), 0.3), 6.86)
-    assert rising.fire_times(spikes_at(5000, 1)) == [[0, 501, 1002]]
-
-
-@pytest.mark.parametrize("presentations", [1, 7])
-def test_theta_decays_with_a_time_constant_of_10_000_seconds(presentations):
-    module = Module(np.full((1, 2), 0.3), np.array([20.0, 35.0]))
-    for _ in range(presentations):
-        module.show(spikes_at(3500, 1, (5, 0)))
-    n_steps = 5000 * presentations
-    assert module.theta == pytest.approx(np.array([20.0, 35.0]) * KEEP**n_steps, rel=1e-12)
-    assert 20 - module.theta[0] == pytest.approx(20 * n_steps * 1e-4 / 1e4, rel=1e-3)
 
 
 # --- Weights and their sums -------------------------------------------------------------------------------------

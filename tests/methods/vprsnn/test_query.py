@@ -8,7 +8,7 @@ import direct_vprsnn as direct
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, lit, made, recorded_trains
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains
 
 from vprbench.methods.vprsnn import scoring
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -75,45 +75,11 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() 
     assert not state.gi.any()
 
 
-def test_the_start_acts_on_the_first_query_where_potentials_are_carried() -> None:
-    low = {**SHORT, "excitatory_start_mv": -105.0, "first_rest_ms": 50.0, "carried_potentials": True}
-    method = fitted(**low)
-    codes = method.encode(QUERIES)
-    from_low, from_rest = (
-        layers(VPRSNN(**{**SMALL, **low, **start}).restore(method.state()), codes)["excitatory"]
-        for start in ({}, {"excitatory_start_mv": -65.0})
-    )
-    assert from_low[0].sum() < from_rest[0].sum()  # it takes longer from there
-    other = VPRSNN(**{**SMALL, **low, "carried_potentials": False}).restore(method.state())
-    same_start = VPRSNN(**{**SMALL, **low, "carried_potentials": False, "excitatory_start_mv": -65.0})
-    assert np.array_equal(other.match(codes), same_start.restore(method.state()).match(codes))
-
-
-def test_carried_potentials_make_answers_depend_on_the_query_before() -> None:
-    apart = fitted(**SHORT)
-    carried = VPRSNN(**{**SMALL, **SHORT, "carried_potentials": True}).restore(apart.state())
-    codes = apart.encode(QUERIES)
-    assert np.array_equal(apart.match(codes)[::-1], apart.match(codes[::-1]))
-    assert not np.array_equal(carried.match(codes)[::-1], carried.match(codes[::-1]))
-    assert np.array_equal(carried.match(codes), carried.match(codes))
-
-
 def test_new_delays_are_not_those_of_the_training() -> None:
     new = fitted()
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(new.state())
     codes = new.encode(QUERIES)
     assert not np.array_equal(layers(new, codes)["excitatory"], layers(same_again, codes)["excitatory"])
-
-
-def test_the_batched_engine_gives_what_the_compiled_one_gives() -> None:
-    arguments: dict[str, Any] = {"n_excitatory": 8, "epochs": 1, "presentation_ms": 100.0, "rest_ms": 30.0}
-    compiled, batched = (fitted(engine=engine, **arguments) for engine in ("compiled", "batched"))
-    one, other = compiled.state(), batched.state()
-    assert one["sums"].sum() > 10
-    assert np.array_equal(one["sums"], other["sums"])
-    assert other["weights"] == pytest.approx(one["weights"], abs=1e-9)
-    codes = compiled.encode(QUERIES)
-    assert np.array_equal(compiled.match(codes), batched.match(codes))
 
 
 # --- scores and spikes ------------------------------------------------------------------------------------------
@@ -170,17 +136,3 @@ def test_all_modules_see_the_same_input(trained: VPRSNN) -> None:
     first, second = layers(twice, twice.encode(QUERIES))["excitatory"].reshape(len(QUERIES), 2, -1).swapaxes(0, 1)
     assert first.any()
     assert np.array_equal(first, second)
-
-
-def test_every_spike_makes_the_partner_fire_unless_the_image_ends_first(trained: VPRSNN) -> None:
-    found = layers(trained, trained.encode(QUERIES))
-    assert {name: values.shape[1] for name, values in found.items()} == dict(zip(found, (144, 48, 48), strict=True))
-    missing = found["excitatory"] - found["inhibitory"]
-    assert set(np.unique(missing).tolist()) <= {0, 1}
-    assert missing.sum() < 0.05 * found["excitatory"].sum()
-
-
-def test_a_neuron_hears_the_pixels_it_has_synapses_from() -> None:
-    method = VPRSNN(height=1, width=4, n_excitatory=3).restore(made([[0], [1, 2], [3]], [0, 1, 2], 4))
-    fires = layers(method, lit(4, [0], [1], [2], [3], []))["excitatory"] > 0
-    assert fires.astype(int).tolist() == [[1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]

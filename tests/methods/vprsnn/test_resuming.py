@@ -9,11 +9,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
-import torch
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, one_thread, references, same  # noqa: F401 - a fixture
 
 from vprbench.api import checkpoints
-from vprbench.methods.vprsnn import batched, training
+from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.ensemble import VPRSNNEnsemble
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.methods.vprsnn.model import Model
@@ -74,47 +73,7 @@ def test_an_interrupted_training_trains_only_what_is_missing(trainings: Path, tr
     assert not list(trainings.iterdir())
 
 
-def test_interrupted_again_and_again_a_training_ends_with_other_threads(
-    trainings: Path, trained: SimpleNamespace
-) -> None:
-    for _ in range(3):
-        interrupt(trained, 1, lambda: fitted(20))
-    torch.set_num_threads(2)
-    resumed = fitted(20)
-    assert trained.numbers == [3]
-    assert same(resumed.state(), fitted(20).state())
-
-
-def test_the_batched_engine_trains_only_what_is_missing(trainings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Modules of 10, 10, 8 and 5 images: those with as many are trained together, and the interruption comes before the
-    # last.
-    rows = [*range(18), *range(20, 33), *range(35, 37)]
-    few: dict[str, Any] = {"epochs": 1, "n_excitatory": 8, "presentation_ms": 100.0, "rest_ms": 30.0}
-    learn, at_once = batched.train, []
-
-    def fit() -> VPRSNN:
-        shown = images([WORLD.references[row] for row in rows])
-        return VPRSNN(**{**SMALL, **few, "engine": "batched"}).fit(shown, WORLD.places[rows])
-
-    def watched(model: Model, lessons: list[Lesson], *others: Any) -> list[training.Arrays]:
-        at_once.append(len(lessons))
-        return learn(model, lessons, *others)
-
-    def interrupted_after_two(*called: Any) -> list[training.Arrays]:
-        return watched(*called) if len(at_once) < 2 else interrupted()
-
-    expected = fit().state()
-    with monkeypatch.context() as patch:
-        patch.setattr(batched, "train", interrupted_after_two)
-        with pytest.raises(Interrupted):
-            fit()
-    monkeypatch.setattr(batched, "train", watched)
-    assert same(fit().state(), expected)
-    assert at_once == [2, 1, 1]
-    assert not list(trainings.iterdir())
-
-
-@pytest.mark.parametrize("change", [{"seed": 1}, {"epochs": 5}, {"theta_plus_mv": 0.06}, {"fast": True}])
+@pytest.mark.parametrize("change", [{"seed": 1}, {"theta_plus_mv": 0.06}])
 def test_a_training_does_not_go_on_with_another_ones_modules(
     trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
 ) -> None:
@@ -150,7 +109,7 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     assert trained.numbers == []
 
 
-@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"hyperactive_threshold": 9}, {"engine": "compiled"}])
+@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"engine": "compiled"}])
 def test_a_training_goes_on_under_other_arguments_of_the_query(
     trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
 ) -> None:

@@ -232,15 +232,3 @@ def test_the_progress_rises_from_nothing_to_all_and_a_part_goes_on_where_the_one
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     part = [done for stage, done in told if stage == "reactions"]
     assert (part[0], part[-1]) == (0.625, 0.875)
-
-
-def test_weights_that_do_not_learn_keep_the_published_sum() -> None:
-    state = fitted(pre_rate=0.0, post_rate=0.0).state()
-    assert state["weights"].sum(axis=1) == pytest.approx(78.0)
-
-
-def test_every_spike_raises_the_threshold_of_its_neuron() -> None:
-    state = fitted(theta_tau_ms=1e15, epochs=3).state()  # all 30 presentations are recorded
-    spikes = state["sums"].sum(axis=2)
-    assert spikes.min() < spikes.max()
-    assert state["theta"] == pytest.approx(20 + 0.05 * spikes)
