@@ -56,28 +56,12 @@ def test_a_pixel_sends_an_event_whenever_the_logarithm_of_light_has_changed_by_t
 
 
 @pytest.mark.usefixtures("_wall")
-@pytest.mark.parametrize(
-    ("option", "expected"),
-    [
-        ({"refractory_us": 47_000}, 10),
-        ({"refractory_us": 60_000}, 5),
-        ({"refractory_us": 100_000}, 4),
-        ({"steps": 9}, 10),
-    ],
-)
-def test_within_the_refractory_time_a_pixel_sends_nothing_and_levels_are_kept_between_renderings(option, expected):
-    assert (per_pixel(seen(**EXACT | option)) == expected).all()
-
-
-@pytest.mark.usefixtures("_wall")
-def test_every_pixel_has_a_threshold_of_its_own_that_lasts():
-    counts = per_pixel(seen(**EXACT | {"threshold_spread": 0.02}))
-    assert counts.min() < 9 < 11 < counts.max()
-    assert np.array_equal(counts, per_pixel(seen(place=5, **EXACT | {"threshold_spread": 0.02})))
-
-
-@pytest.mark.usefixtures("_wall")
-def test_noise_has_its_rate_and_hot_pixels_are_as_many_as_asked_for():
+def test_refractory_times_renderings_thresholds_noise_and_hot_pixels_are_as_the_options_say():
+    for option, expected in (("refractory_us", 47_000), 10), (("refractory_us", 60_000), 5), (("steps", 9), 10):
+        assert (per_pixel(seen(**EXACT | dict([option]))) == expected).all()
+    spread = per_pixel(seen(**EXACT | {"threshold_spread": 0.02}))
+    assert spread.min() < 9 < 11 < spread.max()
+    assert np.array_equal(spread, per_pixel(seen(place=5, **EXACT | {"threshold_spread": 0.02})))  # it lasts
     still = EXACT | {"metres": 0, "noise_hz": 2.0}
     expected = 2.0 * PIXELS * 0.5
     assert abs(per_pixel(seen(**still)).sum() - expected) < 5 * expected**0.5

@@ -63,6 +63,10 @@ def listed(references: str, queries: str, **options: Any) -> Dataset:
 )
 def test_columns_of_a_list_are_found_by_their_names(references, queries, options, right):
     assert rights(listed(references, queries, **options)) == right
+    fill(Path("frames"), numbered(7))
+    for image in Path().glob("*.jpg"):  # paths may start from another folder
+        image.unlink()
+    assert rights(image_list(references=["map.csv"], queries="asked.csv", root="frames", **options)) == right
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).
@@ -74,22 +78,7 @@ def test_positions_in_degrees_are_right_within_the_radius(moved, metres):
     assert rights(listed(references, query, radius_metres=metres - 0.05, unmatched="keep")) == [[]]
 
 
-def test_paths_of_a_list_may_start_from_another_folder():
-    fill(Path("frames"), ["0.jpg"])
-    Path("list.csv").write_text("image,place\n0.jpg,a\n")
-    assert len(image_list(references=["list.csv"], queries="list.csv", root="frames").queries) == 1
-
-
 # Folders whose names hold positions
-
-
-def test_queries_without_a_right_place_are_left_out_where_asked():
-    fill(Path("database"), at((0, 0), (20, 0)))
-    fill(Path("queries"), at((900, 0), (0, 5), (30, 0)))
-    dataset = utm_folders(root=".", unmatched="drop")
-    assert (reds(dataset.queries), rights(dataset)) == ([1, 2], [[0, 1], [1]])
-    assert (len(used(dataset)), "1 of 3" in dataset.notes[0]) == (5, True)
-    assert "dataset.unmatched=drop" in dataset.notes[0]
 
 
 @pytest.mark.parametrize("way", ["images/val", "val", "."])
@@ -104,12 +93,13 @@ def test_both_folders_are_found_in_each_of_the_three_layouts(way):
         assert len(utm_folders(root=".", split="val").references) == 1
 
 
-def test_an_at_sign_in_the_path_does_not_matter_and_images_come_in_the_order_of_their_whole_paths():
+def test_images_come_in_the_order_of_their_whole_paths_and_queries_without_a_right_place_are_left_out_where_asked():
     fill(Path("me@7@8/gallery"), ["b/@1@0@.jpg", "a/@9@0@.jpg", "@5@0@.jpg", "a/@10@0@.jpg"])
-    fill(Path("me@7@8/queries"), at((3, 4)))
-    dataset = utm_folders(root="me@7@8", database="gallery", radius_metres=5)
+    fill(Path("me@7@8/queries"), at((-900, 0), (3, 4), (30, 0)))
+    dataset = utm_folders(root="me@7@8", database="gallery", radius_metres=5, unmatched="drop")
     assert dataset.references.names == ("@5@0@.jpg", "@10@0@.jpg", "@9@0@.jpg", "@1@0@.jpg")
-    assert rights(dataset) == [[0, 3]]
+    assert (reds(dataset.queries), rights(dataset), len(used(dataset))) == ([1], [[0, 3]], 7)
+    assert "2 of 3" in dataset.notes[0]
 
 
 def test_a_list_beside_the_folder_says_which_images_and_in_which_order(monkeypatch):

@@ -73,11 +73,6 @@ def test_places_stay_in_order_queries_lie_in_the_map_and_right_is_what_lies_with
         assert right.tolist() == [i for i, place in enumerate(mapped) if abs(place - query) <= given.tolerance]
 
 
-def test_the_places_set_aside_are_the_published_draw():
-    # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
-    assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
-
-
 @pytest.mark.parametrize(
     ("protocol", "stride", "recorded"),
     [
@@ -85,7 +80,9 @@ def test_the_places_set_aside_are_the_published_draw():
         ("vprsnn", 1, {"reference_places": 7, "held_out_places": 3}),
     ],
 )
-def test_the_record_tells_how_many_places_there_are_of_each_kind(protocol, stride, recorded):
+def test_the_places_set_aside_are_the_published_draw_and_the_record_counts_the_places(protocol, stride, recorded):
+    # The ten numbers that numpy's RandomState(42).permutation(10) is known for: 8 1 5 0 7 2 9 4 3 6.
+    assert [set_aside(10, count).tolist() for count in (0, 3, 10)] == [[], [1, 5, 8], [*range(10)]]
     told = {"places": 10, "query_places": 4, "tolerance_places": 1}
     assert split(protocol, 10, 3, 4, 1, stride).record() == told | recorded
 
