@@ -1,11 +1,7 @@
 """A large map searched by the workers of a dask cluster: the bits, and the order of ties, are those of one machine."""
 
-from __future__ import annotations
-
 import logging
 import os
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,15 +19,13 @@ from vprbench.storage.shards import Shards, Writer
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[LocalCluster]:
+def cluster():
     quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     with LocalCluster(n_workers=2, threads_per_worker=1, memory_limit=0, **quiet) as started:
         yield started
 
 
-def test_each_worker_searches_its_shards_and_the_answers_are_those_of_one_machine(
-    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_worker_searches_its_shards_and_the_answers_are_those_of_one_machine(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
     monkeypatch.setattr(nearest, "_CELLS_OF_A_PART", 128 * 8)
     generator = np.random.default_rng(0)
@@ -60,9 +54,7 @@ def test_each_worker_searches_its_shards_and_the_answers_are_those_of_one_machin
     assert len({*who[0]} - {os.getpid()}) == 2
 
 
-def test_a_run_on_a_large_map_is_answered_by_a_cluster_and_says_so(
-    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_on_a_large_map_is_answered_by_a_cluster_and_says_so(cluster, monkeypatch):
     monkeypatch.setattr(shortlist, "LARGE_MAP", 39)
     with quiet_surroundings():
         alone = run_of(Angles(), journey(12, 40))
@@ -74,6 +66,6 @@ def test_a_run_on_a_large_map_is_answered_by_a_cluster_and_says_so(
     assert said == [False, True]
 
 
-def test_an_address_where_no_scheduler_answers_is_named() -> None:
+def test_an_address_where_no_scheduler_answers_is_named():
     with pytest.raises(BadInput, match=r"search_scheduler=tcp:/nowhere"), spread_over("tcp:/nowhere"):
         pass

@@ -45,7 +45,6 @@ def owner(root):
     """Yield a process that has claimed KEY, as one whose parent is this one."""
     command = [sys.executable, "-c", OWNER, str(root), KEY]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "claimed\n"
         yield process
         process.kill()
@@ -134,9 +133,6 @@ def test_a_tidy_store_has_no_claim_of_the_dead_and_nothing_that_they_left(tmp_pa
         assert [*(tmp_path / ".claims").iterdir()] == [claim.path]
     Claims(tmp_path).tidy()
     assert [*tmp_path.iterdir()] == []
-
-
-# Runs that are claimed
 
 
 @dataclass
@@ -272,9 +268,6 @@ def test_a_run_that_another_process_took_over_meanwhile_is_not_stored(store, mon
         made(busy(lose), store)
     assert [*store.runs()] == []
     assert len(Claims(store.root).held()) == 1
-
-
-# What `status` tells
 
 
 def printed(capsys, store, *options):

@@ -141,8 +141,6 @@ def test_costs_are_asked_for_stored_and_shown(tmp_path, monkeypatch, capfd):
     assert "n/a" in capfd.readouterr().out
 
 
-# Joules
-
 MOST = 1_000_000  # microjoules, where the made-up counters wrap around
 
 

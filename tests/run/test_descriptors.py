@@ -100,7 +100,6 @@ def test_the_second_run_encodes_nothing_for_its_answers_and_says_so(dataset, tmp
     assert found.fit_seconds is None
     assert found.load_seconds is not None
     plain = run(Counting(), dataset, None)
-    assert plain.scores is not None
     assert np.array_equal(plain.scores, found.scores)
     assert (plain.outcome.above == 0).all()
     (note,) = descriptions(found)
@@ -166,8 +165,6 @@ def test_an_index_that_cannot_be_made_is_refused_before_anything_is_encoded(data
         run(method, dataset, tmp_path if cached else None)
     assert method.encoded == 0
 
-
-# On disk
 
 Array = npt.NDArray[np.float32]
 N = 10

@@ -166,9 +166,6 @@ def test_calibrating_is_part_of_the_fit_and_its_waiting_for_images_of_no_computi
     assert run.fit_compute_seconds == pytest.approx(3)  # the waiting counts once
 
 
-# Stored networks
-
-
 @dataclass
 class Sharpened(Prototypes):
     """Chooses its contrast by the number of held-out places, and stores it."""
@@ -204,9 +201,6 @@ def test_a_stored_network_holds_what_was_chosen_and_nothing_is_chosen_anew(tmp_p
         stored(path, Sharpened(), other, load=True)
     stored(tmp_path / "plain.safetensors", Prototypes(), with_held_out())  # chooses nothing, so any places will do
     assert stored(tmp_path / "plain.safetensors", Prototypes(), other, load=True).load_seconds is not None
-
-
-# Trainings that are resumed
 
 
 @dataclass

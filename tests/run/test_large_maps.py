@@ -97,7 +97,6 @@ def test_all_places_are_scored_where_all_scores_are_wanted_and_where_a_method_ma
             return -super().match(codes)
 
     whole = runner.run(replace(asked_for(Angles(), journey(N_QUERIES, N_PLACES)), scores=True), "key")
-    assert whole.scores is not None
     assert whole.scores.shape == (N_QUERIES, N_PLACES)
     own = on(OwnWay())
     assert own.scores is not None
@@ -133,10 +132,8 @@ def test_descriptors_that_fill_the_memory_stay_in_shards(cached, tmp_path, monke
 
     method = Kept()
     run = runner.run(asked_for(method, journey(N_QUERIES, N_PLACES), cache=tmp_path / "cache"), "key")
-    assert method.searched is not None
     assert method.searched.references.array is None
     assert files("cache" if cached else "scratch") == (3 if cached else 2)  # of 90 references, and of 30 queries
-    assert run.scores is not None
     np.testing.assert_allclose(run.scores, on(Angles()).scores, atol=1e-6)
     del method
     gc.collect()

@@ -34,9 +34,6 @@ TWELVE = ["dataset.places=12", "dataset.first_query_place=0", *RUN, "timing=none
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 
-# Spikes
-
-
 @pytest.mark.parametrize(
     ("values", "kind", "known"),
     [
@@ -49,7 +46,6 @@ def test_counts_are_added_up_for_each_query_and_an_amplitude_is_one_spike(values
     array = np.array(values)
     layer = LayerSpikes("hidden", array, kind, fan_out=np.arange(1, array.shape[1] + 1))
     several = summary([LayerSpikes("a", array), layer, LayerSpikes("a", array)])
-    assert several is not None
     assert [each["name"] for each in several["layers"]] == ["a", "hidden", "a"]
     found = summary([layer])
     assert json.loads(json.dumps(found)) == found
@@ -100,14 +96,12 @@ def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error):
 
 def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(tmp_path):
     run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
-    assert run.spikes is not None
     assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     store = Store(tmp_path)
     store.save(run)
     assert [back.spikes for back in store.runs()] == [run.spikes]
     method = Ticking(np.zeros((1000, 4), np.float32))
     many = run_of(method, journey(1000, 4)).spikes
-    assert many is not None
     assert (many["queries"], method.counted[0], method.counted[-1]) == (256, 0, 999)
     assert set(np.diff(method.counted)) == {3, 4}
     assert run_of(Lookup(np.zeros((6, 4), np.float32)), journey(6, 4)).spikes is None
@@ -128,8 +122,6 @@ def test_counting_takes_no_part_in_what_a_run_times(clock):
     assert (run.harness_seconds, run.method_seconds) == pytest.approx((0, 0.007))  # the first query is asked twice
     assert run.timing.streaming.total_seconds == pytest.approx([0.001] * 6)
 
-
-# Readouts
 
 TURNED = np.array([[1, 0], [0, 1], [-1, 0], [0.6, 0.8]], np.float32)  # what each picture looks like to the layer
 
@@ -161,7 +153,6 @@ def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place
     dataset = journey(4, 4, [[0], [3], [0], [3]])
     method = Layered(np.array([[0, 1, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 1, 0]], np.float32))
     found = readout_numbers(read_run(method, dataset))
-    assert found is not None
     assert [(each["name"], each["neurons"], each["recall_at_1"]) for each in found] == [
         ("codes", 2, 0.5),
         ("turned", 2, 0.5),
@@ -172,7 +163,6 @@ def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place
     assert (found[0]["recall_at_1_low"], found[0]["recall_at_1_high"]) == pytest.approx((0.150, 0.850), abs=0.001)
     dataset = replace(journey(3, 4, [[0], [1], [0]]), places=np.array([0, 1, 0, 1]))
     run = read_run(Layered(np.zeros((3, 2), np.float32), lengths=(1, 2, 3, 4)), dataset)
-    assert run.readouts is not None
     assert run.readouts[1] == {"name": "turned", "neurons": 2, "hits": [1.0, 1.0, 1.0]}
 
 
@@ -195,9 +185,6 @@ def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_wit
     failed = read_run(Failing(table), dataset)
     assert failed.readouts is None
     assert Note("readouts", "no layer was read (KeyError: 'gone')") in failed.notes
-
-
-# The methods
 
 
 def fitted(method):
@@ -262,9 +249,6 @@ def test_layers_of_linear_quantised_and_component_methods_are_what_their_queries
     assert method.match(codes) == pytest.approx(best, abs=1e-5)
 
 
-# A growing map
-
-
 @dataclass
 class Growing(Lookup):
     """A lookup that scores as many places as it was given, and notes what it was given."""
@@ -300,9 +284,6 @@ def test_each_stop_of_a_growing_map_asks_the_queries_whose_place_is_known():
     given = [each for each in method.asked if each[0] < 0]
     assert given == [[-1, 0, 1, 1], [-2, 1, 2], [-2, 1, 3], [-2, 1, 4]]
     assert method.known == 0  # the run's own method is another
-
-
-# On the command line
 
 
 def asked(capsys, *options):

@@ -137,9 +137,6 @@ def test_an_option_of_a_sweep_goes_to_each_of_its_methods(tmp_path, monkeypatch)
     assert all(places in options for options in asked)
 
 
-# One cell of a host is timed at a time
-
-
 def test_who_wants_to_be_alone_waits_for_the_others():
     place = slot.Place(1)
     place.enter()

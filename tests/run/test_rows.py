@@ -102,8 +102,6 @@ def test_csv_tells_a_failed_run_from_one_with_numbers():
     assert [ran[name] for name in counts] == ["4", "8", "512000000"]  # whole beside nothing
 
 
-# A row for people
-
 RATES = ("streaming Hz enc/match/total", "offline Hz enc/match/total")
 
 
@@ -145,9 +143,6 @@ def test_labels_rows_and_protocols_become_text():
     assert [line.replace(" ", "") for line in written[2:]] == [r"|1.50|int\|None|", "|10,000|-|"]
     line = "journey: 4 queries, 10 places (reference spring+fall, query summer, tolerance_places 0)"
     assert rows.protocol_line(a_run()) == line
-
-
-# Intervals
 
 
 def test_the_interval_says_what_it_is_of():

@@ -110,9 +110,6 @@ def test_another_harness_changes_the_hash_of_every_method_and_nobody_changes_it_
     assert code_hash(HOG) != before
 
 
-# The files of a method
-
-
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """An empty package named meadow."""
@@ -230,8 +227,6 @@ def test_values_and_statements_count_and_words_layout_and_place_of_code_do_not(t
 
     assert (old in BEFORE, meaning(BEFORE.replace(old, new)) != meaning(BEFORE)) == (True, counts)
 
-
-# A class of a notebook
 
 CELLS = '''
 import numpy as np

@@ -25,9 +25,6 @@ from vprbench.run.store import Store
 pytestmark = pytest.mark.usefixtures("surroundings")
 
 
-# Answers
-
-
 @pytest.mark.parametrize("levels", [5, 100_000], ids=["many ties", "few ties"])
 def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole_matrix(levels, monkeypatch):
     scores = table(300, 40, levels)
@@ -69,7 +66,6 @@ def test_of_places_that_tie_the_lower_comes_first_whatever_the_type(scores, dept
     run = run_of(Lookup(np.array([scores], kind)), journey(1, len(scores)), depth=depth)
     assert run.top_places.tolist() == [best]
     assert run.top_scores.tolist() == [[scores[place] for place in best]]
-    assert run.scores is not None
     assert (run.scores.dtype, run.top_scores.dtype) == (np.float32, np.float32)
 
 
@@ -132,14 +128,9 @@ class Reusing(Lookup):
 def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave():
     scores = table(300, 4)
     run = run_of(Reusing(scores), journey(300, 4))
-    assert run.scores is not None
     assert np.array_equal(run.scores, scores)
-    assert run.spikes is not None
     sample = np.linspace(0, 299, 256).astype(int)
     assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
-
-
-# What a method is given
 
 
 @dataclass(kw_only=True)
@@ -183,9 +174,6 @@ def test_fit_sees_every_reference_and_its_place_which_cannot_be_written():
         run_of(Writing(table(6, 4)), dataset)
     assert dataset.places.flags.writeable
     assert seen == [([0, 1, 2, 3], [0, 1, 2, 3])]
-
-
-# Places that are no candidates, and the search of descriptors
 
 
 def with_few_candidates():
@@ -239,7 +227,6 @@ class Angles(DescriptorMethod):
 def searching(index, **arguments):
     """Return a run over 300 places, what it records of its search, and its notes on that."""
     run = run_of(Angles(index=index, **arguments), journey(300, 300))
-    assert run.search is not None
     return run, dict(run.search), [note.text for note in run.notes if note.kind == "index"]
 
 

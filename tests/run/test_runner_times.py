@@ -99,9 +99,6 @@ def test_every_stage_is_reported_and_a_share_rises_to_one_with_the_queries():
     assert [done for stage, done in told if stage == "query"] == pytest.approx([128 / 300, 256 / 300, 1])
 
 
-# Notes
-
-
 @dataclass
 class Caching(Lookup):
     """Needs 5 ms for an image, and `known` s for one that is among the last `remembered` different ones."""

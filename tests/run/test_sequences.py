@@ -98,7 +98,6 @@ def test_queries_without_a_full_window_are_left_out_or_scored_with_what_there_is
 def test_an_older_run_breaks_where_its_map_lacks_places_and_a_restricted_one_where_queries_lack():
     numbers = np.array([*range(0, 40, 2), *range(50, 90, 2)])
     view = in_sequences(aligned(place_numbers=numbers), Sequences(2))
-    assert view.scores is not None
     assert np.flatnonzero(np.isneginf(view.scores[5])).tolist() == [0, 20]
     some = restricted(aligned(), np.array([3, 4, 5, 9, 10, 11]), {"places": "other"})
     assert queries_shown(in_sequences(some, Sequences(3))).tolist() == [5, 11]
@@ -111,7 +110,6 @@ def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_tha
     view = in_sequences(aligned(200), Sequences(12))
     interval = recall_interval([view])
     assert window_of(view) == 12
-    assert interval is not None
     assert interval.block >= 12
 
 
@@ -123,8 +121,6 @@ def test_a_view_is_never_stored_and_gaps_are(tmp_path):
         store.save(in_sequences(run, Sequences(2)))
     store.save(run)
     (read,) = store.runs()
-    assert read.query_breaks is not None
-    assert read.place_breaks is not None
     assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
 
 
@@ -207,5 +203,4 @@ def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path):
         right = view.outcome.tied == 1
         assert float((right & (view.outcome.above == 0)).mean()) == pytest.approx(share, abs=0.0005)
         assert len(view.outcome) == 2761 - (length - 1)
-    assert run.query_breaks is not None
     assert len(run.query_breaks) == 135

@@ -193,9 +193,6 @@ def test_warm_up_ends_after_ten_queries_within_ten_percent_or_at_the_maximum(fir
     assert timing.streaming.encode_seconds.max() <= max(costs) / 1000  # of warm-up queries there is none
 
 
-# Minima and the maximum: every query takes 4 ms, a pass is 5 images
-
-
 @pytest.mark.parametrize(
     ("minimum", "streaming", "batch", "calls"),
     [
@@ -217,9 +214,6 @@ def test_a_measurement_ends_at_the_maximum_in_the_middle_of_a_pass_is_invalid_an
     assert len(timing.streaming.total_seconds) == 8  # the first end after 30 ms is at 32 ms
     assert (timing.streaming.valid, timing.offline[0].valid) == (False, False)
     assert np.flatnonzero(timing.answers >= 0).tolist() == sorted(streamed(timing, asked))
-
-
-# What is asked
 
 
 def test_each_pass_asks_each_sampled_image_once_in_an_order_that_the_seed_shuffles_and_keeps_its_best_place():
@@ -295,8 +289,6 @@ def test_a_protocol_that_measures_nothing_is_refused_by_name(option, value):
     with pytest.raises(BadInput, match=rf"timing\.{option}\b"):
         Protocol(**({"minimum_seconds": 0.0} if value == 0.0 else {}) | {option: value})
 
-
-# A limit of all rates together
 
 LIMITED = Protocol(0.25, 64, 1, 5.0, 64, 20, [1, 8, 32], total_seconds=5.0)
 

@@ -45,9 +45,7 @@ def two_traverses():
 
 
 def known(root):
-    found = thumbnails.find(root, FINGERPRINT)
-    assert found is not None
-    return found
+    return thumbnails.find(root, FINGERPRINT)
 
 
 def kept(root, dataset):
@@ -86,9 +84,6 @@ def test_the_longest_side_has_at_most_96_pixels_and_none_is_enlarged(tmp_path, s
     found = kept(tmp_path, world([red], [0], [red], [[0]]))
     assert decoded(found.queries[0]).shape[:2] == decoded(found.references[0]).shape[:2] == small
     assert decoded(found.queries[0]).mean((0, 1)) == pytest.approx([200, 0, 0], abs=8)
-
-
-# A large dataset
 
 
 @pytest.fixture
@@ -142,9 +137,6 @@ def test_no_frame_of_a_large_dataset_is_read_that_is_not_shown_and_few_are_in_me
     assert peak < 20 << 20
 
 
-# Examples
-
-
 def test_an_example_is_a_query_with_its_right_place_exactly(tmp_path):
     random = np.random.default_rng(0)
     one, other, unseen, query = random.integers(0, 256, (4, 30, 50, 3), dtype=np.uint8)
@@ -185,9 +177,6 @@ def test_detailed_pictures_take_so_little_that_six_thousand_fit_into_5_megabytes
     assert path(tmp_path).stat().st_size < 5e6 * 100 / 6000
     simple = kept(tmp_path / "simple", world([plain(9, (180, 320))], [0], [plain(9, (180, 320))], [[]]))
     assert decoded(fine.queries[0]).shape[1] < decoded(simple.queries[0]).shape[1] == 96
-
-
-# Written once and whole
 
 
 def test_what_is_kept_already_is_not_read_again_and_progress_rises_over_queries_and_places(tmp_path):

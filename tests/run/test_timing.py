@@ -112,9 +112,6 @@ def test_a_run_that_is_ended_while_it_is_timed_leaves_its_answers_and_what_was_t
         assert the_only(store).timed_by == QUICK
 
 
-# The machine
-
-
 def _windows_of_memory_exist():
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -60,7 +60,6 @@ def only_run(method="mine"):
 
 def hits(run, numbers, tuned):
     """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
-    assert run.scores is not None
     found = []
     for number, scores, right in zip(numbers, np.asarray(run.scores), run.positives, strict=True):
         best = [place for place, score in enumerate(scores) if score == scores.max()]
@@ -183,7 +182,6 @@ def test_queries_of_tuned_places_are_told_by_their_numbers_and_all_are_suspected
 def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_is():
     made = run("mine", 0.5, 40, 40, dataset="synthetic", tuned_on={"dataset": "synthetic", "places": "10-19"})
     left = other_places(rescored(made, np.asarray(made.scores), {"sequence": 4}, window=4))
-    assert left is not None
     assert [int(right[0]) for right in left.positives] == [*range(7), *range(23, 40)]
 
 

@@ -128,7 +128,6 @@ def test_frames_of_the_page_become_coarser_only_if_they_do_not_fit():
     assert fitting(frames, text_bytes(frames)) == frames
     budget = text_bytes(frames) // 4
     made = fitting(frames, budget)
-    assert made is not None
     assert text_bytes(made) <= budget
     assert [bool(frame) for frame in made] == [bool(frame) for frame in frames]
     for frame in made[1:]:
