@@ -9,7 +9,7 @@ import json
 import multiprocessing
 import os
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self
@@ -114,12 +114,6 @@ def test_arrays_come_back_bit_by_bit(tmp_path: Path) -> None:
         assert (back.dtype, back.shape, back.tobytes()) == (given.dtype, given.shape, given.tobytes())
 
 
-def test_a_loaded_network_gives_the_scores_of_the_trained_one_and_tells_its_run(path: Path) -> None:
-    trained, loaded = store(path, Prototypes(seed=3)), Prototypes(seed=3)
-    assert load(path, loaded) == ("loaded network: run 0123 trained it in 12.3 s",)
-    assert np.array_equal(loaded.query(WORLD.queries), trained.query(WORLD.queries))
-
-
 @pytest.mark.parametrize(
     ("trained", "loaded", "given"),
     [
@@ -132,7 +126,8 @@ def test_a_loaded_network_gives_the_scores_of_the_trained_one_and_tells_its_run(
 )
 def test_what_no_training_sees_may_differ(path: Path, trained: Method, loaded: Method, given: dict[str, Any]) -> None:
     store(path, trained)
-    load(path, loaded, replace(WORLD, name="voyage"), **given)
+    told = load(path, loaded, replace(WORLD, name="voyage"), **given)
+    assert told == ("loaded network: run 0123 trained it in 12.3 s",)
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
 
 
@@ -228,31 +223,24 @@ def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
 ) -> None:
     (tmp_path / "folder.safetensors").mkdir()
     (tmp_path / "network.pth").touch()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    files = networks.chosen_files("~/new.safetensors", "~/network.pth", False)
+    assert (files.save, files.load) == (tmp_path / "new.safetensors", tmp_path / "network.pth")
     monkeypatch.setattr(Path, "open", denied)
     with pytest.raises(BadInput, match=f"^load=.*{wanted}"):
         networks.chosen_files(None, str(tmp_path / name), False)
 
 
-def test_a_tilde_is_the_home_folder(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store(path, Prototypes())
-    monkeypatch.setenv("HOME", str(path.parent))
-    files = networks.chosen_files("~/new.safetensors", f"~/{path.name}", False)
-    assert (files.save, files.load) == (path.parent / "new.safetensors", path)
-
-
-@pytest.mark.parametrize(
-    "ask",
-    [
-        Method.state,
-        lambda method: method.restore({}),
-        lambda method: networks.load(Path("x.safetensors"), method, ORIGIN),
-        lambda method: destination(Path("x.safetensors"), method, WORLD),
-    ],
-    ids=["state", "restore", "load", "prepare"],
-)
-def test_a_method_that_keeps_no_network_says_what_to_do(ask: Callable[[Method], object]) -> None:
-    with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
-        ask(Lookup(np.ones((1, 1), np.float32)))
+def test_a_method_that_keeps_no_network_says_what_to_do() -> None:
+    method, path = Lookup(np.ones((1, 1), np.float32)), Path("x.safetensors")
+    for ask in (
+        method.state,
+        lambda: method.restore({}),
+        lambda: networks.load(path, method, ORIGIN),
+        lambda: destination(path, method, WORLD),
+    ):
+        with pytest.raises(BadInput, match=r"^Lookup keeps no network.*save=.*load="):
+            ask()
 
 
 # Before the training
@@ -288,14 +276,6 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
 
 def only_file(path: Path) -> bool:
     return [found.name for found in path.parent.iterdir()] == [path.name]
-
-
-def test_a_network_is_replaced_where_that_was_asked_for(path: Path) -> None:
-    store(path, Prototypes(seed=0))
-    trained = store(path, Prototypes(seed=1), replace=True)
-    load(path, loaded := Prototypes(seed=1))
-    assert np.array_equal(loaded.state()["means"], trained.state()["means"])
-    assert only_file(path)
 
 
 def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stored_it(path: Path) -> None:
@@ -362,37 +342,24 @@ def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path, 
 # Published networks
 
 
-def published(path: Path, content: Any, **options: Any) -> Path:
-    torch.save(content, path, **options)
-    return path
-
-
-def read(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    (note,) = networks.load(path, method := Holding(), ORIGIN)
-    assert note.startswith("published network: neither")
-    return method.arrays
-
-
 LAYER = {"feature_layer.thr": torch.tensor([[0.5, 0.25]]), "feature_layer.w.weight": torch.eye(2)[:, :1]}
 
 
 @pytest.mark.parametrize("modern", [True, False], ids=["zip", "before torch 1.6"])
-def test_the_tensors_of_a_published_network_come_under_dotted_names(tmp_path: Path, modern: bool) -> None:
-    content = {"model_0": LAYER, "model_1": {"output_layer.thr": torch.tensor([[2.0]])}}
-    arrays = read(published(tmp_path / "x.pth", content, _use_new_zipfile_serialization=modern))
-    assert {name: array.tolist() for name, array in arrays.items()} == {
+def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(tmp_path: Path, modern: bool) -> None:
+    content: dict[str, dict[str, Any]] = {"model_0": LAYER, "model_1": {}}
+    for kind in (torch.float64, torch.bfloat16, torch.int64):
+        parameter = torch.nn.Parameter(torch.tensor([1, 2], dtype=kind), kind.is_floating_point)
+        content["model_1"][f"{kind}".removeprefix("torch.")] = parameter
+    torch.save(content, tmp_path / "x.pth", _use_new_zipfile_serialization=modern)
+    (note,) = networks.load(tmp_path / "x.pth", method := Holding(), ORIGIN)
+    assert note.startswith("published network: neither")
+    assert {array.dtype for array in method.arrays.values()} == {np.dtype(np.float32)}
+    assert {name: array.tolist() for name, array in method.arrays.items()} == {
         "model_0.feature_layer.thr": [[0.5, 0.25]],
         "model_0.feature_layer.w.weight": [[1.0], [0.0]],
-        "model_1.output_layer.thr": [[2.0]],
+        **{f"model_1.{kind}": [1.0, 2.0] for kind in ("float64", "bfloat16", "int64")},
     }
-
-
-@pytest.mark.parametrize("kind", [torch.float64, torch.bfloat16, torch.int64])
-def test_published_numbers_and_parameters_become_float32(tmp_path: Path, kind: torch.dtype) -> None:
-    parameter = torch.nn.Parameter(torch.tensor([1, 2], dtype=kind), kind.is_floating_point)
-    layers = {"model_0": torch.nn.ParameterDict({"thr": parameter}).state_dict(), "model_1": {"thr": parameter}}
-    arrays = read(published(tmp_path / "x.pth", layers))
-    assert [(array.dtype, array.tolist()) for array in arrays.values()] == [(np.float32, [1, 2])] * 2
 
 
 @pytest.mark.parametrize(
@@ -415,12 +382,13 @@ def test_a_file_with_code_in_it_is_refused_and_its_code_does_not_run(tmp_path: P
         ({"model_0": {"thr": torch.zeros(2, dtype=torch.complex64)}}, "torch.complex64"),
         ({"model_0": LAYER}, "model_0.feature_layer.thr, model_0.feature_layer.w.weight came; wanted means"),
     ],
-    ids=["list", "module", "number", "nothing", "sparse", "complex", "a network of another method"],
+    ids=["list", "module", "number", "nothing", "sparse", "complex", "of another method"],
 )
 def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused(
     tmp_path: Path, content: Any, wanted: str
 ) -> None:
-    assert wanted in refusal(published(tmp_path / "x.pth", content))
+    torch.save(content, tmp_path / "x.pth")
+    assert wanted in refusal(tmp_path / "x.pth")
 
 
 # The command line
@@ -540,20 +508,14 @@ def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leave
     assert bench.ask("load=match/net.safetensors")["queries"] > 0
 
 
-@pytest.mark.parametrize(
-    ("name", "code", "stored"),
-    [
-        ("net-${seed}.safetensors", 0, ["net-0.safetensors", "net-1.safetensors"]),
-        ("net.safetensors", 2, ["net.safetensors"]),
-    ],
-)
 def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(
-    bench: Bench, name: str, code: int, stored: list[str], monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(IN_SWEEP, "1")
     monkeypatch.setattr(crew, "run_apart", Apart())
-    told = bench.run("-m", "seed=0,1", f"save=nets/{name}", code=code)[1]
-    assert sorted(path.name for path in Path("nets").iterdir()) == stored
-    assert ("save=nets/net.safetensors is there already: give another name (in a sweep" in told) == (code == 2)
+    bench.run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
+    assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
+    told = bench.run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
+    assert "save=nets/net.safetensors is there already: give another name (in a sweep" in told
     keys = {record.parent.name for record in Path("results").rglob("run.json")}
     assert keys == {f"prototypes-{networks.made_by(path)}" for path in Path("nets").iterdir()}

@@ -157,19 +157,12 @@ def test_every_method_here_but_spiking_networks_is_in_the_benchmark(tmp_path, mo
     assert Settings().methods == ["new"]
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"frames": [[3]]}, r"frames=\[\[3\]\]: give height and width"),
-        ({"batch": 0}, "batch=0: give at least 1"),
-        ({"minimum_seconds": math.inf}, "minimum_seconds=inf: give seconds"),
-        ({"precisions": ["half"]}, r"precisions=\['half'\]: give some of float32"),
-        ({"devices": []}, r"devices=\[\]: give cpu, cuda or both"),
-    ],
-)
-def test_settings_that_measure_nothing_are_refused(changed, message):
-    with pytest.raises(BadInput, match=message):
-        settings(**changed)
+def test_settings_that_measure_nothing_are_refused():
+    for name, given in (("frames", [[3]]), ("batch", 0), ("minimum_seconds", math.inf), ("precisions", ["half"])):
+        with pytest.raises(BadInput, match=f"^{name}="):
+            settings(**{name: given})
+    with pytest.raises(BadInput, match=r"^devices=\[\]: give"):
+        settings(devices=[])
 
 
 def test_the_command_prints_and_writes_the_table_and_names_an_unknown_method(tmp_path, capsys):

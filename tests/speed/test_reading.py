@@ -36,23 +36,18 @@ def paths(tmp_path: Path) -> list[Path]:
     return frame_files(quick_settings(), tmp_path)
 
 
-def test_as_many_files_as_were_asked_for_hold_as_many_different_frames(
+def test_as_many_files_as_were_asked_for_hold_as_many_different_frames_like_photographs(
     paths: list[Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     assert len(paths) == len(set(paths)) == N_FRAMES
     assert len({path.read_bytes() for path in paths}) == N_FILES
     assert all(path.samefile(paths[number % N_FILES]) for number, path in enumerate(paths))
     assert {read_image(path).shape for path in paths[:N_FILES]} == {(24, 40, 3)}
-    few = frame_files(quick_settings("reading_frames=3"), tmp_path_factory.mktemp("few"))
+    large = quick_settings("frame=[360,640]", "reading_frames=3")
+    few = frame_files(large, tmp_path_factory.mktemp("few"))
     assert len({path.read_bytes() for path in few}) == 3
-
-
-def test_a_frame_is_drawn_again_from_its_seed_and_needs_as_many_bytes_as_a_photograph(tmp_path: Path) -> None:
-    frame = drawn(360, 640, [0, 1])
-    assert np.array_equal(frame, drawn(360, 640, [0, 1]))
-    assert not np.array_equal(frame, drawn(360, 640, [0, 2]))
-    (path,) = frame_files(quick_settings("frame=[360,640]", "reading_frames=1"), tmp_path)
-    assert 300_000 < path.stat().st_size < 500_000  # of 691,200
+    assert 300_000 < few[0].stat().st_size < 500_000  # of 691,200
+    assert np.array_equal(read_image(few[1]), drawn(360, 640, [large.seed, 1]))
 
 
 def test_every_file_is_read_ahead_once_and_some_of_them_in_bare_loops_in_every_turn(
@@ -100,12 +95,11 @@ def test_a_section_that_fails_names_the_frame_and_leaves_no_files(
         raise MemoryError("only 3 bytes are left")
 
     bench: Any = SimpleNamespace(settings=quick_settings())
-    failed = Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")
-    monkeypatch.setattr(frames, "in_own_process", fails)
     monkeypatch.setattr(frames.tempfile, "tempdir", str(tmp_path))
-    assert list(measured("reading", frames.reading(bench))) == [failed]
-    monkeypatch.setattr(frames, "frame_files", fails)
-    assert list(measured("reading", frames.reading(bench))) == [failed]
+    for name in ("in_own_process", "frame_files"):
+        monkeypatch.setattr(frames, name, fails)
+        told = list(measured("reading", frames.reading(bench)))
+        assert told == [Failed({"frame": "40x24"}, "MemoryError: only 3 bytes are left")]
     assert not list(tmp_path.iterdir())
 
 
