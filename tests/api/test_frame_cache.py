@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vprbench.api import Images, frames_kept, kept_frames
-from vprbench.datasets.synthetic import synthetic
 
 N = 300
 
@@ -96,12 +95,3 @@ def test_who_was_not_read_for_longest_makes_room_and_more_than_fits_is_not_kept(
     kept = sorted(frames_folder.rglob("*.frames"))
     Painter(5).check(seed=5)
     assert sorted(frames_folder.rglob("*.frames")) == kept
-
-
-def test_rendered_frames_are_those_that_rendering_gives(frames_folder):
-    options = {"places": 256, "first_query_place": 0, "query": "winter", "seed": 5}
-    with frames_kept(False):
-        rendered = seen(synthetic(**options).queries)
-    for _ in range(2):
-        np.testing.assert_array_equal(seen(synthetic(**options).queries), rendered)
-    assert len(list(frames_folder.rglob("*.frames"))) == 4
