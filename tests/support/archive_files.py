@@ -6,7 +6,6 @@ import io
 import tarfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 Files = Mapping[str, bytes]
 
@@ -17,13 +16,6 @@ def zipped(files: Files) -> bytes:
         for name, content in files.items():
             archive.writestr(name, content)
     return memory.getvalue()
-
-
-def zip_with(path: Path, *members: tuple[zipfile.ZipInfo, bytes]) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for info, content in members:
-            archive.writestr(info, content)
-    return path
 
 
 def tarred(files: Files, extra: Sequence[tarfile.TarInfo] = (), compression: str = "gz") -> bytes:

@@ -55,18 +55,6 @@ def used(dataset: Dataset) -> list[Path]:
     return files
 
 
-def brute_force(references: Any, queries: Any, reach: int) -> list[list[int]]:
-    """Return the references within reach of each query, by whole numbers alone."""
-    return [
-        [
-            i
-            for i, reference in enumerate(references)
-            if sum((int(a) - int(b)) ** 2 for a, b in zip(reference, query, strict=True)) <= reach**2
-        ]
-        for query in queries
-    ]
-
-
 def lists(*rights_of: list[Any]) -> np.ndarray:
     """Return the array of objects that VPR-Bench stores: a row [query, references] for each query."""
     rows = np.empty((len(rights_of), 2), dtype=object)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -63,18 +62,12 @@ def raw_folder(root: Path, traverse: str) -> Path:
     return root / RECORDINGS[traverse] / "stereo" / "left"
 
 
-def write_raw(root: Path, traverse: str, image: Callable[[int], Levels] | None = None) -> None:
-    """Write the raw frames of four places, each of one colour unless told otherwise."""
-    folder = raw_folder(root, traverse)
-    folder.mkdir(parents=True)
-    for place, stamp in enumerate(STAMPS[traverse]):
-        colours = uniform(colour_of(traverse, place)) if image is None else image(place)
-        PillowImage.fromarray(mosaic(colours)).save(folder / f"{stamp}.png")
-
-
 def write_download(root: Path) -> Path:
-    """Write raw frames of all traverses, and a table of no distortion; returns the root."""
+    """Write raw frames of all traverses, each of one colour, and a table of no distortion; returns the root."""
     for traverse in RECORDINGS:
-        write_raw(root, traverse)
+        folder = raw_folder(root, traverse)
+        folder.mkdir(parents=True)
+        for place, stamp in enumerate(STAMPS[traverse]):
+            PillowImage.fromarray(mosaic(uniform(colour_of(traverse, place)))).save(folder / f"{stamp}.png")
     write_table(root / "models", *grid())
     return root
