@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from small_plan import Apart, install
+from small_plan import Apart, install, quick_figures
 
 from vprbench.cli import main
 from vprbench.compare import make
 from vprbench.run.store import Store
 
-PLACES = 24
 ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
 METHODS = ["methods=sad,pca,cosplace", "seeds=2", "sad.patch=5"]
 
@@ -32,13 +30,14 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
     random = np.random.default_rng(0)
     for name in ("ref", "query"):
         (folder / name).mkdir()
-    for place in range(PLACES):
+    for place in range(24):
         frame = random.integers(0, 256, (40, 60, 3), np.uint8)
         Image.fromarray(frame).save(folder / "ref" / f"{place}.png")
         other = frame // 2 if place % 2 else random.integers(0, 256, frame.shape, np.uint8)
         Image.fromarray(other).save(folder / "query" / f"{place}.png")
     with pytest.MonkeyPatch.context() as monkeypatch:
         apart = install(monkeypatch, folder)
+        quick_figures(monkeypatch)
         assert main(["method=sad", *dataset(folder), *ASKED[1:3]]) == 0
         assert main([*ASKED, *METHODS, *dataset(folder)]) == 0
     return folder, apart
@@ -56,17 +55,11 @@ def lines(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_runs_are_made_of_each_seed_of_what_learns_from_one_and_nothing_where_weights_are_missing(
-    compared: tuple[Path, Apart],
+def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(
+    compared: tuple[Path, Apart], apart: Apart
 ) -> None:
     asked = [(options[3], [o for o in options if o.startswith("seed=")]) for options in compared[1].asked]
     assert asked == [("method=sad", ["seed=0"]), ("method=pca", ["seed=0"]), ("method=pca", ["seed=1"])]
-
-
-def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(
-    compared: tuple[Path, Apart], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(compared[0])
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
     assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
     values = [float(line["value"]) for line in recalls[:2]]
@@ -83,10 +76,9 @@ def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper
 
 @pytest.mark.parametrize("more", [[], ["stored=true"]])
 def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
-    apart: Apart, capsys: pytest.CaptureFixture[str], more: Sequence[str]
+    apart: Apart, capsys: pytest.CaptureFixture[str], more: list[str]
 ) -> None:
-    relative = Path() if not more else Path.cwd()
-    assert main([*ASKED, *METHODS, *dataset(relative), *more]) == 0
+    assert main([*ASKED, *METHODS, *dataset(Path.cwd() if more else Path()), *more]) == 0
     assert apart.asked == []
     shown = capsys.readouterr().out
     first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "pca", "cosplace"))
@@ -103,24 +95,29 @@ def test_all_that_is_wrong_is_told_at_once_and_nothing_runs(apart: Apart, capsys
     assert (apart.asked, len(list(Store(Path("results"), read_only=True).runs()))) == ([], stored)
 
 
+SAD = ["methods=sad", "dataset=folders"]
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        (["dataset=folders"], "methods="),
-        (["methods=sad"], "dataset="),
-        (["methods=sad", "dataset=folders", "method=pca"], "method=pca"),
-        (["methods=sad", "dataset=folders", "seeds=0"], "seeds=0"),
-        (["methods=sad", "dataset=folders", "metrics=r1p"], "r1p"),
-        (["methods=sad", "dataset=folders", "dataset.tolerence=1"], "tolerence"),
+        (SAD[1:], "methods="),
+        (SAD[:1], "dataset="),
+        ([*SAD, "method=pca"], "method=pca"),
+        ([*SAD, "seeds=0"], "seeds=0"),
+        ([*SAD, "metrics=r1p"], "r1p"),
+        ([*SAD, "dataset.tolerence=1"], "tolerence"),
+        ([*SAD, "sad.seed=1"], "sad.seed"),
+        ([*SAD, "sequnce=3"], "sequnce"),
         (["methods=sad", "dataset=floders"], "floders"),
     ],
 )
 def test_an_option_of_no_comparison_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str], word: str
+    apart: Apart, capsys: pytest.CaptureFixture[str], options: list[str], word: str
 ) -> None:
-    install(monkeypatch, tmp_path)
     assert main(["compare", *options]) == 2
     assert word in capsys.readouterr().err
+    assert apart.asked == []
 
 
 def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
@@ -142,14 +139,15 @@ def test_sequences_are_ranked_from_the_same_stored_runs_side_by_side(
 def test_a_sequence_says_of_runs_without_scores_what_to_do(
     apart: Apart, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    other = Store(tmp_path)
+    other.prepare()
     for run in Store(Path("results"), read_only=True).runs():
-        other = Store(tmp_path)
-        other.prepare()
         other.save(replace(run, scores=None if run.method == "sad" else run.scores))
     monkeypatch.setattr(make, "made", lambda *_: [])
-    assert main([*ASKED, *METHODS, *dataset(Path()), "sequence=3", f"results={tmp_path}"]) == 0
+    asked = [*dataset(Path()), "sequence=3", f"results={tmp_path}"]
+    assert main([*ASKED, *METHODS, *asked]) == 0
     shown = capsys.readouterr().out
     assert "sad on folders kept no scores to make sequences of: run it with scores=true" in shown
     assert "\npca " in shown
-    assert main([*ASKED, "methods=sad", "sad.patch=5", *dataset(Path()), "sequence=3", f"results={tmp_path}"]) == 2
+    assert main([*ASKED, "methods=sad", "sad.patch=5", *asked]) == 2
     assert "scores=true" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 import pytest
-from small_plan import Apart, install
+from small_plan import Apart, install, quick_figures
 
 import vprbench
 from vprbench.cli import main
@@ -22,7 +22,6 @@ ASKED = [
     *(f"dataset.{name}={value}" for name, value in ROUTE.items()),
 ]
 UNDER = "corruptions=[noise,shift-3]"
-NAMES = {"noise-1", "noise-2", "noise-3", "shift-3"}
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +30,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Apart]:
     folder = tmp_path_factory.mktemp("compared")
     with pytest.MonkeyPatch.context() as monkeypatch:
         apart = install(monkeypatch, folder)
+        quick_figures(monkeypatch)
         assert main([*ASKED, UNDER]) == 0
     return folder, apart
 
@@ -57,66 +57,46 @@ def recall(run: Run) -> float:
     return found.expected
 
 
-def test_a_run_is_made_of_clean_frames_and_of_each_corruption_untimed(compared: tuple[Path, Apart]) -> None:
+def test_untimed_runs_of_each_corruption_stand_beside_clean_frames_in_the_files(
+    compared: tuple[Path, Apart], apart: Apart
+) -> None:
     asked = [{option.partition("=")[0]: option.partition("=")[2] for option in each} for each in compared[1].asked]
     assert [each.get("corruption") for each in asked] == [None, "shift-3", "noise-1", "noise-2", "noise-3"]
     assert {each["timing"] for each in asked[1:]} == {"none"}
-
-
-def test_the_files_set_each_corruption_beside_clean_frames(apart: Apart) -> None:
     found = runs()
-    assert found.keys() == {None, *NAMES}
+    assert found.keys() == {None, "noise-1", "noise-2", "noise-3", "shift-3"}
     assert len({run.key for run in found.values()}) == len({run.fingerprint for run in found.values()}) == 5
     clean = recall(found[None])
     told = {f"{line['kind']}-{line['strength']}": line for line in lines("mine-robustness.csv")}
-    assert {name: float(line["recall_at_1"]) for name, line in told.items()} == {
-        str(name or "clean-0"): pytest.approx(recall(run)) for name, run in found.items()
-    }
-    assert {name: float(line["drop"]) for name, line in told.items()} == {
-        str(name or "clean-0"): pytest.approx(clean - recall(run)) for name, run in found.items()
+    assert {name: (float(line["recall_at_1"]), float(line["drop"])) for name, line in told.items()} == {
+        str(name or "clean-0"): pytest.approx((recall(run), clean - recall(run))) for name, run in found.items()
     }
     assert "| shift 8 px" in Path("results/mine-robustness.md").read_text(encoding="utf-8")
     assert Path("results/figures/mine/robustness-mine.pdf").is_file()
     assert "robustness-mine" in Path("results/mine.html").read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> list[Material]:
-    """What comparisons would write."""
-    found: list[Material] = []
-    monkeypatch.setattr(make, "written", lambda one, *_: found.append(one) or [])
-    return found
-
-
-def test_what_is_stored_is_not_run_again(
-    apart: Apart, shown: list[Material], capsys: pytest.CaptureFixture[str]
+def test_what_is_stored_is_not_run_again_and_clean_frames_are_compared_and_tabled_alone(
+    apart: Apart, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for more in ([], ["stored=true"]):
-        assert main([*ASKED, UNDER, *more]) == 0
-        assert "noise ±5/10/20" in capsys.readouterr().out
-    assert apart.asked == []
-
-
-def test_a_comparison_of_clean_frames_shows_the_clean_run_alone(apart: Apart, shown: list[Material]) -> None:
+    shown: list[Material] = []
+    monkeypatch.setattr(make, "written", lambda one, *_: shown.append(one) or [])
+    assert main([*ASKED, UNDER]) == 0
+    assert "noise ±5/10/20" in capsys.readouterr().out
     assert main(ASKED) == 0
-    assert apart.asked == []
-    assert [run.key for group in shown[0].groups for run in group.runs] == [runs()[None].key]
-
-
-def test_a_table_shows_the_clean_run_alone(apart: Apart) -> None:
+    assert [run.key for group in shown[-1].groups for run in group.runs] == [runs()[None].key]
     assert main(["table", "rows=[SAD]", "columns=[route]", "name=table", "timing=none", "threads=1"]) == 0
-    assert apart.asked == []
     (cell,) = (line for line in lines("table.csv") if line["quantity"] == "recall_at_1")
     assert float(cell["value"]) == pytest.approx(100 * recall(runs()[None]))
     assert len(lines("table-runs.csv")) == 1
+    assert apart.asked == []
 
 
 def test_a_program_finds_the_runs_of_the_command_line(apart: Apart) -> None:
     data = vprbench.dataset("synthetic", **ROUTE)
     for name in (None, "shift-3"):
-        run = runs()[name]
         result = vprbench.run("sad", data, timing="none", threads=1, corruption=name)
-        assert (result.from_store, result.run.key) == (True, run.key)
+        assert (result.from_store, result.run.key) == (True, runs()[name].key)
         assert ("corruption" in result.run.protocol) == (name is not None)
 
 

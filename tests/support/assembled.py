@@ -15,7 +15,6 @@ from vprbench.paper.table.quantities import QUANTITIES, Quantity
 from vprbench.paper.table.reasons import Reason
 from vprbench.run.record import Failure, Run
 
-
 NAMES = ("recall_at_1", "train_cpu", "query_cpu", "train_gpu", "query_gpu")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from vprbench import cli, ending
 from vprbench.cluster import crew
@@ -69,6 +70,19 @@ class Apart:
             code = cli.main(options)
         known = {name: words[name] for name in ("missing", "error", "recorded") if name in words}
         return Ending(code, **known)
+
+
+def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let figures be drawn and not rendered, which takes long: their files hold a pixel for each panel."""
+    from vprbench.paper.figures import style  # brings matplotlib
+
+    def rendered(drawn: style.Drawn) -> bytes:
+        written = io.BytesIO()
+        Image.new("L", (len(drawn.figure.axes), 1)).save(written, "PNG")
+        return written.getvalue()
+
+    for kind in ("png", "pdf"):
+        monkeypatch.setattr(style, kind, rendered)
 
 
 def install(monkeypatch: pytest.MonkeyPatch, folder: Path, plan: str = PLAN) -> Apart:

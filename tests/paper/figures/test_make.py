@@ -5,15 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 
 import pytest
-from PIL import Image
-from small_plan import PLAN, RUN, Apart, install
+from small_plan import PLAN, RUN, Apart, install, quick_figures
 
 from vprbench.cli import main
-from vprbench.paper.figures import style
 from vprbench.paper.figures.make import listed
 
 SMALL = ["rows=[SAD,VPRTempo]", "seeds=1"]
@@ -26,18 +23,10 @@ SPEED = {"fig2a-training-time", "fig2b-query-rate", "fig2c-growth"}
 NAMES = {*SPEED, *(f"{name}-{column}" for name in OF_A_COLUMN for column in ("route", "route_12"))}
 
 
-def quick_png(drawn: style.Drawn) -> bytes:
-    """Stand in for a rendered figure, which takes long."""
-    written = BytesIO()
-    Image.new("L", (len(drawn.figure.axes), 1)).save(written, "PNG")
-    return written.getvalue()
-
-
 def grown(folder: Path, monkeypatch: pytest.MonkeyPatch, quick: bool = True) -> Apart:
     """Let the small plan hold in a folder, of only two sizes of the growth, and files of figures be quickly written."""
     if quick:
-        for kind in ("png", "pdf"):
-            monkeypatch.setattr(style, kind, quick_png)
+        quick_figures(monkeypatch)
     return install(monkeypatch, folder, PLAN.replace("[10, 12, 14, 16]", "[10, 14]"))
 
 
