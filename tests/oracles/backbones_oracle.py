@@ -29,6 +29,13 @@ class Draw:
             f"{name}.bias": self.normal(n_out, scale=0.3),
         }
 
+    def attention(self, name: str, dim: int) -> dict[str, Tensor]:
+        return {
+            f"{name}.in_proj_weight": self.normal(3 * dim, dim, scale=2 * dim**-0.5),
+            f"{name}.in_proj_bias": self.normal(3 * dim, scale=0.3),
+            **self.linear(f"{name}.out_proj", dim, dim),
+        }
+
     def norm(self, name: str, dim: int) -> dict[str, Tensor]:
         return {f"{name}.weight": self.normal(dim, scale=0.25, mean=1), f"{name}.bias": self.normal(dim, scale=0.25)}
 
@@ -95,6 +102,16 @@ def vit_qkv(tensors: Tensors, prefix: str, tokens: Tensor, block: int) -> tuple[
 def layer_norm(x: Tensor, weight: Tensor, bias: Tensor, eps: float = 1e-6) -> Tensor:
     variance = x.var(dim=-1, correction=0, keepdim=True)
     return (x - x.mean(dim=-1, keepdim=True)) / torch.sqrt(variance + eps) * weight.double() + bias.double()
+
+
+def attention(t: Tensors, at: str, asking: Tensor, asked: Tensor, heads: int) -> Tensor:
+    """What (n_asking, dim) take from (n_asked, dim), by the names of `torch.nn.MultiheadAttention`, head by head."""
+    weights, biases = t[f"{at}.in_proj_weight"].chunk(3), t[f"{at}.in_proj_bias"].chunk(3)
+    q, k, v = (x @ w.T + b for x, w, b in zip((asking, asked, asked), weights, biases, strict=True))
+    width = q.shape[1] // heads
+    parts = [slice(head * width, (head + 1) * width) for head in range(heads)]
+    mixed = [torch.softmax(q[:, own] @ k[:, own].T / math.sqrt(width), dim=1) @ v[:, own] for own in parts]
+    return torch.cat(mixed, 1) @ t[f"{at}.out_proj.weight"].T + t[f"{at}.out_proj.bias"]
 
 
 def _mlp(b: Tensors, x: Tensor) -> Tensor:

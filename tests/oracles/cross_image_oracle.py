@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from backbones_oracle import Draw, Tensors, layer_norm, prefixed, under
+from backbones_oracle import Draw, Tensors, attention, layer_norm, prefixed, under
 from torch import Tensor
 
 HEADS = 16
@@ -17,7 +17,7 @@ def encoded_together(tensors: Tensors, parts: Tensor) -> Tensor:
         t = under(tensors, f"encoder.layers.{number}.")
         seen = torch.empty_like(parts)
         for part in range(parts.shape[1]):  # a part sees the same part of all images
-            seen[:, part] = _attention(t, parts[:, part])
+            seen[:, part] = attention(t, "self_attn", parts[:, part], parts[:, part], HEADS)
         parts = layer_norm(parts + seen, t["norm1.weight"], t["norm1.bias"], eps=1e-5)
         inner = parts @ t["linear1.weight"].T + t["linear1.bias"]
         inner = inner * (1 + torch.erf(inner / math.sqrt(2))) / 2
@@ -31,9 +31,7 @@ def encoder_checkpoint(draw: Draw, dim: int, hidden: int) -> dict[str, Tensor]:
     tensors = {}
     for number in range(2):
         layer = {
-            "self_attn.in_proj_weight": draw.normal(3 * dim, dim, scale=2 * dim**-0.5),
-            "self_attn.in_proj_bias": draw.normal(3 * dim, scale=0.3),
-            **draw.linear("self_attn.out_proj", dim, dim),
+            **draw.attention("self_attn", dim),
             **draw.linear("linear1", dim, hidden),
             **draw.linear("linear2", hidden, dim),
             **draw.norm("norm1", dim),
@@ -41,15 +39,3 @@ def encoder_checkpoint(draw: Draw, dim: int, hidden: int) -> dict[str, Tensor]:
         }
         tensors |= prefixed(f"encoder.layers.{number}.", layer)
     return tensors
-
-
-def _attention(t: Tensors, x: Tensor) -> Tensor:
-    """Attention of (n_images, dim) among the images, in 16 heads."""
-    width = x.shape[1] // HEADS
-    query, key, value = (x @ t["self_attn.in_proj_weight"].T + t["self_attn.in_proj_bias"]).chunk(3, dim=1)
-    mixed = []
-    for head in range(HEADS):
-        own = slice(head * width, (head + 1) * width)
-        weights = torch.softmax(query[:, own] @ key[:, own].T / math.sqrt(width), dim=1)
-        mixed.append(weights @ value[:, own])
-    return torch.cat(mixed, dim=1) @ t["self_attn.out_proj.weight"].T + t["self_attn.out_proj.bias"]

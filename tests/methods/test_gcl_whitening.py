@@ -1,0 +1,107 @@
+"""GCL's whitening against the authors' way by singular values."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from described_images import composed
+from published_networks import unit
+
+from vprbench.api.weights import Weights
+from vprbench.errors import BadInput, NotFittedError
+from vprbench.methods.gcl import GCL, Whitening
+from vprbench.plugins import registry
+
+
+def gcl(**arguments: Any) -> GCL:
+    return GCL(weights=Weights("none", "", ""), **arguments)
+
+
+def vectors(n: int, seed: int, n_dimensions: int = 40) -> np.ndarray:
+    """Unit vectors as networks give them: about a mean, with few strong directions and many weak ones."""
+    generator = np.random.default_rng(seed)
+    basis = np.random.default_rng(0).normal(size=(n_dimensions, n_dimensions)) / np.arange(1, n_dimensions + 1)[:, None]
+    return unit(3 + generator.normal(size=(n, n_dimensions)) @ basis).astype(np.float32)
+
+
+def whitened_slowly(references: np.ndarray, vectors: np.ndarray, kept: slice) -> np.ndarray:
+    """The authors' whitening from singular values, learnt exactly and applied to float16."""
+    precise = references.astype(np.float64)
+    mean = precise.mean(0)
+    _, sizes, directions = np.linalg.svd(precise - mean, full_matrices=False)
+    rounded = vectors.astype(np.float16).astype(np.float64)
+    components = (rounded - mean) @ directions[kept].T / (sizes[kept] / np.sqrt(2 * len(references)))
+    return components / (np.linalg.norm(components, axis=1, keepdims=True) + 1e-6)
+
+
+def scores(references: np.ndarray, queries: np.ndarray, n_components: int | None) -> np.ndarray:
+    method = gcl(n_components=n_components)
+    return method.fit_descriptors(references, np.arange(len(references))).match(queries)
+
+
+@pytest.mark.parametrize(
+    ("n_references", "n_components"), [(90, None), (90, 10), (90, 30), (90, 40), (25, 10), (25, 24), (5000, 12)]
+)
+def test_whitened_scores_are_those_of_singular_values(n_references: int, n_components: int | None) -> None:
+    references, queries = vectors(n_references, 1), vectors(7, 2)
+    left, right = queries, references
+    if n_components:
+        left, right = (whitened_slowly(references, codes, slice(n_components)) for codes in (queries, references))
+    np.testing.assert_allclose(scores(references, queries, n_components), left @ right.T, rtol=0, atol=1e-4)
+
+
+def test_repeated_references_and_constant_dimensions_add_no_components() -> None:
+    assert Whitening.learn(vectors(12, 1), 2048).projection.shape == (40, 11)
+    references = np.tile(vectors(6, 1), (20, 1))
+    references[:, :3] = 0
+    assert Whitening.learn(references, 2048).projection.shape == (40, 5)
+
+
+def test_the_mean_has_no_direction() -> None:
+    middle = Whitening(np.full(40, 0.125, np.float32), Whitening.learn(vectors(300, 1), 20).projection)
+    np.testing.assert_array_equal(middle(np.full((1, 40), 0.125, np.float32)), np.zeros((1, 20)))
+
+
+@pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
+def test_equal_references_give_scores_of_zero(index: str) -> None:
+    method = gcl(n_components=8, index=index)
+    method.fit_descriptors(np.tile(vectors(1, 1), (5, 1)), np.arange(5))
+    np.testing.assert_array_equal(method.match(vectors(3, 2)), np.zeros((3, 5)))
+
+
+def test_whitening_is_learnt_anew_and_from_references_alone() -> None:
+    method = gcl(n_components=10)
+    first, second, queries = vectors(60, 1), vectors(50, 2), vectors(7, 3)
+    before = method.fit_descriptors(first, np.arange(60)).match(queries)
+    method.match(first)
+    np.testing.assert_array_equal(method.match(queries), before)
+    method.fit_descriptors(second, np.arange(50))
+    np.testing.assert_array_equal(method.match(queries), scores(second, queries, 10))
+
+
+@pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
+def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index: str) -> None:
+    references, queries = vectors(90, 1), vectors(7, 2)
+    method = gcl(n_components=10, index=index)
+    found = method.fit_descriptors(references, np.arange(90)).match(queries)
+    retrieved = np.isfinite(found)
+    np.testing.assert_allclose(found[retrieved], scores(references, queries, 10)[retrieved], rtol=0, atol=0.02)
+    assert method.audit(queries).recall_at_1 == 1
+
+
+def test_whitening_needs_a_map_and_a_component() -> None:
+    with pytest.raises(NotFittedError):
+        gcl(n_components=4).match(vectors(2, 1))
+    with pytest.raises(BadInput, match=r"method.n_components=0"):
+        scores(vectors(9, 1), vectors(2, 2), 0)
+
+
+def test_a_missing_file_is_told_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    with pytest.raises(BadInput, match=re.escape("python -m gdown --folder")) as error:
+        registry.make_method(composed("method=gcl")).files()
+    assert "\n" not in str(error.value)

@@ -1,0 +1,403 @@
+"""Networks on VGG16 and ResNets, each against a float64 version written from the key names of its files."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import backbones_oracle as oracle
+import numpy as np
+import pytest
+import torch
+from backbones_oracle import Draw, Tensors, gem, imagenet, prefixed, under
+from described_images import distance, drawn_images, encoded, pillow
+from PIL import Image as PillowImage
+from published_networks import PublishedNetwork, saved, with_checks
+from sklearn.decomposition import PCA
+from torch.nn import functional
+
+from vprbench.api.arrays import Image
+from vprbench.api.weights import Weights
+from vprbench.errors import BadInput
+from vprbench.methods.cosplace import CosPlace, EigenPlaces
+from vprbench.methods.indoor import EigenPlacesIndoor
+from vprbench.methods.mixvpr import MixVPR
+
+
+def backbone_checkpoint(draw: Draw, kind: str) -> Tensors:
+    checkpoint = oracle.vgg16_checkpoint(draw) if kind == "vgg16" else oracle.resnet_checkpoint(draw, kind)
+    return prefixed("backbone.", checkpoint)
+
+
+def backbone(tensors: Tensors, kind: str, x: torch.Tensor, last: int) -> torch.Tensor:
+    """The features of VGG16 up to a layer, or of a ResNet."""
+    if kind == "vgg16":
+        return oracle.vgg16(tensors, "backbone.", x, last)
+    return oracle.resnet(tensors, "backbone.", x, kind)
+
+
+# CosPlace, EigenPlaces, and EigenPlaces trained indoors, one module deeper in its file
+
+
+def draw_cosplace(kind: str, n_channels: int = 512, n_dimensions: int = 64) -> Tensors:
+    draw = Draw(len(kind))
+    return backbone_checkpoint(draw, kind) | {
+        "aggregation.1.p": torch.tensor([2.4]),
+        # What comes out of the pooling is a few hundredths.
+        "aggregation.3.weight": draw.normal(n_dimensions, n_channels),
+        "aggregation.3.bias": draw.normal(n_dimensions, scale=0.3),
+    }
+
+
+def described_by_cosplace(
+    tensors: Tensors, seen: Image, kind: str = "vgg16", size: tuple[int, int] | None = None, prefix: str = ""
+) -> torch.Tensor:
+    t, x = under(tensors, prefix), imagenet(seen)
+    x = x if size is None else functional.interpolate(x, size, mode="bilinear", antialias=True)
+    pooled = gem(functional.normalize(backbone(t, kind, x, 28), dim=1), t["aggregation.1.p"])[0]
+    return t["aggregation.3.weight"] @ pooled + t["aggregation.3.bias"]
+
+
+COSPLACE = PublishedNetwork(
+    "cosplace",
+    lambda: draw_cosplace("vgg16"),
+    drawn_images((64, 96), (71, 53), (71, 53), (64, 96)),
+    64,
+    described_by_cosplace,
+    arguments={"backbone": "VGG16", "n_dimensions": 64},
+    tolerance=1e-4,
+    wrong={"aggregation.3.weight": None, "backbone.30.weight": (3, 3), "aggregation.1.p": (512,)},
+    options={
+        "resized": ({"height": 48, "width": 80}, drawn_images((131, 187))[0], {"size": (48, 80)}),
+        "black": ({}, np.zeros((32, 48, 3), np.uint8), {}),
+    },
+    refused=[("16 pixels", {}, (40, 15)), ("n_dimensions=64", {"n_dimensions": 128}, (64, 96))],
+)
+INDOOR = PublishedNetwork(
+    "eigenplaces_indoor",
+    lambda: prefixed("model.", draw_cosplace("resnet50", 2048, 2048)),
+    drawn_images((64, 96), (64, 96)),
+    2048,
+    partial(described_by_cosplace, kind="resnet50", prefix="model."),
+    tolerance=1e-4,
+)
+
+
+def test_a_resnet_of_cosplace_takes_the_smallest_image_too(folder: Path) -> None:
+    tensors = draw_cosplace("resnet18", n_dimensions=32)
+    path = saved(folder / "resnet.pth", tensors)
+    method = COSPLACE.method(path, backbone="ResNet18", n_dimensions=32)
+    for seen in (COSPLACE.images[0], COSPLACE.images[0][:1, :2]):
+        wanted = COSPLACE.slowly(seen, tensors=tensors, kind="resnet18")
+        np.testing.assert_allclose(encoded(method, seen), wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "backbone", "published"),
+    [
+        (CosPlace, "VGG16", {64, 128, 256, 512}),
+        (CosPlace, "ResNet18", {32, 64, 128, 256, 512}),
+        *((CosPlace, name, {32, 64, 128, 256, 512, 1024, 2048}) for name in ("ResNet50", "ResNet101", "ResNet152")),
+        (EigenPlaces, "VGG16", {512}),
+        (EigenPlaces, "ResNet18", {256, 512}),
+        *((EigenPlaces, name, {128, 256, 512, 1024, 2048}) for name in ("ResNet50", "ResNet101")),
+        (EigenPlaces, "ResNet152", set()),
+        (EigenPlacesIndoor, "ResNet18", set()),
+        (EigenPlacesIndoor, "ResNet50", {2048}),
+    ],
+)
+def test_only_what_was_published_is_looked_for(
+    kind, backbone: str, published: set[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VPRBENCH_WEIGHTS", str(tmp_path))
+    (tmp_path / "there.pth").touch()
+    found = set()
+    for n_dimensions in (16, 32, 64, 128, 256, 512, 1024, 2048, 4096):
+        method = kind(weights=Weights("there.pth", "", ""), backbone=backbone, n_dimensions=n_dimensions)
+        with contextlib.suppress(BadInput):
+            assert method.files() == (tmp_path / "there.pth",)
+            found.add(n_dimensions)
+    assert found == published
+
+
+def test_a_refusal_tells_which_were_published() -> None:
+    with pytest.raises(BadInput, match=r"n_dimensions=64: .* VGG16 512; ResNet18 256, 512"):
+        EigenPlaces(weights=Weights("x.pth", "", ""), backbone="VGG16", n_dimensions=64).files()
+
+
+# GCL; its whitening has tests of its own
+
+
+def draw_gcl(kind: str, pooling: str = "GeM") -> Tensors:
+    return backbone_checkpoint(Draw(len(kind)), kind) | ({"pool.p": torch.tensor([2.4])} if pooling == "GeM" else {})
+
+
+def written_by_gcl(path: Path, tensors: Tensors, key: str = "model_state_dict", prefix: str = "") -> Path:
+    """Write what the authors' training writes."""
+    named = prefixed(prefix, tensors)
+    optimizer = {"state": {}, "param_groups": [{"lr": 0.1, "momentum": 0, "params": [0, 1]}]}
+    return saved(path, {key: named, "step": 1300, "optimizer": optimizer} if key else named)
+
+
+def described_by_gcl(
+    tensors: Tensors, seen: Image, kind: str = "vgg16", pooling: str = "GeM", size: tuple[int, int] = (64, 96)
+) -> torch.Tensor:
+    x = backbone(tensors, kind, imagenet(pillow(seen, *size)), 30)
+    if pooling == "GeM":
+        return gem(x, tensors["pool.p"])[0]
+    return (x.mean((2, 3)) if pooling == "avg" else x.amax((2, 3)))[0]
+
+
+GCL = PublishedNetwork(
+    "gcl",
+    lambda: draw_gcl("vgg16"),
+    drawn_images((131, 187), (64, 96), (131, 187), (70, 51)),
+    512,
+    described_by_gcl,
+    written_by_gcl,
+    arguments={"height": 64, "width": 96, "backbone": "vgg16"},
+    tolerance=1e-4,
+    wrong={"pool.p": None, "backbone.30.weight": (3, 3), "backbone.0.weight": (64, 3, 5, 5)},
+    options={
+        f"shorter side of {size}": (
+            {"height": None, "width": None, "shorter_side": 48},
+            drawn_images(size)[0],
+            {"size": seen},
+        )
+        for size, seen in [((80, 121), (48, 72)), ((121, 80), (72, 48)), ((50, 50), (48, 48))]
+    },
+    refused=[
+        ("method.shorter_side=48", {"shorter_side": 48, "height": None}, (64, 96)),
+        ("method.shorter_side=48", {"shorter_side": 48, "width": None}, (64, 96)),
+        ("1 pixel", {"height": None, "width": None, "shorter_side": 0}, (64, 96)),
+        ("32 pixels", {"height": 31}, (64, 96)),
+        *(("unexpected", other, (64, 96)) for other in ({"pooling": "avg"}, {"backbone": "resnet50"})),
+    ],
+)
+
+
+@pytest.mark.parametrize(
+    ("backbone", "kind", "pooling"),
+    [
+        ("resnet50", "resnet50", "GeM"),
+        pytest.param("resnext", "resnext101_32x8d", "GeM", marks=pytest.mark.extended),
+        ("vgg16", "vgg16", "avg"),
+        ("vgg16", "vgg16", "max"),
+    ],
+)
+def test_other_backbones_and_poolings_of_gcl_are_those_of_the_published_layout(
+    backbone: str, kind: str, pooling: str, folder: Path
+) -> None:
+    tensors, seen = draw_gcl(kind, pooling), GCL.images[0]
+    method = GCL.method(written_by_gcl(folder / "other.pth", tensors), backbone=backbone, pooling=pooling)
+    wanted = GCL.slowly(seen, tensors=tensors, kind=kind, pooling=pooling)
+    assert distance(encoded(method, seen), wanted) < 1e-4
+    if backbone == "resnet50":  # takes the smallest image
+        method.height = method.width = None
+        assert np.isfinite(encoded(method, *drawn_images((3, 5)))).all()
+
+
+@pytest.mark.parametrize(("key", "prefix"), [("state_dict", ""), ("model_state_dict", "module."), ("", "module.")])
+def test_other_nestings_and_a_prefix_are_read(key: str, prefix: str, folder: Path) -> None:
+    path = written_by_gcl(folder / "nested.pth", GCL.tensors, key, prefix)
+    assert distance(encoded(GCL.method(path), GCL.images[0]), GCL.codes(folder)[:1]) < 2e-6
+
+
+# MixVPR, of 4x6 positions
+
+
+def draw_mixvpr(n_positions: int = 24, channels: int = 16, rows: int = 3) -> Tensors:
+    draw = Draw(5)
+    tensors = oracle.resnet_checkpoint(draw, "resnet50", "backbone.model.", n_stages=3, numbered=False)
+    for number in range(4):
+        at = f"aggregator.mix.{number}.mix"
+        tensors |= draw.norm(f"{at}.0", n_positions)
+        tensors |= draw.linear(f"{at}.1", n_positions, n_positions) | draw.linear(f"{at}.3", n_positions, n_positions)
+    tensors |= draw.linear("aggregator.channel_proj", 1024, channels)
+    return tensors | draw.linear("aggregator.row_proj", n_positions, rows)
+
+
+def described_by_mixvpr(tensors: Tensors, seen: Image) -> torch.Tensor:
+    """The rows of each output channel side by side; levels are rounded before they become floats."""
+    t, x = under(tensors, "aggregator."), imagenet(pillow(seen, 64, 96))
+    x = oracle.resnet(tensors, "backbone.model.", x, "resnet50", n_stages=3, numbered=False).flatten(2)
+    for number in range(4):
+        m = under(t, f"mix.{number}.mix.")
+        inner = oracle.layer_norm(x, m["0.weight"], m["0.bias"], eps=1e-5)
+        x = x + (inner @ m["1.weight"].T + m["1.bias"]).clamp(min=0) @ m["3.weight"].T + m["3.bias"]
+    x = x.transpose(1, 2) @ t["channel_proj.weight"].T + t["channel_proj.bias"]
+    return (x.transpose(1, 2) @ t["row_proj.weight"].T + t["row_proj.bias"])[0].flatten()
+
+
+MIXVPR = PublishedNetwork(
+    "mixvpr",
+    draw_mixvpr,
+    drawn_images((64, 96), (131, 187), (131, 187), (71, 53)),
+    48,
+    described_by_mixvpr,
+    arguments={"height": 64, "width": 96, "n_dimensions": 48},
+    tolerance=1e-4,
+    wrong={
+        "aggregator.row_proj.weight": None,
+        "backbone.model.layer4.0.conv1.weight": (3, 3),
+        "aggregator.channel_proj.weight": (16, 2048),
+        "aggregator.mix.0.mix.0.weight": (25,),
+    },
+    refused=[
+        ("n_dimensions=48", {"n_dimensions": 4096}, (64, 96)),
+        *(("weights are for 24", {side: None}, (90, 120)) for side in ("height", "width")),
+    ],
+)
+
+
+def test_weights_for_images_of_320x320_ask_for_their_size(folder: Path) -> None:
+    path = saved(folder / "large.ckpt", draw_mixvpr(400, 64, 2))
+    (image,) = drawn_images((90, 120))
+    method = MixVPR(weights=Weights("", "", "", path=str(path)), n_dimensions=128)
+    assert encoded(method, image).shape == (1, 128)
+    with pytest.raises(BadInput, match=r"24 positions, .* 400: .*method.height=320"):
+        encoded(MIXVPR.method(path, n_dimensions=128), image)
+    with pytest.raises(BadInput, match="4096, 512, 128"):  # of other dimensions there is no blank network
+        MIXVPR.method(path, n_dimensions=64).blank()
+
+
+# Conv-AP, of 3x5 positions, of which the middle ones count in two quarters
+
+CHANNELS = 6
+
+
+def draw_conv_ap() -> Tensors:
+    draw = Draw(4)
+    return oracle.resnet_checkpoint(draw, "resnet50", "backbone.model.", numbered=False) | {
+        "aggregator.channel_pool.weight": draw.normal(CHANNELS, 2048, 1, 1, scale=1 / 45),
+        "aggregator.channel_pool.bias": draw.normal(CHANNELS, scale=0.3),
+    }
+
+
+def described_by_conv_ap(tensors: Tensors, seen: Image) -> torch.Tensor:
+    t, x = under(tensors, "aggregator.channel_pool."), imagenet(pillow(seen, 96, 160, PillowImage.Resampling.BICUBIC))
+    features = oracle.resnet(tensors, "backbone.model.", x, "resnet50", numbered=False)[0]
+    maps = torch.einsum("oc,chw->ohw", t["weight"].flatten(1), features) + t["bias"][:, None, None]
+    quarters = [
+        maps[:, rows, across].mean((1, 2)) for rows in (slice(2), slice(1, 3)) for across in (slice(3), slice(2, 5))
+    ]
+    return torch.stack(quarters, 1).flatten()
+
+
+CONV_AP = PublishedNetwork(
+    "conv_ap",
+    draw_conv_ap,
+    drawn_images((131, 187), (96, 160)),
+    4 * CHANNELS,
+    described_by_conv_ap,
+    arguments={"channels": CHANNELS, "height": 96, "width": 160},
+    tolerance=1e-4,
+)
+
+
+def test_a_file_of_other_channels_is_refused_with_the_argument_that_it_wants(folder: Path) -> None:
+    path = saved(folder / "changed", {**CONV_AP.tensors, "aggregator.channel_pool.bias": torch.zeros(7)})
+    assert "method.channels=7" in CONV_AP.refusal(path)
+
+
+# AP-GeM, whose PCA is a pickled object of a module of 2019, which is there while a file is written alone
+
+DIMENSIONS = 12
+MODULE = ModuleType("sklearn.decomposition.pca")
+FITTED = PCA(whiten=True).fit(
+    np.random.default_rng(0).normal(size=(40, DIMENSIONS)) * np.geomspace(1, 0.05, DIMENSIONS) + 0.1
+)
+
+
+def draw_ap_gem(kind: str = "resnet101", n_features: int = 2048) -> Tensors:
+    draw = Draw(6)
+    tensors = oracle.resnet_checkpoint(draw, kind, numbered=False) | {"adpool.p": torch.tensor([2.6])}
+    tensors["fc.weight"] = draw.normal(DIMENSIONS, n_features, scale=1 / 45)
+    tensors["fc.bias"] = draw.normal(DIMENSIONS, scale=0.3)
+    return prefixed("module.", tensors)
+
+
+def written_by_ap_gem(path: Path, tensors: Tensors, **changes: Any) -> Path:
+    """Write what the published file holds, as torch and numpy wrote it in 2019."""
+    MODULE.PCA = type("PCA", (), {"__module__": MODULE.__name__})
+    pca = MODULE.PCA()
+    pca.__dict__.update(FITTED.__getstate__())
+    content = {"model_options": {"pooling": "gem"}, "state_dict": dict(tensors), "pca": {"Landmarks_clean": pca}}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, MODULE.__name__, MODULE)
+        torch.save(content | changes, path, _use_new_zipfile_serialization=False)
+    path.write_bytes(path.read_bytes().replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n"))
+    return path
+
+
+def described_by_ap_gem(
+    tensors: Tensors, seen: Image, kind: str = "resnet101", unit_features: bool = False
+) -> np.ndarray:
+    t = under(tensors, "module.")
+    pooled = gem(oracle.resnet(t, "", imagenet(seen), kind, numbered=False), t["adpool.p"])[0]
+    pooled = pooled / pooled.norm() if unit_features else pooled
+    vector = t["fc.weight"] @ pooled + t["fc.bias"]
+    whitened = ((vector / vector.norm()).numpy() - FITTED.mean_) @ FITTED.components_.T
+    return whitened / FITTED.explained_variance_**0.25
+
+
+AP_GEM = PublishedNetwork(
+    "ap_gem",
+    draw_ap_gem,
+    drawn_images((64, 96), (71, 53)),
+    DIMENSIONS,
+    described_by_ap_gem,
+    written_by_ap_gem,
+    tolerance=1e-4,
+    alike_in_half=0.95,
+)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Tensors:
+    """Tensors of a smaller backbone, where it is not the backbone that matters."""
+    monkeypatch.setattr("vprbench.methods.ap_gem._BACKBONE", "resnet18")
+    return draw_ap_gem("resnet18", 512)
+
+
+def test_pooled_features_get_unit_length_where_the_file_says_so(folder: Path, small: Tensors) -> None:
+    path = written_by_ap_gem(folder / "unit.pt", small, model_options={"norm_features": True})
+    seen = AP_GEM.images[0]
+    wanted = AP_GEM.slowly(seen, tensors=small, kind="resnet18", unit_features=True)
+    assert distance(encoded(AP_GEM.method(path), seen), wanted) < 1e-4
+
+
+def test_the_pickled_pca_runs_no_code_of_its_own(folder: Path, small: Tensors, monkeypatch) -> None:
+    path = written_by_ap_gem(folder / "code.pt", small)
+    monkeypatch.setitem(sys.modules, MODULE.__name__, MODULE)
+    monkeypatch.setattr(MODULE.PCA, "__setstate__", lambda *_: pytest.fail("code of the file ran"), raising=False)
+    AP_GEM.method(path).load(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"pca": {}}, "holds no pca of Landmarks_clean"),
+        ({"pca": [1]}, "holds no pca of Landmarks_clean"),
+        ({"pca": {"Landmarks_clean": torch.zeros(3)}}, "holds no pca of Landmarks_clean"),
+        ({"state_dict": {"fc.bias": torch.zeros(DIMENSIONS)}}, r"missing \(conv1.weight"),
+        ({"argument": np.random.RandomState}, "holds more than tensors"),
+    ],
+)
+def test_another_file_than_that_of_ap_gem_is_refused(changes, told: str, folder: Path, small: Tensors) -> None:
+    path = written_by_ap_gem(folder / "other.pt", small, **changes)
+    with pytest.raises(BadInput, match=told):
+        AP_GEM.method(path).load(path)
+
+
+@with_checks(COSPLACE, INDOOR, GCL, MIXVPR, CONV_AP, AP_GEM)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+def test_a_file_without_the_wrapper_of_indoor_vpr_is_refused(folder: Path) -> None:
+    assert "model." in INDOOR.refusal(saved(folder / "bare.pth", draw_cosplace("resnet18")))

@@ -1,0 +1,435 @@
+"""Networks on DINOv2, each against a slow computation from the tensors of a file by their published names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from backbones_oracle import (
+    Draw,
+    Tensors,
+    attention,
+    gem,
+    imagenet,
+    layer_norm,
+    prefixed,
+    resnet,
+    resnet_checkpoint,
+    salad,
+    salad_checkpoint,
+    under,
+    vit_checkpoint,
+    vit_tokens,
+)
+from cross_image_oracle import encoded_together, encoder_checkpoint
+from described_images import distance, encoded, image, pillow
+from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
+from safetensors.torch import save_file
+from torch import Tensor
+from torch.nn import functional
+
+from vprbench.api.arrays import Image
+
+DIM = 128
+IMAGES = [image(56, 98), image(42, 70, 1), image(42, 70, 2)]
+OWN_SIZE = {"height": None, "width": None}
+
+
+def floats(seen: Image, height: int, width: int, mode: str = "bilinear") -> Tensor:
+    """What a network sees of an image that is resized as antialiased floats."""
+    return functional.interpolate(imagenet(seen), (height, width), mode=mode, antialias=True)
+
+
+def dinov2(tensors: Tensors, seen: Image, pooling: str = "cls") -> Tensor:
+    tokens = vit_tokens(tensors, "", imagenet(seen))[0]
+    return {"cls": tokens[0], "mean": tokens[1:].mean(0), "gem": gem(tokens[1:], 3, 0)}[pooling]
+
+
+DINOV2 = PublishedNetwork(
+    "dinov2",
+    lambda: vit_checkpoint(Draw(1)),
+    IMAGES,
+    DIM,
+    dinov2,
+    arguments=OWN_SIZE,
+    wrong={"norm.weight": None, "blocks.0.mlp.fc2.bias": (129,)},
+    options={
+        "mean": ({"pooling": "mean"}, IMAGES[0], {"pooling": "mean"}),
+        "gem": ({"pooling": "gem"}, IMAGES[0], {"pooling": "gem"}),
+        "positions as they are": ({}, image(70, 70), {}),
+    },
+    forms={"no mask token": without("mask_token")},
+)
+
+
+def test_a_gate_in_place_of_gelu_is_told_from_the_file(tmp_path: Path) -> None:
+    tensors = vit_checkpoint(Draw(2), swiglu=True)
+    method = DINOV2.method(saved(tmp_path / "gate.pth", tensors), backbone="vitg14")
+    assert distance(encoded(method, IMAGES[1]), DINOV2.slowly(IMAGES[1], tensors=tensors)) < DINOV2.tolerance
+
+
+# SALAD, with a linear layer MegaLoc, and SALAD trained indoors, one module deeper in its file
+
+PARTS, N_DIMENSIONS = {"clusters": 7, "cluster_dim": 12, "token_dim": 10}, 40
+
+
+def draw_salad(prefix: str = "") -> Tensors:
+    draw = Draw(1)
+    tensors = prefixed("backbone.model.", vit_checkpoint(draw)) | prefixed(
+        "aggregator.", salad_checkpoint(draw, **PARTS)
+    )
+    return prefixed(prefix, tensors)
+
+
+def described_by_salad(tensors: Tensors, seen: Image) -> Tensor:
+    return salad(tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0])
+
+
+def described_indoors(tensors: Tensors, seen: Image) -> Tensor:
+    """Images are seen at the nearest multiples of 14."""
+    tokens = vit_tokens(tensors, "model.backbone.model.", floats(seen, 56, 84))[0]
+    return salad(tensors, "model.aggregator.", tokens)
+
+
+def biased(tensors: Tensors) -> Tensors:
+    """Scores moved together for each cluster, which changes nothing: float32 does not hold their exponentials."""
+    bias = tensors["aggregator.score.3.bias"].clone()
+    bias[0], bias[1] = bias[0] + 300, bias[1] - 300
+    return {**tensors, "aggregator.score.3.bias": bias}
+
+
+SALAD = PublishedNetwork(
+    "salad",
+    draw_salad,
+    IMAGES,
+    7 * 12 + 10,
+    described_by_salad,
+    arguments=OWN_SIZE,
+    alike_in_half=0.995,
+    wrong={"aggregator.score.3.bias": (8,), "aggregator.cluster_features.0.weight": (32, 64, 1, 1)},
+    options={"one patch more than clusters": ({}, image(28, 56), {})},
+    refused=[("need more: set method.height and method.width to 42", {}, (14, 98))],
+    forms={"under state_dict": lambda tensors: {"epoch": 3, "state_dict": dict(tensors)}, "biased": biased},
+)
+SALAD_INDOOR = PublishedNetwork(
+    "salad_indoor",
+    partial(draw_salad, "model."),
+    [image(50, 90), image(50, 90, 1)],
+    7 * 12 + 10,
+    described_indoors,
+    tolerance=2e-5,
+)
+
+
+def draw_megaloc() -> Tensors:
+    draw = Draw(3)
+    aggregator = prefixed("agg.", salad_checkpoint(draw, **PARTS)) | draw.linear("linear", 7 * 12 + 10, N_DIMENSIONS)
+    return prefixed("backbone.", vit_checkpoint(draw)) | prefixed("aggregator.", aggregator)
+
+
+def saved_safely(path: Path, tensors: Tensors) -> Path:
+    save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
+    return path
+
+
+def described_by_megaloc(tensors: Tensors, seen: Image) -> Tensor:
+    inner = salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", imagenet(seen))[0])
+    return tensors["aggregator.linear.weight"].double() @ inner + tensors["aggregator.linear.bias"].double()
+
+
+MEGALOC = PublishedNetwork(
+    "megaloc",
+    draw_megaloc,
+    IMAGES,
+    N_DIMENSIONS,
+    described_by_megaloc,
+    saved_safely,
+    wrong={"aggregator.agg.dust_bin": None, "aggregator.linear.weight": (3, 5)},
+    refused=[("6 patches", {}, (28, 42))],
+)
+
+# SuperVLAD and CricaVPR, whose images may see one another
+
+CLUSTERS = 4
+SMALL, LARGE = ([image(*size, seed) for seed in range(5)] for size in ((56, 98), (224, 224)))
+
+
+def draw_supervlad() -> Tensors:
+    draw = Draw(5)
+    tensors = prefixed("backbone.", vit_checkpoint(draw)) | encoder_checkpoint(draw, DIM, 48)
+    tensors["aggregation.conv.weight"] = draw.normal(CLUSTERS + 1, DIM, 1, 1, scale=6)
+    return prefixed("module.", tensors)
+
+
+def clusters(tensors: Tensors, seen: Image) -> Tensor:
+    """The clusters of one image, but for the ghost, as a vector of unit length, (CLUSTERS, DIM)."""
+    t = under(tensors, "module.")
+    patches = functional.normalize(vit_tokens(t, "backbone.", imagenet(seen))[0, 1:], dim=1)
+    shares = torch.softmax(patches @ t["aggregation.conv.weight"].flatten(1).T, dim=1)
+    return functional.normalize(shares[:, :CLUSTERS].T @ patches, dim=1) / CLUSTERS**0.5
+
+
+def supervlad_together(tensors: Tensors, *images: Image) -> np.ndarray:
+    own = torch.stack([clusters(tensors, seen) for seen in images])
+    return unit(encoded_together(under(tensors, "module."), own).flatten(1).numpy())
+
+
+SUPERVLAD = PublishedNetwork(
+    "supervlad",
+    lambda: without(".encoder.")(draw_supervlad()),
+    [*SMALL[:2], image(42, 70)],
+    CLUSTERS * DIM,
+    lambda tensors, seen: clusters(tensors, seen).flatten(),
+    saved_training,
+    arguments=OWN_SIZE,
+)
+CROSS_IMAGE = replace(
+    SUPERVLAD,
+    name="supervlad_crossimage",
+    draw=draw_supervlad,
+    expected=lambda tensors, seen: supervlad_together(tensors, seen)[0],
+)
+
+
+def draw_cricavpr() -> Tensors:
+    """Random values under the names of a file of several devices, whose adapters weigh as much as the MLPs."""
+    draw = Draw(3)
+
+    def convolution(name: str, n_in: int, n_out: int, side: int) -> Tensors:
+        return {
+            f"{name}.conv.weight": draw.normal(n_out, n_in, side, side, scale=0.1 / (side * n_in**0.5)),
+            f"{name}.conv.bias": draw.normal(n_out, scale=0.02),
+            **draw.norm(f"{name}.bn", n_out),
+            f"{name}.bn.running_mean": draw.normal(n_out, scale=0.02),
+            # As small as the published epsilon, so that another epsilon would show.
+            f"{name}.bn.running_var": 0.001 + 0.001 * torch.rand(n_out, generator=draw.generator),
+        }
+
+    inner = DIM // 2
+    tensors = vit_checkpoint(draw)
+    for number in range(2):
+        adapter = draw.linear("D_fc1", DIM, inner) | draw.linear("D_fc2", inner, DIM)
+        adapter |= convolution("branch1", inner, inner // 2, 1)
+        for branch, side in (("branch2", 3), ("branch3", 5)):
+            adapter |= convolution(f"{branch}.0", inner, inner // 16, 1)
+            adapter |= convolution(f"{branch}.1", inner // 16, inner // 4, side)
+        tensors |= prefixed(f"blocks.{number}.adapter.", adapter)
+    tensors = prefixed("backbone.", tensors) | {"aggregation.1.p": torch.tensor([2.4])}
+    return prefixed("module.", tensors | encoder_checkpoint(draw, DIM, 48))
+
+
+def adapted(block: Tensors, tokens: Tensor) -> Tensor:
+    """What an adapter adds to the MLP, from its definition: half the dimensions, three kinds of surroundings."""
+    b = under(block, "adapter.")
+
+    def convolution(name: str, x: Tensor) -> Tensor:
+        t = {part: values[:, None, None] for part, values in under(b, f"{name}.bn.").items()}
+        weight = b[f"{name}.conv.weight"]
+        x = functional.conv2d(x, weight, b[f"{name}.conv.bias"], padding=weight.shape[-1] // 2)
+        return ((x - t["running_mean"]) / (t["running_var"] + 1e-3).sqrt() * t["weight"] + t["bias"]).clamp(min=0)
+
+    inner = (tokens @ b["D_fc1.weight"].T + b["D_fc1.bias"]).clamp(min=0)
+    grid = inner[:, 1:].reshape(len(inner), 16, 16, -1).permute(0, 3, 1, 2)
+    seen = [convolution("branch1", grid)]
+    seen += [convolution(f"{name}.1", convolution(f"{name}.0", grid)) for name in ("branch2", "branch3")]
+    inner[:, 0] *= 2
+    inner[:, 1:] += torch.cat(seen, 1).flatten(2).transpose(1, 2)
+    return 0.2 * (inner @ b["D_fc2.weight"].T + b["D_fc2.bias"])
+
+
+def cricavpr_together(tensors: Tensors, *images: Image) -> np.ndarray:
+    t = under(tensors, "module.")
+    tokens = vit_tokens(t, "backbone.", imagenet(*images), beside_mlp=adapted)
+    grid = functional.normalize(tokens[:, 1:].reshape(len(images), 16, 16, DIM), dim=3)
+    parts = [tokens[:, 0]]
+    for bounds in ([0, 8, 16], [0, 5, 11, 16]):
+        for rows, columns in product(pairwise(bounds), repeat=2):
+            parts.append(gem(grid[:, slice(*rows), slice(*columns)], t["aggregation.1.p"], (1, 2)))
+    return unit(encoded_together(t, torch.stack(parts, 1)).flatten(1).numpy())
+
+
+CRICAVPR = PublishedNetwork(
+    "cricavpr",
+    draw_cricavpr,
+    LARGE[:2],
+    14 * DIM,
+    lambda tensors, seen: cricavpr_together(tensors, seen)[0],
+    saved_training,
+    tolerance=2e-5,
+    refused=[
+        ("method.height=224", {"height": 238}, (224, 224)),
+        ("method.width=224", {"width": 238}, (224, 224)),
+        ("method.images_together=0", {"images_together": 0}, (224, 224)),
+    ],
+)
+
+
+def test_images_that_see_one_another_except_two_rules(folder: Path) -> None:
+    excepted = CROSS_IMAGE.check_contract(folder, images_together=16, height=28, width=42)
+    assert excepted == {"a batch gives what its single images give", "the order of queries does not matter"}
+
+
+@pytest.mark.parametrize(
+    ("network", "together", "images", "batch_size"),
+    [
+        (CROSS_IMAGE, supervlad_together, SMALL, 3),
+        *((CRICAVPR, cricavpr_together, LARGE, batch_size) for batch_size in (1, 3, 16)),
+    ],
+)
+def test_consecutive_images_see_one_another_whatever_the_batch(
+    network: PublishedNetwork, together: Callable[..., np.ndarray], images: list[Image], batch_size: int, folder: Path
+) -> None:
+    codes = network.encode(folder, *images, images_together=2, batch_size=batch_size)
+    wanted = [together(network.tensors, *images[first : first + 2]) for first in (0, 2, 4)]
+    assert distance(codes, np.concatenate(wanted)) < 2e-5
+    assert distance(codes[:1], network.slowly(images[0])) > 1e-3
+
+
+def test_cricavpr_sees_images_that_are_resized_without_antialiasing(folder: Path) -> None:
+    seen = image(448, 560)
+    pixels = torch.from_numpy(seen).permute(2, 0, 1)[None].double()
+    plain = functional.interpolate(pixels, (224, 224), mode="bilinear", align_corners=False, antialias=False)
+    levels = plain[0].permute(1, 2, 0).round().numpy().astype(np.uint8)
+    code, smooth = CRICAVPR.encode(folder, seen), pillow(seen, 224, 224)
+    assert distance(code, CRICAVPR.slowly(levels)) < 0.1 * distance(code, CRICAVPR.slowly(smooth))
+
+
+def test_a_run_whose_images_see_one_another_says_so_and_keeps_no_descriptors() -> None:
+    alone, together, coarse = (
+        CRICAVPR.method(Path("none"), **how)
+        for how in ({"images_together": 1}, {"images_together": 16}, {"index": "sq8"})
+    )
+    assert (alone.notes(), alone.keeps_descriptors(), alone.extends) == ((), True, True)
+    assert "16 consecutive images" in together.notes()[0]
+    assert (together.keeps_descriptors(), together.extends, coarse.extends) == (False, False, False)
+
+
+# BoQ, of two heads; published are 384 or 512 dimensions, 64 queries and 32 rows
+
+QUERIES, ROWS = 7, 5
+
+
+def draw_boq(backbone: Callable[[Draw], Tensors], n_channels: int) -> Tensors:
+    draw = Draw(5)
+    tensors = {"proj_c.weight": draw.normal(DIM, n_channels, 3, 3, scale=(9 * n_channels) ** -0.5)}
+    tensors |= {"proj_c.bias": draw.normal(DIM, scale=0.3)}
+    tensors |= draw.norm("norm_input", DIM) | draw.linear("fc", 2 * QUERIES, ROWS)
+    for number in (0, 1):
+        block = {"queries": draw.normal(1, QUERIES, DIM)}
+        for name in ("self_attn", "cross_attn", "encoder.self_attn"):
+            block |= draw.attention(name, DIM)
+        for name in ("norm_q", "norm_out", "encoder.norm1", "encoder.norm2"):
+            block |= draw.norm(name, DIM)
+        block |= draw.linear("encoder.linear1", DIM, 4 * DIM) | draw.linear("encoder.linear2", 4 * DIM, DIM)
+        tensors |= prefixed(f"boqs.{number}.", block)
+    return prefixed("backbone.", backbone(draw)) | prefixed("aggregator.", tensors)
+
+
+def norm(t: Tensors, at: str, x: Tensor) -> Tensor:
+    return layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
+
+
+def gathered(tensors: Tensors, features: Tensor) -> Tensor:
+    """BoQ's descriptor of one image's features (1, n_channels, rows, columns)."""
+    t = under(tensors, "aggregator.")
+    x = functional.conv2d(features, t["proj_c.weight"], t["proj_c.bias"], padding=1).flatten(2)[0].T
+    x = norm(t, "norm_input", x)
+    outs = []
+    for number in (0, 1):
+        b = under(t, f"boqs.{number}.")
+        x = norm(b, "encoder.norm1", x + attention(b, "encoder.self_attn", x, x, 2))
+        inner = (x @ b["encoder.linear1.weight"].T + b["encoder.linear1.bias"]).clamp(min=0)
+        x = norm(b, "encoder.norm2", x + inner @ b["encoder.linear2.weight"].T + b["encoder.linear2.bias"])
+        queries = b["queries"][0]
+        asking = norm(b, "norm_q", queries + attention(b, "self_attn", queries, queries, 2))
+        outs.append(norm(b, "norm_out", attention(b, "cross_attn", asking, x, 2)))
+    return (torch.cat(outs).T @ t["fc.weight"].T + t["fc.bias"]).flatten()  # (DIM, ROWS)
+
+
+def described_by_boq(tensors: Tensors, seen: Image) -> Tensor:
+    tokens = vit_tokens(tensors, "backbone.dino.", floats(seen, 42, 56, "bicubic"), final_norm=False)
+    return gathered(tensors, tokens[:, 1:].transpose(1, 2).unflatten(2, (3, 4)))
+
+
+def described_by_boq_on_resnet(tensors: Tensors, seen: Image) -> Tensor:
+    return gathered(tensors, resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"), "resnet50", n_stages=3))
+
+
+def wrapped(tensors: Tensors) -> Tensors:
+    """Tensors under the names of the other public wrapper."""
+    others = {"0": "frozen_layers.0.0", "1": "frozen_layers.0.1", "4": "frozen_layers.1", "5": "frozen_layers.2"}
+    others["6"] = "unfrozen_layers.0"
+    return {re.sub(r"^(backbone\.)net\.(\d)", lambda m: m[1] + others[m[2]], name): t for name, t in tensors.items()}
+
+
+BOQ = PublishedNetwork(
+    "boq",
+    lambda: draw_boq(lambda draw: prefixed("dino.", vit_checkpoint(draw, 64)), 64),
+    [image(64, 96), image(64, 96, 1), image(93, 53)],
+    DIM * ROWS,
+    described_by_boq,
+    arguments={"height": 42, "width": 56},
+    alike_in_half=0.998,
+    wrong={
+        "backbone.dino.norm.bias": None,
+        "aggregator.boqs.0.queries": None,
+        "aggregator.boqs.2.norm_q.weight": (3, 3),
+        "aggregator.fc.weight": (5, 13),
+        "aggregator.proj_c.weight": (96, 64, 3, 3),
+    },
+    refused=[("method.height=40", {"height": 40}, (64, 96))],
+    forms={
+        "no final norm": without("backbone.dino.norm."),
+        "no mask token": without("mask_token"),
+        "float64": lambda tensors: {name: value.double() for name, value in tensors.items()},
+    },
+)
+BOQ_RESNET = PublishedNetwork(
+    "boq_resnet50",
+    lambda: draw_boq(lambda draw: resnet_checkpoint(draw, "resnet50", "net.", n_stages=3), 1024),
+    BOQ.images,
+    DIM * ROWS,
+    described_by_boq_on_resnet,
+    arguments={"height": 48, "width": 80},
+    wrong={"backbone.unfrozen_layers.1.w": (3, 3)},
+    forms={
+        "other wrapper": wrapped,
+        "no counters": without("num_batches_tracked"),
+        "nested": lambda tensors: {"epoch": 3, "state_dict": dict(tensors)},
+    },
+)
+
+
+def test_one_tensor_under_the_names_of_two_wrappers_is_refused(folder: Path) -> None:
+    twice = {**BOQ_RESNET.tensors, "backbone.frozen_layers.0.0.weight": BOQ_RESNET.tensors["backbone.net.0.weight"]}
+    assert "backbone.net.0.weight" in BOQ_RESNET.refusal(saved(folder / "twice.pth", twice))
+
+
+@with_checks(DINOV2, SALAD, SALAD_INDOOR, MEGALOC, SUPERVLAD, CROSS_IMAGE, CRICAVPR, BOQ, BOQ_RESNET)
+def test_it_is_the_published_network(check, folder: Path) -> None:
+    check(folder)
+
+
+@pytest.mark.parametrize(
+    ("network", "other", "told"),
+    [
+        (SALAD, DINOV2, "backbone.model.cls_token"),
+        (DINOV2, SALAD, "patch_embed.proj.weight"),
+        (SALAD_INDOOR, SALAD, "model."),
+        (SUPERVLAD, CROSS_IMAGE, "encoder.layers.0"),
+        (CROSS_IMAGE, SUPERVLAD, "encoder.layers.0"),
+        (BOQ, BOQ_RESNET, "aggregator.proj_c.weight"),
+        (BOQ_RESNET, BOQ, "aggregator.proj_c.weight"),
+    ],
+)
+def test_the_file_of_another_network_is_refused(
+    network: PublishedNetwork, other: PublishedNetwork, told: str, folder: Path
+) -> None:
+    assert told in network.refusal(other.file(folder))
