@@ -1,9 +1,10 @@
 """A module of VPRSNN in Brian2, the simulator of its authors: a script, for Brian2 changes the process that imports it.
 
 `python vprsnn_in_brian2.py GIVEN FOUND` reads and writes .npz files. Given are `weights` and `delays` (steps), both
-(n_inputs, n_neurons), `theta` (n_neurons,) mV, the input spikes by `steps` (from the first of all) and `sources`,
-`presentations`, and `weight_sum`: 0 where nothing is to be learnt. Found are the spikes of both groups, (n_spikes, 2)
-steps and neurons, and the `weights`, `theta` and `v` of the excitatory neurons in the end.
+(n_inputs, n_neurons), `theta` (n_neurons,) mV, the potentials `v` and `v_i` (mV) that both groups start from, the input
+spikes by `steps` (from the first of all) and `sources`, `presentations`, and `weight_sum`: 0 where nothing is to be
+learnt. Found are the spikes of both groups, (n_spikes, 2) steps and neurons, and the `weights`, `theta` and `v` of the
+excitatory neurons in the end.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def simulate(given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     inhibitory = brian2.NeuronGroup(
         n_neurons, INHIBITORY, threshold="v > -40*mV", reset="v = -45*mV", refractory=2 * ms, method="euler"
     )
-    excitatory.v, inhibitory.v, excitatory.theta = -105 * mV, -100 * mV, given["theta"] * mV
+    excitatory.v, inhibitory.v, excitatory.theta = given["v"] * mV, given["v_i"] * mV, given["theta"] * mV
 
     if learning:
         synapses = brian2.Synapses(source, excitatory, TRACES, on_pre=AT_ARRIVAL, on_post=AT_POSTSYNAPTIC_SPIKE)

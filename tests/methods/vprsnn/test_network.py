@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,39 +27,24 @@ def method(**arguments: Any) -> VPRSNN:
 # --- stored and restored ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n_places", [5, 7])
-@pytest.mark.parametrize("threshold", [0, 3])
-def test_a_restored_network_is_the_stored_one_and_answers_alike(n_places: int, threshold: int) -> None:
-    trained = fitted(n_places, hyperactive_threshold=threshold)
+def test_a_restored_network_is_the_stored_one_and_answers_alike() -> None:
+    trained = fitted(7, hyperactive_threshold=3)
     stored = {name: array.copy() for name, array in trained.state().items()}
+    assert {name: array.shape for name, array in stored.items()} == {
+        **{"weights": (2, 144, 24), "theta": (2, 24), "sums": (2, 24, 5), "shown": (2, 5), "places": (2, 5)},
+        **{"threshold": (), "reactions": (2, 24)},
+    }
+    assert stored["places"].tolist() == [[0, 1, 2, 3, 4], [5, 6, -1, -1, -1]]
+    assert stored["shown"][1].tolist() == [12, 12, 0, 0, 0]  # 2 images in each of 6 epochs
+    assert not stored["sums"][1, :, 2:].any()
     restored = method().restore(stored)
     assert same(restored.state(), stored)
     codes = trained.encode(QUERIES)
     assert np.array_equal(restored.match(codes), trained.match(codes))
     for name, counts in layers(restored, codes).items():
         assert np.array_equal(counts, layers(trained, codes)[name])
-
-
-def test_the_arrays_have_their_shapes_and_the_last_module_only_its_own_places() -> None:
-    state = fitted(7, hyperactive_threshold=3).state()
-    assert {name: array.shape for name, array in state.items()} == {
-        "weights": (2, 144, 24),
-        "theta": (2, 24),
-        "sums": (2, 24, 5),
-        "shown": (2, 5),
-        "places": (2, 5),
-        "threshold": (),
-        "reactions": (2, 24),
-    }
-    assert state["places"].tolist() == [[0, 1, 2, 3, 4], [5, 6, -1, -1, -1]]
-    assert state["shown"][1].tolist() == [12, 12, 0, 0, 0]  # 2 images in each of 6 epochs
-    assert not state["sums"][1, :, 2:].any()
-
-
-@pytest.mark.parametrize(("given", "kept"), [(None, 3), (0, 0), (5, 5)])
-def test_a_threshold_that_is_given_replaces_the_stored_one(given: int | None, kept: int) -> None:
-    state = fitted(hyperactive_threshold=3).state()
-    assert method(hyperactive_threshold=given).restore(state).state()["threshold"] == kept
+    for given, kept in ((None, 3), (0, 0), (5, 5)):
+        assert method(hyperactive_threshold=given).restore(stored).state()["threshold"] == kept
 
 
 # --- refused ----------------------------------------------------------------------------------------------------
@@ -99,20 +84,12 @@ def refusal(state: Mapping[str, Array], **changes: int) -> str:
 
 
 @pytest.mark.parametrize("name", little())
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda a: a[None],
-        lambda a: a.reshape(-1)[0] if a.ndim else np.repeat(a, 2),
-        lambda a: a.reshape(-1, 1, 1, 1),
-        lambda a: a.reshape(-1)[:0],
-        lambda a: np.concatenate([np.atleast_2d(a), np.atleast_2d(a)[..., :1]], axis=-1),
-        lambda a: a[:1] if a.ndim else np.repeat(a, 2),
-    ],
-    ids=["one axis more", "one number or two", "four axes", "nothing", "a column too many", "one module or two"],
-)
-def test_an_array_of_another_shape_is_refused(name: str, spoil: Callable[[Array], Array]) -> None:
-    refusal({**little(), name: np.asarray(spoil(little()[name]))})
+def test_an_array_of_another_shape_is_refused(name: str) -> None:
+    own = little()[name]
+    wider = np.concatenate([np.atleast_2d(own), np.atleast_2d(own)[..., :1]], axis=-1)
+    fewer = (own.reshape(-1)[0], own[:1]) if own.ndim else (np.repeat(own, 2),)
+    for spoilt in (own[None], own.reshape(-1, 1, 1, 1), own.reshape(-1)[:0], wider, *fewer):
+        refusal({**little(), name: np.asarray(spoilt)})
 
 
 def without(name: str) -> dict[str, Array]:

@@ -73,27 +73,23 @@ def test_an_interrupted_training_trains_only_what_is_missing(trainings: Path, tr
     assert not list(trainings.iterdir())
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"theta_plus_mv": 0.06}])
-def test_a_training_does_not_go_on_with_another_ones_modules(
-    trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
-) -> None:
-    interrupt(trained, 2, lambda: fitted(20))
-    fitted(20, **change)
-    assert len(trained.numbers) == 4
-
-
-@pytest.mark.parametrize("changed", ["images", "places"])
-def test_a_training_does_not_go_on_with_modules_of_other_images_or_places(
-    trainings: Path, trained: SimpleNamespace, changed: str
-) -> None:
-    interrupt(trained, 1, lambda: fitted(10))
+def test_a_training_goes_on_with_its_own_modules_alone(trainings: Path, trained: SimpleNamespace) -> None:
+    others: list[dict[str, Any]] = [{"seed": 1}, {"theta_plus_mv": 0.06}]
+    of_the_query: list[dict[str, Any]] = [{"assignment": "weighted"}, {"engine": "compiled"}]
+    for change in (*others, *of_the_query):
+        interrupt(trained, 1, lambda: fitted(10))
+        fitted(10, **change)
+        assert trained.numbers == ([0, 1] if change in others else [1])
+        fitted(10)  # nothing of the interrupted one is left
+        trained.numbers = []
     shown, places = references(10)
-    if changed == "images":
-        shown = images([image // 2 if row == 15 else image for row, image in enumerate(shown)])
-    if changed == "places":
-        places = places[::-1].copy()
-    VPRSNN(**SMALL).fit(shown, places)
-    assert trained.numbers == [0, 1]
+    darker = images([image // 2 if row == 15 else image for row, image in enumerate(shown)])
+    for changed in ((darker, places), (shown, places[::-1].copy())):
+        interrupt(trained, 1, lambda: fitted(10))
+        VPRSNN(**SMALL).fit(*changed)
+        assert trained.numbers == [0, 1]
+        fitted(10)
+        trained.numbers = []
 
 
 def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none_again(
@@ -107,15 +103,6 @@ def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none
     trained.numbers = []
     assert same(fitted(10, hyperactive_threshold=9).state(), expected)
     assert trained.numbers == []
-
-
-@pytest.mark.parametrize("change", [{"assignment": "weighted"}, {"engine": "compiled"}])
-def test_a_training_goes_on_under_other_arguments_of_the_query(
-    trainings: Path, trained: SimpleNamespace, change: dict[str, Any]
-) -> None:
-    interrupt(trained, 2, lambda: fitted(20))
-    fitted(20, **change)
-    assert trained.numbers == [2, 3]
 
 
 def test_an_ensemble_goes_on_with_the_members_that_it_had_trained(trainings: Path, trained: SimpleNamespace) -> None:

@@ -150,7 +150,7 @@ def test_spikes_are_divided_from_a_fiftieth_of_the_places_on(n_places: int, expe
 
 @pytest.mark.parametrize("n_places", [23, 180])  # weighted: neurons of one place are divided, or those of four alone
 @pytest.mark.parametrize(
-    ("seed", "n_queries", "block_cells"), [(0, 7, 1), (1, 7, 61), (2, 7, 200), (3, 7, 1 << 20), (0, 0, 1 << 20)]
+    ("seed", "n_queries", "block_cells"), [(0, 7, 1), (1, 7, 61), (3, 7, 1 << 20), (0, 0, 1 << 20)]
 )
 def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_size(
     monkeypatch: pytest.MonkeyPatch, seed: int, n_queries: int, block_cells: int, n_places: int
