@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,6 @@ import vprbench
 from vprbench.api import BadInput, Dataset, NotThere
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder of the pictures 0 to 3."""
-    for number in range(4):
-        PillowImage.fromarray(picture(number)).save(tmp_path / f"{number}.png")
-    return tmp_path
-
-
 def stack(*numbers: int) -> Any:
     return np.stack([picture(number) for number in numbers])
 
@@ -31,32 +22,33 @@ def shown(dataset: Dataset) -> tuple[list[int], list[int]]:
     return [number_in(image) for image in dataset.references], [number_in(image) for image in dataset.queries]
 
 
-@pytest.mark.parametrize(
-    "traverse",
-    [
-        lambda folder: folder,
-        lambda folder: str(folder),
-        lambda folder: sorted(folder.iterdir()),
-        lambda folder: [str(path) for path in sorted(folder.iterdir())],
-        lambda folder: list(stack(0, 1, 2, 3)),
-        lambda folder: tuple(stack(0, 1, 2, 3)),
-        lambda folder: stack(0, 1, 2, 3),
-    ],
-)
-def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(folder: Path, traverse: Callable[[Path], Any]) -> None:
-    one = vprbench.dataset_of(references=traverse(folder), queries=stack(5, 6, 7, 8))
-    assert shown(one) == ([0, 1, 2, 3], [5, 6, 7, 8])
-    assert [right.tolist() for right in one.positives] == [[0], [1], [2], [3]]
-    other = vprbench.dataset_of(references=[traverse(folder), stack(9, 10, 11, 12)], queries=traverse(folder))
-    assert shown(other) == ([0, 1, 2, 3, 9, 10, 11, 12], [0, 1, 2, 3])
-    assert other.places.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+def test_a_traverse_is_a_folder_a_list_of_files_or_arrays(tmp_path: Path) -> None:
+    for number in range(4):
+        PillowImage.fromarray(picture(number)).save(tmp_path / f"{number}.png")
+    files = sorted(tmp_path.iterdir())
+    arrays = [stack(0, 1, 2, 3), list(stack(0, 1, 2, 3)), tuple(stack(0, 1, 2, 3))]
+    for traverse in (tmp_path, str(tmp_path), files, list(map(str, files)), *arrays):
+        one = vprbench.dataset_of(references=traverse, queries=stack(5, 6, 7, 8))
+        assert shown(one) == ([0, 1, 2, 3], [5, 6, 7, 8])
+        assert [right.tolist() for right in one.positives] == [[0], [1], [2], [3]]
+        other = vprbench.dataset_of(references=[traverse, stack(9, 10, 11, 12)], queries=traverse)
+        assert shown(other) == ([0, 1, 2, 3, 9, 10, 11, 12], [0, 1, 2, 3])
+        assert other.places.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(NotThere, match="queries"):
+        vprbench.dataset_of(references=stack(0), queries=tmp_path / "empty")
 
 
-def test_grey_frames_in_one_array_and_in_a_list_are_images() -> None:
+def test_grey_frames_in_one_array_and_in_a_list_are_images_and_any_changed_pixel_is_another_dataset() -> None:
     grey = np.arange(2 * 5 * 6, dtype=np.uint8).reshape(2, 5, 6)
     for given in (grey, list(grey)):
         made = vprbench.dataset_of(references=given, queries=given)
         assert [image.shape for image in made.references] == [(5, 6, 3)] * 2
+    frames = np.zeros((40, 6, 6), np.uint8)
+    changed = frames.copy()
+    changed[11, 3, 3] = 1
+    hashes = {vprbench.dataset_of(each, frames[:1]).references.fingerprint() for each in (frames, changed)}
+    assert len(hashes) == 2
 
 
 def test_it_shows_itself_in_one_line() -> None:
@@ -65,22 +57,20 @@ def test_it_shows_itself_in_one_line() -> None:
     assert "2 places, 4 images, 2 queries" in repr(vprbench.dataset_of([stack(0, 1), stack(2, 3)], stack(0, 1)))
 
 
-def test_right_places_are_those_within_the_tolerance_or_those_that_are_given() -> None:
-    def right(*queries: int, **given: Any) -> list[list[int]]:
-        return [places.tolist() for places in vprbench.dataset_of(stack(0, 1, 2), stack(*queries), **given).positives]
-
-    assert right(0, 1, 2, tolerance=1) == [[0, 1], [0, 1, 2], [1, 2]]
-    assert right(0, 1, 2, positives=[2, 1, 0]) == [[2], [1], [0]]
-    assert right(0, 1, positives=[[2, 0], []]) == [[0, 2], []]
-    assert right(0, positives=np.array([[True, False, True]])) == [[0, 2]]
-
-
-def test_any_changed_pixel_of_an_array_is_another_dataset() -> None:
-    frames = np.zeros((40, 6, 6), np.uint8)
-    changed = frames.copy()
-    changed[11, 3, 3] = 1
-    hashes = {vprbench.dataset_of(each, frames[:1]).references.fingerprint() for each in (frames, changed)}
-    assert len(hashes) == 2
+@pytest.mark.parametrize(
+    ("queries", "given", "right"),
+    [
+        ((0, 1, 2), {"tolerance": 1}, [[0, 1], [0, 1, 2], [1, 2]]),
+        ((0, 1, 2), {"positives": [2, 1, 0]}, [[2], [1], [0]]),
+        ((0, 1), {"positives": [[2, 0], []]}, [[0, 2], []]),
+        ((0,), {"positives": np.array([[True, False, True]])}, [[0, 2]]),
+    ],
+)
+def test_right_places_are_those_within_the_tolerance_or_those_that_are_given(
+    queries: tuple[int, ...], given: dict[str, Any], right: list[list[int]]
+) -> None:
+    made = vprbench.dataset_of(stack(0, 1, 2), stack(*queries), **given)
+    assert [places.tolist() for places in made.positives] == right
 
 
 @pytest.mark.parametrize(
@@ -103,8 +93,3 @@ def test_any_changed_pixel_of_an_array_is_another_dataset() -> None:
 def test_what_is_no_image_and_what_does_not_fit_is_named(given: dict[str, Any], wrong: str) -> None:
     with pytest.raises(BadInput, match=wrong):
         vprbench.dataset_of(**{"references": stack(0, 1, 2), "queries": stack(0, 1, 2), **given})
-
-
-def test_a_folder_without_images_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(NotThere, match="queries"):
-        vprbench.dataset_of(references=stack(0), queries=tmp_path)

@@ -8,9 +8,12 @@ import pydoc
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
+import nbformat
 import pytest
 from checkout import ROOT
+from nbclient import NotebookClient
 
 import vprbench
 import vprbench.run.rates as by_its_name
@@ -28,22 +31,16 @@ def test_type_checkers_see_the_names_that_programs_find() -> None:
     block = next(node for node in tree.body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom) and node.module != "typing"]
     assert sorted(alias.name for node in imports for alias in node.names) == sorted(vprbench.__all__)
-    for node in imports:
-        for alias in node.names:
-            found, home = getattr(vprbench, alias.name), import_module(str(node.module))
-            wanted = getattr(home, alias.name)
-            assert (found.__doc__, inspect.signature(found)) == (wanted.__doc__, inspect.signature(wanted))
-            assert inspect.ismodule(found) or found is wanted
+    for module, name in ((str(node.module), alias.name) for node in imports for alias in node.names):
+        found, wanted = getattr(vprbench, name), getattr(import_module(module), name)
+        assert (found.__doc__, inspect.signature(found)) == (wanted.__doc__, inspect.signature(wanted))
+        assert inspect.ismodule(found) or found is wanted
 
 
-def test_a_room_that_has_the_name_of_a_function_is_both() -> None:
+def test_a_room_that_has_the_name_of_a_function_is_both_and_an_unknown_name_raises_with_the_near_ones() -> None:
     assert vprbench.run.rates is by_its_name
     assert list(inspect.signature(vprbench.run).parameters) == ["method", "dataset", "options"]
-    assert "sad" in set(vprbench.methods()["name"])
     assert "NotThere" in pydoc.render_doc(vprbench.run)
-
-
-def test_an_unknown_name_raises_with_the_near_names() -> None:
     with pytest.raises(AttributeError, match="compare"):
         _ = vprbench.compre
 
@@ -54,3 +51,23 @@ def test_registered_methods_and_datasets_are_tables() -> None:
     assert methods.loc[["vprtempo", "netvlad", "sad"], "needs_weights"].tolist() == [False, True, False]
     assert datasets.loc["synthetic", "provider"] == "vprbench"
     assert datasets["description"].str.len().min() > 0
+
+
+@pytest.mark.extended
+def test_the_notebook_of_the_documentation_runs_from_its_first_cell_to_its_last_and_keeps_small_outputs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shown() -> list[list[list[str]]]:
+        """Return the kinds of what each cell shows."""
+        outputs = [[o for o in cell.get("outputs", []) if o["output_type"] != "stream"] for cell in book.cells]
+        return [[sorted(output["data"]) for output in of_cell] for of_cell in outputs]
+
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    path = ROOT / "docs/first_steps.ipynb"
+    book = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
+    stored = shown()
+    NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert shown() == stored
+    assert "R@1 95.0 [76.4, 99.1] %" in book.cells[1].outputs[-1]["data"]["text/plain"]
+    assert len(list(tmp_path.rglob("run.json"))) == 5
+    assert path.stat().st_size < 200_000

@@ -27,10 +27,7 @@ class Plain(Method):
     """No dataclass; keeps its argument under another name if asked to."""
 
     def __init__(self, weight: float = 1.0, hidden: bool = False) -> None:
-        if hidden:
-            self.secret = weight
-        else:
-            self.weight = weight
+        setattr(self, "secret" if hidden else "weight", weight)
         self.hidden = hidden
 
     def fit(self, references: Any, places: Any) -> Any:
@@ -44,8 +41,12 @@ class Plain(Method):
         return np.zeros((len(codes), self.n_places), np.float32)
 
 
+def untimed(method: Any, data: Any, **options: Any) -> Any:
+    return vprbench.run(method, data, timing="none", **options)
+
+
 def test_a_named_run_is_the_one_that_the_command_line_stores(capsys: pytest.CaptureFixture[str]) -> None:
-    result = vprbench.run("sad", vprbench.dataset("synthetic", **SMALL), timing="none")
+    result = untimed("sad", vprbench.dataset("synthetic", **SMALL))
     assert (result.from_store, result.folder is not None and result.folder.is_dir()) == (False, True)
     options = [f"dataset.{name}={value}" for name, value in SMALL.items()]
     assert main(["method=sad", *options, "timing=none", "output=json"]) == 0
@@ -56,30 +57,28 @@ def test_a_named_run_is_the_one_that_the_command_line_stores(capsys: pytest.Capt
 
 def test_an_object_runs_as_it_is_is_not_fitted_and_is_found_by_its_arguments() -> None:
     data, method = journey(6, 6), Prototypes(noise=0.0)
-    first, again = (vprbench.run(method, data, timing="none") for _ in range(2))
+    first, again = untimed(method, data), untimed(method, data)
     assert (first.recall(1), first.from_store, again.from_store) == (1.0, False, True)
     assert method._means is None
     assert first.run.method == "Prototypes"
     assert first.run.config["changed"] == {"noise": 0.0}
-    assert not vprbench.run(Prototypes(noise=0.25), data, timing="none").from_store
-    assert vprbench.run(Prototypes(0.0), data, timing="none").from_store
+    assert not untimed(Prototypes(noise=0.25), data).from_store
+    assert untimed(Prototypes(0.0), data).from_store
 
 
 def test_seed_and_device_are_those_of_the_object_unless_asked_for() -> None:
     data = journey(4, 4)
-    seeds = [
-        vprbench.run(Prototypes(seed=5), data, timing="none", **more).run.config["seed"] for more in ({}, {"seed": 2})
-    ]
+    seeds = [untimed(Prototypes(seed=5), data, **more).run.config["seed"] for more in ({}, {"seed": 2})]
     assert seeds == [5, 2]
-    assert vprbench.run(Prototypes, data, timing="none", seed=3).run.config["method"]["seed"] == 3
+    assert untimed(Prototypes, data, seed=3).run.config["method"]["seed"] == 3
 
 
 def test_a_class_without_dataclass_is_known_by_its_attributes_or_not_stored(caplog: pytest.LogCaptureFixture) -> None:
     data = journey(4, 4)
-    stored = vprbench.run(Plain(weight=2.0), data, timing="none")
+    stored = untimed(Plain(weight=2.0), data)
     assert stored.run.config["method"]["weight"] == 2.0
     with caplog.at_level(logging.WARNING):
-        hidden = vprbench.run(Plain(weight=2.0, hidden=True), data, timing="none")
+        hidden = untimed(Plain(weight=2.0, hidden=True), data)
     assert hidden.folder is None
     assert any("weight" in record.getMessage() for record in caplog.records)
     assert hidden.recall(1) == stored.recall(1) == 0.25
@@ -89,7 +88,7 @@ def test_without_a_folder_nothing_is_stored_or_looked_up(tmp_path: Path) -> None
     asked: list[list[int]] = []
     method = Lookup(np.eye(4, dtype=np.float32), asked)
     for _ in range(2):
-        result = vprbench.run(method, journey(4, 4), timing="none", results=None)
+        result = untimed(method, journey(4, 4), results=None)
         assert (result.folder, result.from_store) == (None, False)
     assert len(asked) >= 2
     assert list(tmp_path.iterdir()) == []
@@ -104,7 +103,7 @@ def test_results_is_a_row_for_each_stored_run() -> None:
     Path("there").mkdir()
     empty = vprbench.results("there")
     for noise in (0.0, 0.25):
-        vprbench.run(Prototypes(noise), data, timing="none", results="there", seed=1)
+        untimed(Prototypes(noise), data, results="there", seed=1)
     table = vprbench.results("there").sort_values("arguments")
     assert table[["method", "dataset", "seed"]].drop_duplicates().to_numpy().tolist() == [["Prototypes", "journey", 1]]
     assert table["arguments"].tolist() == ["noise=0.0", "noise=0.25"]
@@ -116,7 +115,7 @@ def test_results_is_a_row_for_each_stored_run() -> None:
 def test_results_tell_data_of_one_name_apart() -> None:
     given = [SMALL, {**SMALL, "places": 14}, {**SMALL, "tolerance": 1}]
     for data in [*(vprbench.dataset("synthetic", **options) for options in given), journey(4, 6)]:
-        vprbench.run("sad", data, timing="none")
+        untimed("sad", data)
     table = vprbench.results().set_index("dataset")
     assert table.loc["journey", ["places", "queries", "dataset_arguments"]].tolist() == [6, 4, ""]
     assert "queries=dusk" in table.loc["journey", "protocol"]
@@ -137,12 +136,14 @@ def test_results_tell_data_of_one_name_apart() -> None:
         ("sad", "synthetik", {}, BadInput, "synthetic"),
         (3, "synthetic", {}, BadInput, "int"),
         ("sad", 3, {}, BadInput, "int"),
-        ("sad", "synthetic", {"sed": 1}, BadInput, "seed"),
-        ("sad", "synthetic", {"seed": -1}, BadInput, "seed"),
-        ("sad", "synthetic", {"limit_minutes": 1}, BadInput, "limit_minutes is the command line's"),
-        ("sad", "synthetic", {"threads": 10_000}, BadInput, "threads"),
-        ("sad", "synthetic", {"timing": "quik"}, BadInput, "quik"),
-        ("sad", "synthetic", {"timing": {"minimum_second": 1}}, BadInput, "minimum_second"),
+        *(
+            ("sad", "synthetic", {option: value}, BadInput, named)
+            for option, value, named in (
+                *(("sed", 1, "seed"), ("seed", -1, "seed"), ("threads", 10_000, "threads"), ("timing", "quik", "quik")),
+                ("limit_minutes", 1, "limit_minutes is the command line's"),
+                ("timing", {"minimum_second": 1}, "minimum_second"),
+            )
+        ),
         ("sad", "folders", {}, NotThere, "references"),
         (Prototypes(), "synthetic", {"device": "gpu"}, BadInput, "gpu"),
     ],
