@@ -5,13 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from itertools import combinations, product
 
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from image_folders import answer, rights
 from PIL import Image as PillowImage
 
@@ -19,8 +16,6 @@ from vprbench.datasets.oxford_robotcar import oxford_robotcar
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, published_timestamps, vprsnn_timestamps
 from vprbench.datasets.oxford_robotcar.repeats import ceiling, remarks, sharing, steps_back
 from vprbench.errors import BadInput, NotThere
-from vprbench.metrics.accuracy import recall_at
-from vprbench.metrics.ranking import outcome
 from vprbench.plugins import registry
 
 PUBLISHED = {traverse: published_timestamps(traverse)[:3150:7] for traverse in RECORDINGS}
@@ -196,32 +191,18 @@ def test_the_places_are_every_eighth_row_without_those_set_aside_and_lists_may_l
 # Images that a list names for several places
 
 
-def best_by_trying(references, queries, positives):
-    """The best recall at 1 of all answers that images allow: for each query image some groups of places tie as best."""
-    groups, images = sorted(set(references)), sorted(set(queries))
-    answers = [set(some) for size in range(1, len(groups) + 1) for some in combinations(groups, size)]
-    best = 0.0
-    for chosen in product(answers, repeat=len(images)):
-        named = dict(zip(images, chosen, strict=True))
-        scores = np.array([[float(group in named[image]) for group in references] for image in queries], np.float32)
-        recall = recall_at(outcome(scores, tuple(positives)), 1)
-        best = max(best, recall.expected if recall else 0.0)
-    return best
-
-
-@st.composite
-def small_lists(draw):
-    references = draw(st.lists(st.integers(0, 2), min_size=1, max_size=5))
-    queries = draw(st.lists(st.integers(0, 2), min_size=1, max_size=4))
-    places = st.sets(st.integers(0, len(references) - 1), max_size=3)
-    positives = draw(st.lists(places, min_size=len(queries), max_size=len(queries)))
-    return references, queries, [np.array(sorted(right), np.int64) for right in positives]
-
-
-@settings(max_examples=40, deadline=None, derandomize=True, database=None)
-@given(small_lists())
-def test_the_ceiling_is_the_best_of_all_answers_that_images_allow(case):
-    assert ceiling(*case) == pytest.approx(best_by_trying(*case))
+@pytest.mark.parametrize(
+    ("references", "queries", "right", "best"),
+    [
+        ("abc", "xyz", [[0], [1], [2]], 1.0),
+        ("abb", "xy", [[0], [1]], 0.75),  # a tie of two for y
+        ("ab", "xx", [[0], [1]], 0.5),  # x has one answer
+        ("abb", "xxx", [[0], [1], [1, 2]], 0.5),  # b is right for half of one and all of another, a for one
+        ("aab", "xyy", [[0, 2], [], [0, 1]], 2 / 3),  # two lack nothing, one has no right place
+    ],
+)
+def test_the_ceiling_is_reached_by_the_best_group_of_places_for_each_image(references, queries, right, best):
+    assert ceiling(references, queries, right) == pytest.approx(best)
 
 
 def test_repeats_and_steps_back_are_those_that_the_description_of_the_list_counts():

@@ -18,9 +18,7 @@ from vprbench.datasets.readers.traverses import (
     Evaluation,
     Split,
     Traverses,
-    check_recorded,
     dataset_of,
-    every,
     right_places,
     set_aside,
     split,
@@ -112,8 +110,6 @@ def test_a_split_of_any_numbers_is_made_or_refused_by_name(protocol, places, fir
             (name, (4, 3, 0), "dataset.first_query_place=4 and dataset.query_places=3")
             for name in ("vprtempo", "vprsnn")
         ),
-        ("vprtempo", (-1, 2, 0), " need 1 places, and there are 6"),
-        ("vprsnn", (0, 0, 0), "dataset.query_places=0"),
         ("vprtempo", (1, 3, 0, 3), " need 8 places, and there are 6"),
         ("vprtempo", (1, 3, 0, 0), "dataset.query_stride=0 with"),
         ("vprsnn", (2, 1, 0, 4), "dataset.query_stride=4 with dataset.protocol=vprsnn"),
@@ -166,23 +162,3 @@ def test_images_come_traverse_by_traverse_and_every_query_has_its_own_place_righ
     assert asked_of == [1000 * query + place for place in parts.held_out.tolist()]
     assert held_out.places.tolist() == [*range(len(asked_of))] * len(traverses)
     assert held_out.in_map == ({*known} <= {*shown}) == (given.protocol == "vprtempo")
-
-
-@quickly
-@given(st.integers(-2, 9), st.integers(-2, 12), st.integers(0, 30))
-def test_every_so_manieth_entry_of_a_list_is_a_place_or_the_list_is_too_short(stride, places, n):
-    if min(stride, places) < 1 or len(range(0, n, stride)) < places:
-        with pytest.raises(BadInput, match=r"^dataset\."):
-            every(range(n), stride, places)
-    else:
-        assert every(range(n), stride, places) == [*range(0, n, stride)][:places]
-
-
-@quickly
-@given(st.lists(st.sampled_from(["dawn", "noon", "tea"]), max_size=3), st.sampled_from(["dawn", "noon", "tea"]))
-def test_traverses_are_taken_if_all_are_recorded_and_none_is_named_twice(references, query):
-    if references and "tea" not in [*references, query] and len({*references}) == len(references):
-        check_recorded("Town", "hour", ("dawn", "noon"), references, query)
-    else:
-        with pytest.raises(BadInput, match=r"^dataset\.(references|query)="):
-            check_recorded("Town", "hour", ("dawn", "noon"), references, query)
