@@ -12,6 +12,7 @@ import pytest
 
 from vprbench.api import bit_indexes, nearest, search, search_indexes
 from vprbench.api.search import Audit, Search, agreement
+from vprbench.errors import BadInput
 from vprbench.storage.shards import Writer
 
 N_IMAGES, N_DIMENSIONS = 2000, 64
@@ -238,6 +239,8 @@ def test_product_codes_print_nothing(capfd):
 @pytest.mark.parametrize(
     ("spoilt", "wanted"),
     [
+        ({"kind": "lsh"}, r"method\.index=lsh .*exact, sq8, hnsw, ivfpq, rabitq, binary, binary_hnsw"),
+        ({"neighbours": 0}, r"method\.neighbours=0: give at least 1"),
         ({"rerank": -1}, r"rerank=-1.*0 or more"),
         ({"probes": -1}, r"probes=-1.*0 or more"),
         ({"places": np.arange(3)}, r"\(2000, 64\) .*\(3,\)"),
@@ -246,7 +249,7 @@ def test_product_codes_print_nothing(capfd):
     ],
 )
 def test_what_cannot_be_searched_is_refused(spoilt, wanted):
-    with pytest.raises(ValueError, match=wanted):
+    with pytest.raises(BadInput, match=wanted):
         Search(**{"references": REFERENCES, "places": PLACES, **spoilt})
     index = Search(REFERENCES, PLACES)
     for answer in (index.scores, lambda codes: index.nearest(codes, 1)):

@@ -122,10 +122,10 @@ def test_what_no_program_may_or_can_fetch_is_said_to_a_person(wanted, said, fold
     assert downloads == []
 
 
-@pytest.mark.parametrize("name", ["../net.pth", "a/net.pth", "", ".."])
-def test_a_name_that_leaves_the_folder_is_refused(name, downloads):
-    with pytest.raises(BadInput, match=r"method\.weights\.file="):
-        find_weights(replace(LINKED, file=name), "gcl")
+def test_a_name_that_leaves_the_folder_is_refused(downloads):
+    for name in ("../net.pth", "a/net.pth", "", ".."):
+        with pytest.raises(BadInput, match=r"method\.weights\.file="):
+            find_weights(replace(LINKED, file=name), "gcl")
     assert downloads == []
 
 
@@ -166,10 +166,13 @@ def test_files_of_torch_are_read_nested_as_they_are_with_numbers_of_numpy(path, 
     assert modes == [zipped]  # a zipped file stays on the disk until it is used
 
 
-def test_safetensors_are_read_whatever_the_name(tmp_path):
-    for name in ("model.safetensors", "model.bin"):
-        save_file(TENSORS, tmp_path / name)
-        assert torch.equal(read_weights(tmp_path / name)["bias"], TENSORS["bias"])
+def test_safetensors_are_read_whatever_the_name_and_truncated_ones_refused(tmp_path):
+    for path in (tmp_path / "model.safetensors", tmp_path / "model.bin"):
+        save_file(TENSORS, path)
+        assert torch.equal(read_weights(path)["bias"], TENSORS["bias"])
+        path.write_bytes(path.read_bytes()[:-9])
+        with pytest.raises(BadInput, match=f"{path.name} cannot be read as safetensors"):
+            read_weights(path)
 
 
 @pytest.mark.parametrize("how", ["zipped", "old", "bare pickle", "a program"])
@@ -236,19 +239,6 @@ def test_what_holds_no_weights_is_refused(path, content, message):
     with pytest.raises(BadInput, match=message) as error:
         read_weights(path)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
-@pytest.mark.parametrize("kind", ["new.pth", "old.pth", "net.safetensors"])
-def test_a_truncated_file_is_refused(tmp_path, kind, share):
-    path, tensors = tmp_path / kind, {"weight": torch.ones(100, 100)}
-    if path.suffix == ".safetensors":
-        save_file(tensors, path)
-    else:
-        write_torch(tensors, path, zipped=kind == "new.pth")
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    with pytest.raises(BadInput, match=kind):
-        read_weights(path)
 
 
 def test_a_file_of_one_tensor_gives_it_and_anything_else_is_refused(path):
