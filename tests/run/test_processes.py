@@ -163,23 +163,6 @@ def test_a_time_beside_what_cannot_be_stopped_is_not_alone(stays, monkeypatch):
         assert not alone()
 
 
-def test_a_cell_that_came_and_went_has_disturbed_and_one_that_was_killed_is_forgotten():
-    killed = slot.folder() / "running" / "1-0"
-    killed.parent.mkdir()
-    killed.touch()
-    undisturbed = slot.undisturbed()
-    assert undisturbed()
-    assert not killed.exists()
-    time.sleep(0.02)
-    place = slot.Place(1)
-    place.enter()
-    assert not undisturbed()
-    place.end()
-    assert not undisturbed()
-    time.sleep(0.02)
-    assert slot.undisturbed()()
-
-
 @contextmanager
 def held_elsewhere():
     """Let another process have the slot."""
