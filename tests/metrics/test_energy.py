@@ -14,7 +14,7 @@ from vprbench.metrics.energy import estimated_joules, synaptic_operations
         ([Arithmetic(1000, 0)], 4600),  # Horowitz: 3.7 + 0.9
         ([Arithmetic(0, 1000)], 900),
         ([Arithmetic(1000, 1000, "int8")], 330),  # 0.2 + 0.1 of a sum in 32 bits; 0.03
-        ([Arithmetic(10, 0), Arithmetic(0, 10, "int64")], 47),
+        ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
     ],
 )
 def test_arithmetic_costs_what_the_table_says(arithmetic: list[Arithmetic], picojoules: float) -> None:

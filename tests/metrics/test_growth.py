@@ -96,9 +96,7 @@ def test_data_that_two_laws_describe_alike_support_both() -> None:
         *((SIZES, [1, 2, 3, 4, 5, wrong], "above 0") for wrong in (0.0, -1.0, float("nan"), float("inf"))),
     ],
 )
-def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused(
-    sizes: npt.ArrayLike, times: list[float], named: str
-) -> None:
+def test_too_few_sizes_and_times_that_are_not_above_zero_are_refused(sizes, times, named):
     with pytest.raises(BadInput, match=named):
         compare(sizes, times)
 

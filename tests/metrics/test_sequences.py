@@ -62,9 +62,7 @@ def fast(
         (sequences.Sequences(40), list(range(-39, 1))),  # longer than the journey
     ],
 )
-def test_a_sequence_is_the_mean_along_the_diagonal(
-    asked: sequences.Sequences, steps: list[int], breaks: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sequence_is_the_mean_along_the_diagonal(asked, steps, breaks, monkeypatch):
     monkeypatch.setattr(sequences, "_BLOCK_CELLS", 7 * N_PLACES)
     queries, places = (QUERY_BREAKS, PLACE_BREAKS) if breaks else ([], [])
     found, _ = fast(matrix(), asked, breaks)

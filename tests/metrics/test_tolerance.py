@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -87,6 +86,9 @@ def test_a_summary_holds_recall_at_1_within_the_tolerances_that_were_asked_for()
     assert set(rows.recall_at_1_within(sweep(1, 2, 3, own=2))) == {3}
     assert (rows.recall_at_1_within(a_run()), rows.tolerance_line(a_run())) == ({}, None)
     assert not [name for name in rows.numbers(a_run()) if "within" in name]
+    lost = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)  # undefined and not zero
+    assert rows.recall_at_1_within(lost) == {1: None, 2: None}
+    assert rows.tolerance_line(lost) == "R@1 within 1, 2 places: - / - %"
 
 
 def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datasets_own() -> None:
@@ -96,15 +98,7 @@ def test_tolerances_count_from_the_right_place_and_not_from_the_end_of_the_datas
     assert rows.recall_at_1_within(sweep(3, 4, own=1, positives=positives)) == {3: 0.5, 4: 0.75}
 
 
-def test_without_a_right_place_they_are_undefined_and_not_zero() -> None:
-    run = replace(unanswerable_run(), protocol=sweep(1, 2).protocol)
-    assert rows.recall_at_1_within(run) == {1: None, 2: None}
-    assert rows.tolerance_line(run) == "R@1 within 1, 2 places: - / - %"
-
-
-def test_the_numbers_of_places_are_stored_and_count_and_a_wider_ground_truth_with_gaps_has_no_wider_ones(
-    tmp_path: Path,
-) -> None:
+def test_the_numbers_of_places_are_stored_and_count_and_a_wider_ground_truth_with_gaps_has_no_wider_ones(tmp_path):
     store = Store(tmp_path)
     store.prepare()
     store.save(replace(sweep(4), place_numbers=np.arange(10) * 3))
