@@ -40,13 +40,6 @@ def test_a_longer_step_makes_a_spike_in_it_more_probable():
     assert len(train.step) == pytest.approx(784 * 700 * 0.025, abs=five_sigma(784 * 700, 0.025))
 
 
-def test_no_input_spikes_twice_in_a_step_and_none_outside_the_presentation():
-    train = drawn(np.full(100, 255), 4, 0.05)  # in half of the steps
-    assert as_grid(train).max() == 1
-    assert train.step.min() >= 0
-    assert train.step.max() == SHOWN - 1
-
-
 def test_gaps_between_spikes_are_geometric():
     probability = 0.3
     train = drawn(np.full(300, 240), 5, 240 * 1e-4 / probability)
@@ -59,7 +52,7 @@ def test_gaps_between_spikes_are_geometric():
 def test_the_first_and_the_last_step_are_as_probable_as_any():
     probability = 0.3
     grid = as_grid(drawn(np.full(20_000, 240), 6, 240 * 1e-4 / probability, 8), 8)
-    assert grid.sum(axis=0).max() <= 8
+    assert grid.max() == 1  # nobody spikes twice in a step
     assert grid.sum(axis=1) == pytest.approx(np.full(8, 20_000 * probability), abs=five_sigma(20_000, probability))
 
 

@@ -79,18 +79,6 @@ def test_an_arrival_acts_once_with_the_weight_before_its_change(late):
     assert module.weights[0, 0] == pytest.approx(0.3 + after(late, rate=5.0))
 
 
-@pytest.mark.parametrize(("theta", "learning"), [(1000.0, True), (RESTLESS, False)], ids=["never fired", "asking"])
-def test_a_neuron_that_never_fired_or_is_asked_learns_nothing(theta, learning):
-    module = Module(np.full((2, 3), 0.3), theta, learning=learning)
-    module.show(np.ones((3500, 2), np.bool_))
-    assert (module.counts.min() == 7) is not learning
-    assert (module.weights == 0.3).all()
-    assert learning or (module.theta == RESTLESS).all()
-
-
-# --- Weights and their sums -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("rate", "limit", "almost"), [(1e-4, 1, 0.99999), (-1e-4, 0, 0.00001)])
 def test_weights_stop_at_1_and_at_0(rate, limit, almost):
     module = restless([[limit], [almost], [0.5]], **AT_ARRIVALS, pre_rate=rate)

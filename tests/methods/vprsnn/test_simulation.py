@@ -199,13 +199,3 @@ def test_a_spike_makes_its_partner_fire_five_steps_later_and_inhibit_all_others_
         expected += 0.1 / 100 * ((-65 - expected) + 17 * 0.8**step * (-100 - expected))
     assert expected == pytest.approx(-67.7, abs=0.1)
     assert module.v == pytest.approx([expected, -65, expected, expected])
-
-
-@pytest.mark.parametrize("n_neurons", [1, 8, 9])
-def test_places_in_the_arrays_past_the_last_neuron_never_fire(n_neurons):
-    module = Module(np.ones((2, n_neurons)), 0.0, values=Arguments(presentation_ms=100.0, rest_ms=20.0))
-    for _ in range(3):
-        module.show(np.ones((1000, 2), bool))
-        assert (module.state.counts[:n_neurons] > 0).all()
-        assert not module.state.counts[n_neurons:].any()
-        assert not module.state.late[n_neurons:].any()

@@ -20,12 +20,9 @@ import numpy as np
 import pytest
 import torch
 
-from vprbench.api.images import Images
-from vprbench.api.preprocess import PatchNormalisation
 from vprbench.errors import TrainingDivergedError
 from vprbench.methods.vprtempo import fused, training
 from vprbench.methods.vprtempo.layer import Layer, draw_layer, feature_rates
-from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RULES, RuleSet
 from vprbench.methods.vprtempo.training import Training, draw_schedule
 
@@ -56,27 +53,17 @@ CASES = {
     "reference": Case("reference"),
     "v1": Case("v1"),
     "stdp divided by rate": Case(choices={"stdp_divided_by_rate": True}),
-    "gain": Case(choices={"homeostasis_gain": 10.0}),
-    "error to each sign": Case(choices={"error_to_each_sign": True}),
+    "gain and error": Case(choices={"homeostasis_gain": 10.0, "error_to_each_sign": True}),
     "all excitatory synapses exist": Case(probabilities=(1.0, 0.5)),
     "at the limits": Case(strength=300.0),
 }
-FEW = "few steps per launch"
+FEW, MANY = "few steps per launch", "many neurons"
 OVERFLOWING = [f"an overflowing learning rate, {rules}" for rules in RULES]
-# Not v1 with modules of 75: there rounding brings one of 864 feature neurons to the other side of its threshold once,
-# and from then on it learns otherwise.
-FULL = {
-    f"200 places, {rules}, modules of {sizes[0]}": Case(rules, sizes=sizes, n_pixels=144, n_features=288, epochs=4)
-    for rules, sizes in (
-        *(("paper", (200,)), ("paper", (75, 75, 50))),
-        *(("reference", (200,)), ("reference", (75, 75, 50)), ("v1", (200,))),
-    )
-}
 # A step of both modules holds 2 * 36 values in the feature layer and 2 * (36 + 30) in the output layer.
 ALL = {
     **CASES,
-    **FULL,
     FEW: Case(steps_per_launch=7, values_held=5 * 132),
+    MANY: Case(sizes=(40, 40, 20), n_pixels=100, n_features=300),
     **{name: Case(rules, stdp=1e38) for name, rules in zip(OVERFLOWING, RULES, strict=True)},
 }
 
@@ -164,22 +151,28 @@ def distance(first: torch.Tensor, second: torch.Tensor) -> float:
     return float((first - second).abs().max()) / (float(second.abs().max()) or 1.0)
 
 
-@pytest.mark.parametrize("name", [*CASES, *FULL])
+@pytest.mark.parametrize("name", [*CASES, MANY])
 def test_a_compiled_training_gives_the_same_layers(name: str) -> None:
     for part in PARTS:
         assert distance(by(fused, name)[part], by(training, name)[part]) <= RELATIVE, part
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", CASES)
 def test_a_training_in_triton_gives_the_same_layers(by_triton: Found, name: str) -> None:
     for part in PARTS:
         assert distance(by_triton(name)[0][part], by(training, name)[part]) <= RELATIVE, part
 
 
-def test_the_number_of_steps_per_launch_changes_nothing_and_each_launch_is_reported(by_triton: Found) -> None:
+@pytest.mark.extended
+def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_hidden(
+    by_triton: Found,
+) -> None:
     for part in PARTS:
         assert distance(by_triton(FEW)[0][part], by_triton("paper")[0][part]) <= ROUNDING
     assert by_triton(FEW)[1] == [step / 16 for step in (7, 14, 16, 5, 10, 15, 16)]
+    for layer in ("features", "outputs"):
+        assert not bool(torch.isfinite(by_triton(OVERFLOWING[0])[0][f"{layer} inhibition"]).all())
 
 
 @pytest.mark.parametrize("name", OVERFLOWING)
@@ -192,24 +185,15 @@ def test_weights_that_are_no_numbers_stay_visible(engine: ModuleType, name: str)
             training.check_weights(whole, layer)
 
 
-@pytest.mark.parametrize("part", ["features inhibition", "outputs inhibition"])
-def test_weights_that_are_no_numbers_stay_visible_in_triton(by_triton: Found, part: str) -> None:
-    assert not bool(torch.isfinite(by_triton(OVERFLOWING[0])[0][part]).all())
-
-
-def test_the_number_of_threads_changes_nothing() -> None:
-    before, found = torch.get_num_threads(), []
+def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_the_end_of_each_layer() -> None:
+    before, found, seen = torch.get_num_threads(), [], []
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            found.append(trained(FULL["200 places, paper, modules of 75"], fused, "cpu"))
+            found.append(trained(ALL[MANY], fused, "cpu"))
     finally:
         torch.set_num_threads(before)
     assert all(torch.equal(found[0][part], found[1][part]) for part in PARTS)
-
-
-def test_progress_is_reported_up_to_the_end_of_each_layer() -> None:
-    seen: list[float] = []
     trained(Case(sizes=(4,)), fused, "cpu", seen.append)
     end = seen.index(1.0) + 1
     assert seen == sorted(seen[:end]) + sorted(seen[end:])
@@ -231,15 +215,6 @@ def test_inhibition_that_a_step_took_away_comes_back_at_its_least(one_sign: bool
         found.append(layer.inhibition)
     torch.testing.assert_close(*found, rtol=1e-3, atol=0)
     assert float(found[1].max()) < 1e-5
-
-
-def test_the_readable_engine_preprocesses_readably_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[str] = []
-    monkeypatch.setattr(PatchNormalisation, "_readable", lambda self, block, levels: seen.append("readable"))
-    monkeypatch.setattr(PatchNormalisation, "_fused", lambda self, block, levels: seen.append("fused"))
-    for engine in ("fused", "readable", None):
-        VPRTempo(engine=engine).encode(Images.from_arrays([np.zeros((30, 30, 3), np.uint8)]))
-    assert seen == ["fused", "readable", "fused"]
 
 
 if __name__ == "__main__":

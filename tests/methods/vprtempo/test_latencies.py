@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from little import a_run as little_run
 from small_plan import RUN
-from tempo_networks import SIZES, Floats, Spikes, double, network, one_layer, shown
+from tempo_networks import QUERIES, SIZES, SMALL, Floats, Spikes, double, fitted, network, one_layer, shown
 
-from vprbench.api.images import Images
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
@@ -23,10 +22,7 @@ from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
 from vprbench.paper.figures.raster import in_time, raster, recall_at_step
 from vprbench.paper.selection import Series
-from vprbench.plugins.rules import Journey
 from vprbench.run.store import Store
-
-SMALL: dict[str, Any] = {"max_module": 8, "height": 12, "width": 12}
 
 
 def simulated(asked: Network, pixels: Floats, steps: int) -> Floats:
@@ -86,16 +82,14 @@ def test_a_query_ends_once_a_place_is_ahead_by_a_share(
     assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
 
 
-def fitted(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
+def timed_and_not(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
     """Return VPRTempo, the same network in time, and the codes of queries."""
-    world = Journey.draw(0)
-    tempo = VPRTempo(**SMALL).fit(Images.from_arrays(world.references), world.places)
-    timed = VPRTempoLatencies(**SMALL, **arguments).restore(tempo.state())
-    return tempo, timed, tempo.encode(Images.from_arrays(world.queries))
+    tempo = fitted()
+    return tempo, VPRTempoLatencies(**SMALL, **arguments).restore(tempo.state()), tempo.encode(QUERIES)
 
 
 def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
-    tempo, timed, codes = fitted(steps=64)
+    tempo, timed, codes = timed_and_not(steps=64)
     assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
     for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
         with pytest.raises(BadInput):
@@ -103,7 +97,7 @@ def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
 
 
 def test_a_larger_amplitude_spikes_earlier_in_the_cycle_of_its_layer() -> None:
-    _, timed, codes = fitted(steps=10)
+    _, timed, codes = timed_and_not(steps=10)
     for cycle, (layer, most) in enumerate(zip(timed.spikes(codes), (1, 0.9), strict=False)):
         assert layer.times is not None
         spiked = layer.times > 0
