@@ -7,15 +7,16 @@ from typing import Any
 
 import assembled
 import numpy as np
-from stored_runs import CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
+from stored_runs import ABACUS, CITY, NETVLAD, NORDLAND, RAILWAY, SAD, STREET, VPRSNN, VPRTEMPO, failure, run
 
 from vprbench.paper.plan import Row
 from vprbench.paper.selection import ResolvedColumn
 from vprbench.paper.table.cells import Table
 from vprbench.run.note import Note
 
-STAND_IN = replace(CITY, published="Oxford RobotCar", stand_in_for="nordland", remark="It was set by hand.")
-COLUMNS = [ResolvedColumn(NORDLAND, RAILWAY), ResolvedColumn(STAND_IN, STREET)]
+REMARK = "How hard it is was set by hand."
+STAND_IN = replace(CITY, published="Oxford RobotCar", stand_in_for="nordland", remark=REMARK)
+COLUMNS = [ResolvedColumn(replace(NORDLAND, remark=REMARK), RAILWAY), ResolvedColumn(STAND_IN, STREET)]
 ROWS = [
     SAD,
     NETVLAD,
@@ -37,20 +38,31 @@ def times(fit_seconds: float, match_ms: float) -> dict[str, Any]:
 
 
 def table() -> Table:
-    """Return the whole table: VPRTempo is best on the left, and was tuned on the right, where it was not timed."""
+    """Return the whole table: VPRTempo is best on the left, and was tuned on the right, where it was not timed.
+
+    Some runs are set aside, and a seed that is stored has failed since.
+    """
     seeds = range(3)
     fits = {"changed": {"max_module": 450}, "tuned_on": {"dataset": "street", "places": "0-4"}}
     kept = {"top_places": np.zeros((60, 2), np.int32), "top_scores": np.zeros((60, 2), np.float32)}
     runs = [
         run(hits=hits(28, 60), **times(9, 90)),
         *(run("vprtempo", s, hits(56 + s, 60), **times(60 + s, 1)) for s in seeds),
-        *(run("vprtempo", s, hits(56, 60), device="cuda", **times(0.31 + 0.01 * s, 0.1)) for s in seeds),
+        *(run("vprtempo", s, hits(56, 60), device="cuda", **times(0.31 + 0.01 * s, 0.1)) for s in (0, 2)),
+        run(hits=hits(9, 60), day="2025-01-02"),
+        run(hits=hits(9, 60), day="2025-01-01", config={"code": "beef"}),
+        run(hits=hits(9, 60), day="2025-01-01", machine={**ABACUS, "libraries": {"torch": "2.7.0"}}),
         run(dataset=STREET, hits=hits(41, 60), notes=(Note("noisy", "noisy: two carts passed"),)),
         run("netvlad", dataset=STREET, hits=hits(30, 60)),
-        run("hog", dataset=STREET, hits=hits(20, 60), **times(6, 3)),
+        run("hog", dataset=STREET, hits=hits(60, 60), **times(6, 3)),
         run("vprsnn", 1, hits(23, 60), dataset=STREET, **times(1234, 1000)),
         *(run("vprtempo", s, hits(40 + 2 * s, 60), dataset=STREET, timing=None, **fits, **kept) for s in seeds),
     ]
     lost = [failure("gcl", error="the weights gcl.pth are missing", missing=True, dataset=d) for d in (RAILWAY, STREET)]
-    failures = [*lost, failure("vprsnn", error="MemoryError: 99 GB asked for")]
+    failures = [
+        *lost,
+        failure("vprsnn", error="MemoryError: 99 GB asked for"),
+        failure("vprtempo", 1, "it diverged; try again"),
+        failure("vprsnn", 2, "it diverged", dataset=STREET),
+    ]
     return assembled.table(runs, failures, ROWS, COLUMNS, {("nordland", "NetVLAD"): FULL})
