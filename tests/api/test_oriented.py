@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-import torch
 from preprocess_frames import saturated_frame, smooth_frame
 
 from vprbench.api.images import Images
 from vprbench.api.oriented import OrientedEdges
-from vprbench.errors import BadInput
 
 SIZES = [(32, 64), (90, 160), (53, 37), (20, 17), (1, 9), (7, 1), (1, 1), (360, 640), (2, 9000), (5000, 3)]
 
@@ -58,39 +56,3 @@ def test_an_edge_votes_in_its_own_cells_and_orientations_alone(shape, turned, po
     sizes = dict(zip(("height", "width", "rows", "columns"), shape, strict=True))
     for codes in both([frame], **sizes, power=power):
         assert np.abs(codes.reshape(expected.shape) - expected).max() < 1e-6
-
-
-def test_threads_and_layout_in_memory_change_nothing_and_no_frames_give_no_codes():
-    frame = smooth_frame(32, 64, 5)
-    locked = frame.copy()
-    locked.flags.writeable = False
-    alike = [frame, locked, np.asfortranarray(frame), frame[:, ::-1][:, ::-1]]
-    images = Images.from_arrays([*alike, *(smooth_frame(32, 64, seed) for seed in range(5)), smooth_frame(90, 50, 9)])
-    before, codes = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 4):
-            torch.set_num_threads(threads)
-            codes.append(OrientedEdges()(images))
-    finally:
-        torch.set_num_threads(before)
-    assert np.array_equal(codes[0], codes[1])
-    assert np.array_equal(codes[0], codes[2])
-    assert (codes[0][:4] == codes[0][0]).all()
-    assert OrientedEdges()(Images.from_arrays([])).shape == (0, 1024)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "wanted"),
-    [
-        ({"height": 0}, "method.height=0: give at least 1"),
-        ({"columns": 0}, "method.columns=0: give at least 1"),
-        ({"orientations": 1}, "method.orientations=1: give at least 2"),
-        ({"block": 4}, "method.block=4: .* odd"),
-        ({"epsilon": 0.0}, "method.epsilon=0.0: .* more than 0"),
-        ({"epsilon": math.nan}, "method.epsilon=nan"),
-        ({"power": 0.0}, "method.contrast_power=0.0: .* more than 0"),
-    ],
-)
-def test_sizes_without_a_code_are_told(arguments, wanted):
-    with pytest.raises(BadInput, match=wanted):
-        OrientedEdges(**arguments)

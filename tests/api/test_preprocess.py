@@ -3,12 +3,10 @@
 import numpy as np
 import preprocess_oracle as oracle
 import pytest
-import torch
 from preprocess_frames import saturated_frame, smooth_frame
 
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation, patch_normalise
-from vprbench.errors import BadInput
 
 VARIANTS = ("A", "B", "C")
 SIZES = [(28, 28), (32, 64), (90, 160), (20, 17), (53, 37), (1, 9)]
@@ -75,13 +73,6 @@ def test_gamma_maps_the_mean_level_to_127_and_a_half_and_clips_in_variant_c_and_
     assert np.array_equal(b, np.floor(expected))
 
 
-@pytest.mark.parametrize("arguments", [{"patch": 1}, {"patch": 6}, {"patch": -7}, {"height": 0}, {"width": -1}])
-def test_a_patch_without_a_centre_or_neighbours_and_a_size_below_a_pixel_are_refused_by_name(arguments):
-    ((name, value),) = arguments.items()
-    with pytest.raises(BadInput, match=rf"method\.{name}={value}\b"):
-        PatchNormalisation(**arguments)
-
-
 @pytest.mark.parametrize("size", [(32, 64), (53, 37), (28, 28)])
 @pytest.mark.parametrize("target", [(28, 28), (12, 20)])
 def test_variant_c_is_the_oracle_but_for_a_level_where_a_window_is_not_flat(size, target):
@@ -115,32 +106,6 @@ def test_where_grey_gamma_and_resize_do_nothing_the_variants_differ_in_the_devia
     expected = oracle.patch_normalise(levels.astype(float), 7, ddof).ravel().astype(int)
     assert np.abs(preprocess(variant, grey_frame(levels))[0] - expected).max() <= 1
     assert PatchNormalisation(variant, 12, 20).shrink(smooth_frame(32, 64)).shape == (12, 20)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_many_frames_give_what_each_gives_alone_by_any_number_of_threads(variant):
-    frames = [smooth_frame(20 + i % 3, 30, seed=i) for i in range(199)] + [np.zeros((90, 160, 3), np.uint8)]
-    alone = np.concatenate([preprocess(variant, frame) for frame in frames])
-    before = torch.get_num_threads()
-    try:
-        for threads in (1, 3):
-            torch.set_num_threads(threads)
-            together = preprocess(variant, *frames)
-            assert (together.shape, together.dtype) == ((200, 784), np.uint8)
-            assert np.array_equal(together, alone)
-    finally:
-        torch.set_num_threads(before)
-    assert preprocess(variant).shape == (0, 784)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_a_frame_is_left_as_it_was_and_may_be_read_only_or_lie_crosswise_in_memory(variant):
-    frame = smooth_frame(32, 64, 5)
-    locked = frame.copy()
-    locked.flags.writeable = False
-    found = preprocess(variant, frame, locked, np.asfortranarray(frame), frame[:, ::-1][:, ::-1])
-    assert (found == found[0]).all()
-    assert np.array_equal(frame, smooth_frame(32, 64, 5))
 
 
 def both(frames, variant, **sizes):
