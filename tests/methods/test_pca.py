@@ -59,10 +59,9 @@ def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance
 
 
 def test_the_randomized_solver_draws_from_the_seed():
-    references, queries = frames(60, seed=1, height=12, width=12), frames(5, seed=2, height=12, width=12)
-    first, again, other = (
-        fitted(references, components=10, solver="randomized", seed=seed).query(images(queries)) for seed in (0, 0, 1)
-    )
+    references, queries = (frames(n, seed=1, height=12, width=12) for n in (60, 5))
+    how = {"components": 10, "solver": "randomized"}
+    first, again, other = (fitted(references, **how, seed=seed).query(images(queries)) for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 

@@ -141,11 +141,9 @@ def test_threads_are_started_only_if_that_pays_and_pytorch_may_use_them(
 
 def test_several_threads_may_match_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sad, "_WORTH_A_THREAD", 1 << 16)
-    references = codes(300, 784, seed=1)
-    method = fitted(references)
-    asked = [codes(1 + n % 5, 784, seed=n) for n in range(40)]
+    references, asked = codes(300, 784, seed=1), [codes(1 + n % 5, 784, seed=n) for n in range(40)]
     with ThreadPoolExecutor(4) as pool:
-        answers = list(pool.map(method.match, asked))
+        answers = list(pool.map(fitted(references).match, asked))
     assert all(same_bits(scores, oracle(queries, references)) for queries, scores in zip(asked, answers, strict=True))
 
 
