@@ -16,6 +16,7 @@ from vprbench.api.method import LayerSpikes
 from vprbench.cli import main
 from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.pca import PCA
+from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
 from vprbench.methods.vprtempo.method import VPRTempo
@@ -26,7 +27,7 @@ from vprbench.run.readout_rows import readout_numbers, readout_text
 from vprbench.run.record import content_key
 from vprbench.run.spikes import summary
 from vprbench.run.store import Store
-from vprbench.run.stream import grown
+from vprbench.run.stream import grown, step
 
 SMALL = {"max_module": 8, "height": 12, "width": 12}
 TWELVE = ["dataset.places=12", "dataset.first_query_place=0", *RUN, "timing=none"]
@@ -305,9 +306,7 @@ def test_readouts_are_a_table_below_the_row_and_a_list_in_json_and_stay_with_the
     assert names[names.index("readout") :][:4] == ["readout", "codes, cosine", "components, cosine", "answer"]
 
 
-def test_a_growing_map_is_stored_with_its_run_and_printed_and_what_cannot_grow_is_refused(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_growing_map_is_stored_with_its_run_and_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert "stream" not in asked(capsys)
     made = asked(capsys, "stream=5")
@@ -318,9 +317,14 @@ def test_a_growing_map_is_stored_with_its_run_and_printed_and_what_cannot_grow_i
     assert asked(capsys, "force=true")["from_store"] is False
     again = asked(capsys, "stream=5")
     assert (again["from_store"], again["stream"]) == (True, made["stream"])
-    assert main([*TWELVE, "stream=true"]) == 0
+    assert main([*TWELVE, "stream=5"]) == 0
     table = capsys.readouterr().out.splitlines()
     heads = next(n for n, line in enumerate(table) if line.startswith("places "))
-    assert [line.split()[0] for line in table[heads + 1 :][:7]] == ["2", "4", "6", "8", "10", "12", "12"]
-    for options in (["stream=12"], ["stream=-1"], ["stream=true", "method=pca"]):
-        assert main([*TWELVE, *options]) == 2
+    assert [line.split()[0] for line in table[heads + 1 :][:4]] == ["5", "10", "12", "12"]
+
+
+def test_a_map_grows_by_the_places_asked_for_or_in_ten_stops_and_what_cannot_grow_is_refused():
+    assert [step(asked, SAD(), 12) for asked in (False, 5, 11, True)] == [0, 5, 11, 2]
+    for asked, method in ((12, SAD()), (-1, SAD()), (True, PCA())):
+        with pytest.raises(BadInput, match="stream="):
+            step(asked, method, 12)

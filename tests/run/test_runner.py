@@ -5,12 +5,10 @@ import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from little import Lookup, journey, number_in, picture
 from little_runs import QUICK, asked_for, kinds, run_of, table
 
-from vprbench.api.arrays import Scores
 from vprbench.api.binary import BinaryMethod
 from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.hamming import packed
@@ -41,15 +39,9 @@ def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole
         assert all(np.array_equal(getattr(run.outcome, name), getattr(whole, name)) for name in vars(whole))
         if levels > 5:
             assert run.top_places[:, 0].tolist() == scores.argmax(axis=1).tolist()
-
-
-def test_large_codes_are_scored_in_smaller_blocks():
-    class Large(Lookup):
-        code_bytes = 200 << 20  # five are less than 1 GiB
-
-    method = Large(table(12, 4))
-    run_of(method, journey(12, 4))
-    assert [len(numbers) for numbers in method.asked[1:4]] == [5, 5, 2]
+    large = type("Large", (Lookup,), {"code_bytes": 200 << 20})(table(12, 4))  # five are less than 1 GiB
+    run_of(large, journey(12, 4))
+    assert [len(numbers) for numbers in large.asked[1:4]] == [5, 5, 2]
 
 
 @pytest.mark.parametrize(
@@ -106,12 +98,10 @@ def test_scores_that_cannot_be_ranked_are_refused_by_name_and_query(value, name,
         run_of(Lookup(scores), journey(300, 4))
 
 
-@dataclass
 class Reusing(Lookup):
     """Gives the same two arrays each time, overwritten."""
 
-    codes: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(1000, np.int64))
-    answer: Scores = field(default_factory=lambda: np.empty((1000, 4), np.float32))
+    codes, answer = np.empty(1000, np.int64), np.empty((1000, 4), np.float32)
 
     def encode(self, images):
         self.codes[: len(images)] = super().encode(images)

@@ -1,22 +1,21 @@
 """Sequences and filters as views: a run in, a run out, and options in words."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from checkout import SHARED
-from little import a_run
+from little import Lookup, a_run, journey
+from little_runs import QUICK, asked_for, table
 
 from vprbench.api import BadInput
-from vprbench.cli import main
 from vprbench.metrics.ranking import outcome, ranked_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.run import answers
-from vprbench.run.find_or_make import find_or_make
+from vprbench.run.find_or_make import find_or_make, made
 from vprbench.run.recall_intervals import recall_interval
 from vprbench.run.sequences import NoScoresError, filtered, in_sequences, suffix, views
-from vprbench.run.settings import checked_settings
+from vprbench.run.settings import Settings, checked_settings
 from vprbench.run.store import Store
 from vprbench.run.views import queries_shown, restricted, window_of
 
@@ -124,22 +123,17 @@ def test_a_view_is_never_stored_and_gaps_are(tmp_path):
     assert (read.query_breaks.tolist(), read.place_breaks.tolist(), read.view) == ([3, 7], [], None)
 
 
-def test_all_scores_are_kept_on_request_and_not_lost_when_a_run_is_made_again(tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("surroundings")
+def test_all_scores_are_kept_on_request_and_for_sequences_and_not_lost_when_a_run_is_made_again(tmp_path, monkeypatch):
     monkeypatch.setattr(answers, "_LARGEST_MATRIX", 10)
-    monkeypatch.chdir(tmp_path)
-    options = ["dataset.places=12", "dataset.query_places=6", "timing=none", "threads=1", "frames=false", "cache=false"]
+    request = asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False))
 
-    def made(*more):
-        return main(["method=sad", "dataset=synthetic", *options, *more])
+    def kept(folder="a", **settings):
+        asked = Settings(frames=False, timing=request.protocol, **settings)
+        return made(request, asked, Store(tmp_path / folder), {}).run.scores is not None
 
-    assert made("sequence=2", "seed=1") == 0
-    for more, kept in (([], False), (["scores=true"], True), ([], True), (["force=true"], True)):
-        assert made(*more) == 0
-        runs = [run for run in Store(Path("results")).runs() if run.config["seed"] == 0]
-        assert [run.scores is not None for run in runs] == [kept]
-        if not kept:
-            assert made("sequence=2") == 2
-            assert "scores=true" in capsys.readouterr().err
+    assert [kept(), kept(scores=True), kept(), kept(force=True)] == [False, True, True, True]
+    assert kept("b", sequence=2)
 
 
 @pytest.mark.parametrize(

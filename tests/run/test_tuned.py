@@ -122,6 +122,7 @@ def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused
     assert list(Store(Path("results"), read_only=True).runs()) == []
 
 
+@pytest.mark.extended
 @pytest.mark.usefixtures("plug_in")
 def test_table_and_comparison_give_one_number_on_the_other_places(capsys):
     asked = ["rows=[]", "methods=[mine]", "columns=[route]", *RUN]
