@@ -182,20 +182,13 @@ def test_a_threshold_is_a_limit_that_must_be_passed():
     assert below.fire_times(silence(100, 1)) == [[0]]
 
 
-def test_a_spike_makes_its_partner_fire_five_steps_later_and_inhibit_all_others_but_not_the_neuron_itself():
-    # The second neuron fires in step 0 alone.
-    # v_i by hand: -60, -53.76, -48.79, -44.79, -41.55, -38.90 with ge_i 10.4, 9.36, 8.42, 7.58, 6.82.
-    module = Module(np.zeros((1, 4)), np.array([20.0, 5.0, 20.0, 20.0]), learning=False)
-    module.show(silence(5, 1), resting=False)
-    assert module.state.gi.max() == 0
-    assert module.state.v_i[1] == pytest.approx(-41.55, abs=0.005)
-    module.show(silence(1, 1), resting=False)
-    assert module.state.counts_i[:4].tolist() == [0, 1, 0, 0]
-    assert module.state.v_i[1] == -45
-    assert module.state.gi[:4].tolist() == [17, 0, 17, 17]
-    module.show(silence(60, 1), resting=False)
-    expected = -65.0
-    for step in range(60):
-        expected += 0.1 / 100 * ((-65 - expected) + 17 * 0.8**step * (-100 - expected))
-    assert expected == pytest.approx(-67.7, abs=0.1)
-    assert module.v == pytest.approx([expected, -65, expected, expected])
+@pytest.mark.parametrize("n_neurons", [1, 8, 11])
+def test_normalised_columns_sum_to_78_and_keep_their_proportions_and_one_without_weights_stays(n_neurons):
+    weights = 0.3 * (np.random.default_rng(1).random((784, n_neurons)) + 0.01)
+    weights[:, 1:2] = 0
+    module = Module(weights)
+    module.normalise(78.0)
+    full = weights.any(axis=0)
+    assert module.weights.sum(axis=0) == pytest.approx(78.0 * full, rel=1e-12)
+    found = module.weights[:, full]
+    assert found / found[0] == pytest.approx(weights[:, full] / weights[0, full], rel=1e-12)

@@ -55,23 +55,6 @@ def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(
     assert anew.query(frames(2)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
-def test_a_place_louder_than_others_no_longer_wins_every_query() -> None:
-    # One pixel, one feature; place 0 answers with 0.8 x, place 1 with 0.1 x but is the better match of the second
-    # query, where place 0 stays below its own mean.
-    network = Network(
-        torch.tensor([[[1.0, 0.0], [0.0, 1.0]]]),
-        torch.zeros(1, 2),
-        torch.zeros(1, 2),
-        (torch.tensor([[0.8, 0.0], [0.5, 0.1]]),),
-        (torch.zeros(2),),
-    )
-    references = np.array([[0.8, 0.0], [0.2, 0.6]], np.float32)
-    plain = asking([network], PAPER).scores(references).astype(np.float64)
-    assert plain.argmax(1).tolist() == [0, 0]
-    calibrated = network.calibrated(torch.tensor(plain.sum(0)), torch.tensor((plain**2).sum(0)), 2)
-    assert asking([calibrated], PAPER).scores(references).argmax(1).tolist() == [0, 1]
-
-
 def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1() -> None:
     nothing = torch.zeros(1, 1)
     network = Network(torch.ones(1, 1, 1), nothing, nothing, (torch.tensor([[0.5, 0.5]]),), (torch.zeros(2),))

@@ -22,7 +22,6 @@ from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import QueryRule
 from vprbench.plugins.conformance import check
 from vprbench.plugins.registry import make_method
-from vprbench.plugins.rules import N_PLACES
 from vprbench.run import compose
 
 INPUTS: dict[str, Any] = {
@@ -78,12 +77,6 @@ def test_both_engines_learn_the_same_and_find_the_places(encoding: str, query_ru
 
 
 @ENCODINGS
-def test_8_bits_find_nearly_the_same_places(encoding: str) -> None:
-    floating, rounded = (fitted(encoding, kind) for kind in (VPRTempo, VPRTempoInt8))
-    assert np.mean(best(floating, REFERENCES) == best(rounded, REFERENCES)) >= 0.9
-
-
-@ENCODINGS
 def test_spikes_begin_with_the_input_and_another_input_is_refused_on_restoring(encoding: str) -> None:
     method = fitted(encoding)
     layers, n_inputs = method.spikes(method.encode(QUERIES)), method.encoder().n_inputs
@@ -113,27 +106,6 @@ def test_every_argument_of_oriented_edges_changes_the_scores(other: dict[str, An
 def test_sizes_without_an_input_are_refused_by_name(arguments: dict[str, Any], wanted: str) -> None:
     with pytest.raises(BadInput, match=wanted):
         VPRTempo(**{**INPUTS["oriented"], **arguments}).fit(REFERENCES, WORLD.places)
-
-
-def test_frames_of_any_sizes_are_read_together() -> None:
-    frames = [*WORLD.queries, WORLD.queries[0][:1], WORLD.queries[0][::2, ::3], np.zeros((700, 1, 3), np.uint8)]
-    found = fitted("oriented").query(Images.from_arrays(frames))
-    assert found.shape == (len(frames), N_PLACES)
-    assert np.isfinite(found).all()
-
-
-def active(monkeypatch: pytest.MonkeyPatch, **arguments: Any) -> float:
-    """The share of feature neurons that spike for any reference; nobody asks whether the result can be trusted."""
-    monkeypatch.setattr("vprbench.methods.vprtempo.method.check_winners", lambda *_: None)
-    method = VPRTempo(**{**INPUTS["gabor"], "max_module": N_PLACES, **arguments}).fit(REFERENCES, WORLD.places)
-    features = method.spikes(method.encode(REFERENCES))[1]
-    return float((features.values > 0).any(0).mean())
-
-
-def test_without_adapted_thresholds_most_features_of_gabor_maps_are_dead(monkeypatch: pytest.MonkeyPatch) -> None:
-    high = {"threshold_max": 2.0}
-    assert active(monkeypatch, **high, itp_rate=0.0) < 0.2
-    assert active(monkeypatch, **high, itp_rate=0.15) > 0.8
 
 
 @pytest.mark.parametrize(("name", "n_inputs"), [("vprtempo_oriented", 2048), ("vprtempo_oriented_ensemble", 3072)])

@@ -198,6 +198,9 @@ def test_the_number_of_threads_changes_nothing_and_progress_is_reported_up_to_th
     end = seen.index(1.0) + 1
     assert seen == sorted(seen[:end]) + sorted(seen[end:])
     assert seen[end:][-1:] == [1.0]
+    seen.clear()
+    trained(Case(sizes=(4,), epochs=32), training, "cpu", seen.append)  # every 100 of 256 steps
+    assert seen == [0, 100 / 256, 200 / 256, 100 / 256, 200 / 256, 1.0]  # features before them, places after them
 
 
 @pytest.mark.parametrize("one_sign", [False, True])

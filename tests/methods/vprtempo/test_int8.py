@@ -152,12 +152,6 @@ def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(
         assert np.array_equal(query.scores(spikes), one_by_one(query, spikes))
 
 
-@pytest.mark.parametrize("n_places", [2, 8])
-def test_a_network_of_one_pixel_scores_in_a_batch_to_the_bit_as_alone(n_places: int) -> None:
-    query, spikes = linear(np.ones((n_places, 1))), np.ones((9, 1), np.float32)
-    assert np.array_equal(query.scores(spikes), one_by_one(query, spikes))
-
-
 # --- extremes ---------------------------------------------------------------------------------------------------
 
 
@@ -182,16 +176,6 @@ def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_i
     quantised._sums_are_exact.cache_clear()
     assert query.scores(spikes) == pytest.approx(np.full((9, 3), 64.0), rel=1e-6)
     quantised._sums_are_exact.cache_clear()
-
-
-@WAYS
-def test_weights_of_every_place_lie_in_127_steps_of_its_own(ask: Ask) -> None:
-    # 126.6 of 127 steps are the 127th, 126.4 the 126th, to both sides.
-    row = np.array([127, 126.6, 126.4, -127, -126.6, -126.4]) / 127
-    found = ask(linear([row, row * 1e-4]), np.tile(np.eye(6, dtype=np.float32), (2, 1)))[:6]
-    steps = np.array([127, 127, 126, -127, -127, -126]) / 127
-    assert found[:, 0] == pytest.approx(steps, rel=1e-6)
-    assert found[:, 1] == pytest.approx(steps * 1e-4, rel=1e-6)
 
 
 @WAYS

@@ -18,11 +18,8 @@ from tempo_networks import QUERIES, REFERENCES, RULE_SETS, SMALL, WORLD, fitted
 from vprbench.api.images import Images
 from vprbench.api.preprocess import PatchNormalisation
 from vprbench.errors import BadInput, NotFittedError, TrainingDivergedError
-from vprbench.methods.vprtempo.layer import Layer
 from vprbench.methods.vprtempo.method import VPRTempo
-from vprbench.methods.vprtempo.network import Network
-from vprbench.methods.vprtempo.query import asking
-from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, QueryRule, Rules, RuleSet
+from vprbench.methods.vprtempo.rules import PAPER, RULES, V1, Rules, RuleSet
 from vprbench.plugins.rules import Journey
 
 
@@ -32,18 +29,6 @@ def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
 
 
 # --- seeds and modules ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("query_rule", get_args(QueryRule))
-def test_places_come_module_by_module_and_without_the_padding_of_the_last(query_rule: QueryRule) -> None:
-    # One pixel, one feature neuron; the weight of place p is (p + 1) / 10, the padded neuron's 0.9.
-    rest = (torch.zeros(2, 3), torch.zeros(2, 3))
-    features = Layer(torch.ones(2, 1, 1), torch.zeros(2, 1, 1), None, None, torch.zeros(2, 1), torch.zeros(2, 1))
-    excitation = torch.tensor([[[0.1], [0.2], [0.3]], [[0.4], [0.5], [0.9]]])
-    outputs = Layer(excitation, torch.zeros(2, 3, 1), None, None, *rest)
-    query = asking([Network.of(features, outputs, [3, 2])], replace(PAPER, query_rule=query_rule))
-    found = query.scores(np.array([[0.5]], np.float32))[0].tolist()
-    assert found == pytest.approx([0.05, 0.1, 0.15, 0.2, 0.25])
 
 
 @RULE_SETS
@@ -197,10 +182,8 @@ def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_take
 
 @pytest.mark.parametrize("variant", ["A", "B", "C"])
 def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: Any) -> None:
-    # One dark pixel: in its window all others are alike and only somewhat above the mean, so no level is 255. There
-    # the step of C rounds a level of k to the next of 0, M / 255, 2 M / 255 ... M, M the image's largest level.
     image = np.full((12, 12, 3), 150, np.uint8)
-    image[3, 3] = 100
+    image[3, 3] = 100  # one dark pixel: all others are only somewhat above the mean, so no level is 255
     shown = Images.from_arrays([*WORLD.queries, image])
     levels = PatchNormalisation(variant, 12, 12, 7)(shown).astype(np.float64)
     largest = levels.max(1, keepdims=True)

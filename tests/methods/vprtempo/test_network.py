@@ -280,14 +280,3 @@ def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_r
     assert not differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.003))
     learnt = {"outputs", "output_thresholds"} if rules == "v1" else {"outputs"}
     assert differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.002)) == learnt
-
-
-@RULE_SETS
-@pytest.mark.parametrize("engine", ["fused", "readable"])
-def test_at_a_rate_of_0_neither_the_epochs_nor_what_is_seen_change_the_output_layer(
-    rules: RuleSet, engine: str
-) -> None:
-    still = {"rules": rules, "engine": engine, "output_stdp_rate": 0.0}
-    changed = differing(trained(**still), trained(**still, epochs=7, stdp_rate=0.001, preprocessing="A"))
-    assert "features" in changed
-    assert not changed & {"outputs", "output_thresholds"}

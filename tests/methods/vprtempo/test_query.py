@@ -53,21 +53,6 @@ KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "
 
 
 @WAYS
-def test_a_query_worked_by_hand_passes_constant_thresholds_and_clip_of_both_layers(ask: Ask) -> None:
-    # Features: 1 * 0.5 + 0.1 - 0.2 = 0.4;  2 * 1 + 0 - 0.5 = 1.5, clipped to 0.9;  -1 * 0.5 + 0.1 = -0.4, silent.
-    # Places: 0.4 + 0.5 * 0.9 - 0.25 = 0.6;  0.4 - 0.9 = -0.5, silent;  2 * 0.9 - 0.1 = 1.7, clipped to 0.9.
-    asked = Network(
-        features=torch.tensor([[[1.0, 0.0], [0.0, 2.0], [-1.0, 0.0]]]),
-        constant=torch.tensor([[0.1, 0.0, 0.1]]),
-        feature_thresholds=torch.tensor([[0.2, 0.5, 0.0]]),
-        outputs=(torch.tensor([[1.0, 1.0, 0.0], [0.5, -1.0, 2.0], [9.0, 9.0, 9.0]]),),
-        output_thresholds=(torch.tensor([0.25, 0.0, 0.1]),),
-    )
-    spikes = np.array([[0.5, 1.0]] * 2, np.float32)
-    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(np.array([[0.6, 0.0, 0.9]] * 2), abs=1e-6)
-
-
-@WAYS
 @pytest.mark.parametrize("each", [0, 1, 3])
 def test_few_synapses_are_asked_as_many(each: int, ask: Ask) -> None:
     asked = network([5, 3], n_pixels=40)
@@ -90,20 +75,6 @@ def test_the_networks_of_these_tests_have_silent_graded_and_clipped_neurons_in_b
     features = np.array([feature_spikes(asked, x, 0.9) for x in spikes.astype(np.float64)])
     for layer in (features, eq_1(asked, spikes, PAPER)):
         assert min(np.mean(layer == 0), np.mean(layer == 0.9), np.mean((layer > 0) & (layer < 0.9))) > 0.03
-
-
-@WAYS
-@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 16, 17, 30])
-def test_any_number_of_active_features_is_added_up(count: int, ask: Ask) -> None:
-    asked = network([5, 5, 3], n_features=30, n_pixels=30)
-    one_pixel_a_feature = torch.eye(30).repeat(3, 1, 1)
-    asked = replace(asked, features=one_pixel_a_feature, feature_thresholds=asked.constant + 0.3)
-    active = np.random.default_rng(2).permutation(30)[:count]
-    spikes = np.zeros((2, 30), np.float32)
-    spikes[:, active] = np.random.default_rng(count).uniform(0.4, 1, (2, count))
-    spiking = feature_spikes(asked, spikes[0].astype(np.float64), 0.9)
-    assert [np.flatnonzero(row).tolist() for row in spiking] == [sorted(active)] * 3
-    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(eq_1(asked, spikes, PAPER), abs=1e-6)
 
 
 @pytest.mark.parametrize("count", [255, 256, 257, 513])
