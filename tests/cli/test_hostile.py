@@ -33,16 +33,14 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def asked(*options: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "vprbench", *options, *QUICK]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-
-
+@pytest.mark.extended
 @pytest.mark.usefixtures("here")
-def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said_alone() -> None:
-    done = asked("-m", "method=crashing,dying,unruly", "output=json")
-    assert done.returncode == 1
-    told = [json.loads(line) for line in done.stdout.splitlines()]
+def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said_alone(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["-m", "method=crashing,dying,unruly", "output=json", *QUICK]) == 1
+    printed = capfd.readouterr()
+    told = [json.loads(line) for line in printed.out.splitlines()]
     assert [(row["method"], "error" in row) for row in told] == [("crashing", True), ("dying", True), ("unruly", False)]
     failures = {failure.method: failure.error for failure in Store(Path("results")).failures()}
     assert set(failures) == {"crashing", "dying"}
@@ -50,12 +48,13 @@ def test_in_a_sweep_the_dead_are_failures_and_the_unruly_is_stored_once_and_said
     assert "importing dying.Method" in failures["dying"]
     (run,) = Store(Path("results")).runs()
     assert run.method == "unruly"
-    assert sum(line.startswith("vprbench: ") for line in done.stderr.splitlines()) == 2
+    assert sum(line.startswith("vprbench: ") for line in printed.err.splitlines()) == 2
 
 
 @pytest.mark.usefixtures("here")
 def test_a_run_that_hangs_ends_at_its_limit_and_is_a_failure_that_names_it() -> None:
-    done = asked("method=hanging", "limit_minutes=0.02")
+    command = [sys.executable, "-m", "vprbench", "method=hanging", "limit_minutes=0.02", *QUICK]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     (failure,) = Store(Path("results")).failures()
     assert (failure.method, failure.config["limit_minutes"]) == ("hanging", 0.02)

@@ -149,12 +149,11 @@ class KeepsTheEarlierFit(Pixels):
         return super().restore(state) if self._means is None else self
 
 
-class LosesWhatItStores(Pixels):
-    def state(self) -> Mapping[str, Codes]:
-        state = {"means": super().state()["means"].copy()}
-        assert self._means is not None
-        self._means[:] = 0
-        return state
+def lose(method: Pixels) -> Mapping[str, Codes]:
+    own = Pixels.state(method)["means"]
+    kept = own.copy()
+    own[:] = 0
+    return {"means": kept}
 
 
 def answer_unfitted(method: Pixels, codes: Codes) -> Scores:
@@ -166,11 +165,9 @@ def count_on(codes: Codes) -> Codes:
     return codes
 
 
-class CountsOnItsMap(Pixels):
-    def spikes(self, codes: Codes) -> list[LayerSpikes]:
-        assert self._means is not None
-        self._means += 1
-        return [LayerSpikes("grid", codes)]
+def count_on_the_map(method: Pixels, codes: Codes) -> list[LayerSpikes]:
+    method.state()["means"][:] += 1
+    return [LayerSpikes("grid", codes)]
 
 
 def spike(_: Pixels, codes: Codes) -> list[LayerSpikes]:
@@ -269,13 +266,9 @@ WRONG: dict[str, list[type[Pixels]]] = {
     STORED: [
         wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()}),
         wrong("StoresUnfitted", state=lambda self: {} if self._means is None else Pixels.state(self)),
-        *(KeepsTheEarlierFit, LosesWhatItStores),
+        *(KeepsTheEarlierFit, wrong("LosesWhatItStores", state=lose)),
     ],
-    GROWN: [
-        wrong("ForgetsThePast", extend=forget),
-        wrong("LearnsNothing", extend=learn_nothing),
-        ChangesWhatItGave,
-    ],
+    GROWN: [wrong("ForgetsThePast", extend=forget), wrong("LearnsNothing", extend=learn_nothing), ChangesWhatItGave],
     SPIKES: [
         spiking("SpikesBelowZero", lambda codes: codes - 255),
         spiking("SpikesWithoutANumber", lambda codes: codes * np.float32(np.nan)),
@@ -283,7 +276,7 @@ WRONG: dict[str, list[type[Pixels]]] = {
         spiking("SpikesOfTooFewQueries", lambda codes: codes[1:]),
         wrong("LayersOfOneName", spikes=lambda _, codes: [LayerSpikes("grid", codes), LayerSpikes("grid", codes)]),
         spiking("CountsOnTheCodes", count_on),
-        CountsOnItsMap,
+        wrong("CountsOnItsMap", spikes=count_on_the_map),
         wrong("LayersOfTooFewQueries", layers=lambda _, codes: {"grid": codes[1:]}),
         wrong("LayersWithoutANumber", layers=lambda _, codes: {"grid": codes * np.float32(np.nan)}),
         wrong("LayersThatWriteOnTheCodes", layers=lambda _, codes: {"grid": count_on(codes)}),

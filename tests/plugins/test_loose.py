@@ -85,7 +85,6 @@ def test_parameters_are_options_with_their_defaults_and_seed_and_device_those_of
         (["method=means.py:Means", "method.bins=few"], "method.bins=few: wanted an integer"),
         (["method=means.py:Means", "method.bin=2"], "method.bin is unknown to Means: did you mean bins"),
         (["dataset=means.py:other"], "dataset.places is missing"),
-        (["dataset=means.py:other", "dataset.places=2"], "gave int; it has to return a Dataset"),
         (["method=absent.py:Means"], "absent.py is not there"),
         (["method=means.py:Mean"], "did you mean Means?"),
         (["method=walk.py"], "walk.py: it defines no method"),
@@ -104,7 +103,6 @@ def test_what_does_not_fit_is_told_in_a_line(
     ("text", "line"),
     [
         ("import numpy\nclass Broken(\n    x = 1\n", 2),
-        ("\n\nraise ValueError('no')\n", 3),
         ("import sys\nsys.exit(4)\n", 2),
         ("def f():\n    return 1 / 0\nX = f()\n", 2),
         ("def Broken(places: int = 2):\n    return [1][places]\n", 2),

@@ -194,28 +194,10 @@ def test_a_floor_counts_the_bytes_of_the_weights(done: Done) -> None:
     assert {cell["floor_bytes"] for cell in done.raw["training"]} == {2 * each_module * 4}
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     clock.replaces_those_of([measure], monkeypatch)
-    return clock
 
-
-@pytest.mark.parametrize(("touch", "nanoseconds"), [("read", 1), ("pass", 2)])
-def test_a_floor_grows_with_the_bytes(
-    touch: Any, nanoseconds: int, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def buffer(count: int, device: str) -> SimpleNamespace:
-        """Numbers of four bytes, of which a nanosecond reads one byte and two nanoseconds change it."""
-        read = 4 * count / 1e9
-        return SimpleNamespace(sum=lambda: clock.spend(read), mul_=lambda _: clock.spend(2 * read))
-
-    monkeypatch.setattr(torch, "ones", buffer)
-    for n_bytes in (10_000, 40_000_000):
-        assert floor_laps(touch, n_bytes, "cpu", 0.0) == pytest.approx([nanoseconds * n_bytes / 1e9] * 20)
-
-
-def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(clock: Clock) -> None:
     def fit(*_: object) -> None:
         clock.spend(0.02)
         for stage, seconds in (("one", 0.03), ("two", 0.06)):
@@ -233,6 +215,18 @@ def test_a_stage_lasts_from_its_first_report_to_that_of_the_next(clock: Clock) -
     assert found.seconds == pytest.approx(0.12)
     assert found.training_seconds == found.stages["one"] + found.stages["two"]
     assert heard == ["slow: one", "slow: one", "slow: two", "slow: two"]
+
+
+def test_a_floor_grows_with_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    clock.replaces_those_of([measure], monkeypatch)
+
+    def buffer(count: int, device: str) -> SimpleNamespace:  # a nanosecond reads a byte, two change it
+        return SimpleNamespace(sum=lambda: clock.spend(4e-9 * count), mul_=lambda _: clock.spend(8e-9 * count))
+
+    monkeypatch.setattr(torch, "ones", buffer)
+    assert floor_laps("read", 40_000, "cpu", 0.0) == pytest.approx([40e-6] * 20)
+    assert floor_laps("pass", 40_000, "cpu", 0.0) == pytest.approx([80e-6] * 20)
 
 
 def test_options_replace_what_quick_chooses_whatever_their_order() -> None:

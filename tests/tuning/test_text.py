@@ -25,17 +25,12 @@ from vprbench.tuning.study import Trial
 BEST = {**PAPER, "rate_min": 0.35, "p_excitatory": 0.225, "stdp_rate": 0.00062}
 
 
-def a_trial(number: int, recall: float | None, **changes: Any) -> Trial:
-    trial = Trial(number, "random", number, {**BEST}, recall, None, None, 1.25)
-    return replace(trial, **changes)
-
-
 TRIALS = (
-    a_trial(0, 0.25),
-    a_trial(1, 0.0, diverged="training diverged: one neuron wins, always"),
-    a_trial(2, None, failed="MemoryError: no room", seconds=None),
-    a_trial(3, None, failed="", values={}, seconds=None),
-    a_trial(4, 0.5, stage="grid", point=0),
+    Trial(0, "random", 0, BEST, 0.25, None, None, 1.25),
+    Trial(1, "random", 1, BEST, 0.0, "training diverged: one neuron wins, always", None, 1.25),
+    Trial(2, "random", 2, BEST, None, None, "MemoryError: no room", None),
+    Trial(3, "random", 3, {}, None, None, "", None),
+    Trial(4, "grid", 0, BEST, 0.5, None, None, 1.25),
 )
 
 
