@@ -14,14 +14,8 @@ from vprbench.cluster.jobs import job
 from vprbench.errors import BadInput
 
 ASKED = {
-    "queue": "long",
-    "account": "robots",
-    "cores": 6,
-    "memory": "32GB",
-    "walltime": "12:30:00",
-    "gpus": 2,
-    "directives": ["--one-more"],
-    "prologue": ["module load cuda"],
+    **{"queue": "long", "account": "robots", "cores": 6, "memory": "32GB", "walltime": "12:30:00", "gpus": 2},
+    **{"directives": ["--one-more"], "prologue": ["module load cuda"]},
 }
 WANTED = {  # as the manuals of sbatch, qsub (OpenPBS), bsub and qsub (Grid Engine) have them
     # 32 GB are 29.8 of their GB and 30,517.6 of their MB, taken whole, which are 32,000,442.4 thousands of bytes

@@ -6,6 +6,7 @@ from stopped_clock import Clock, ReadersThatWait
 
 from vprbench.api import images
 from vprbench.run import runner
+from vprbench.run.store import Store
 
 
 @pytest.fixture(scope="module")
@@ -22,3 +23,11 @@ def clock(monkeypatch):
     clock.replaces_those_of([runner, images], monkeypatch)
     monkeypatch.setattr(images, "ThreadPoolExecutor", ReadersThatWait)
     return clock
+
+
+@pytest.fixture
+def store(tmp_path):
+    """A store of runs in which nothing is."""
+    store = Store(tmp_path / "results")
+    store.prepare()
+    return store

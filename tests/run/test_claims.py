@@ -100,11 +100,6 @@ class Busy(Lookup):
         return super().fit(references, places)
 
 
-@pytest.fixture
-def store(tmp_path):
-    return Store(tmp_path / "results")
-
-
 def busy(during=lambda: None):
     return Busy(table(4, 4), during=during)
 
@@ -198,7 +193,6 @@ def test_alone_a_run_that_fails_elsewhere_meanwhile_is_not_tried_again(store, mo
 
 
 def test_a_sweep_tries_again_what_failed_before_it_began_and_nothing_that_failed_since(store, monkeypatch):
-    store.prepare()
     method = busy()
     before = Claims(store.root).now() - 1
     store.save_failure(failure_of(method))
@@ -230,7 +224,6 @@ def printed(capsys, store, *options):
 def test_stored_runs_and_failures_are_counted_and_a_run_that_is_being_made_stands_there_with_stage_and_owner(
     store, capsys
 ):
-    store.prepare()
     for seed in range(3):
         store.save(a_run(key=f"{seed % 2}"))
         store.save_failure(a_failure(config={"seed": seed}))

@@ -26,7 +26,6 @@ from vprbench.run.note import Note
 from vprbench.run.readout_rows import readout_numbers, readout_text
 from vprbench.run.record import content_key
 from vprbench.run.spikes import summary
-from vprbench.run.store import Store
 from vprbench.run.stream import grown, step
 
 SMALL = {"max_module": 8, "height": 12, "width": 12}
@@ -95,10 +94,9 @@ def test_spikes_that_cannot_be_counted_or_cannot_be_lose_no_run(error):
     assert ("BadInput" if error is None else r"(KeyError: 'the layer\nis gone')") in said
 
 
-def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(tmp_path):
+def test_a_run_keeps_the_spikes_of_every_query_if_they_are_few_and_else_of_256_from_the_first_to_the_last(store):
     run = run_of(Ticking(np.eye(6, dtype=np.float32)), journey(6, 6))
     assert run.spikes["layers"][0]["spikes_per_query"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    store = Store(tmp_path)
     store.save(run)
     assert [back.spikes for back in store.runs()] == [run.spikes]
     method = Ticking(np.zeros((1000, 4), np.float32))
@@ -167,12 +165,12 @@ def test_codes_layers_and_answer_are_judged_by_the_same_right_places_and_a_place
     assert run.readouts[1] == {"name": "turned", "neurons": 2, "hits": [1.0, 1.0, 1.0]}
 
 
-def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(tmp_path):
+def test_readouts_are_stored_runs_of_earlier_versions_have_none_and_a_method_without_layers_says_so(store):
     class Failing(Layered):
         def layers(self, codes):
             raise KeyError("gone")
 
-    dataset, table, store = journey(4, 4), np.eye(4, dtype=np.float32), Store(tmp_path)
+    dataset, table = journey(4, 4), np.eye(4, dtype=np.float32)
     read, plain = read_run(Layered(table), dataset), replace(run_of(Layered(table), dataset), key="other")
     for run in (read, plain):
         store.save(run)

@@ -33,13 +33,6 @@ Spoil = Callable[[Path], object]
 
 
 @pytest.fixture
-def store(tmp_path):
-    store = Store(tmp_path / "results")
-    store.prepare()
-    return store
-
-
-@pytest.fixture
 def three(store):
     """Store runs under the keys a, b and c; returns the folder of b."""
     for key in ("a", "b", "c"):

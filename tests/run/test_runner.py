@@ -18,7 +18,6 @@ from vprbench.errors import BadInput
 from vprbench.metrics import ranking
 from vprbench.metrics.ranking import outcome
 from vprbench.run import answers, rows, runner
-from vprbench.run.store import Store
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -190,14 +189,13 @@ def test_candidates_stand_before_places_that_are_none_and_their_best_answer_is_a
     assert "audit" in kinds(run_of(Turned(with_few_candidates()), journey(12, 40), depth=6))
 
 
-def test_without_any_candidate_a_run_passes_the_audit_gives_plain_numbers_and_is_stored(tmp_path):
+def test_without_any_candidate_a_run_passes_the_audit_gives_plain_numbers_and_is_stored(store):
     run = run_of(Lookup(np.full((12, 40), -np.inf, np.float32)), journey(12, 40))
     assert "audit" not in kinds(run)
     json.dumps(rows.numbers(run), allow_nan=False)
     assert rows.readable_row(run)["R@1 % [95 %]"]
-    stored = Store(tmp_path)
-    stored.save(run)
-    (found,) = stored.runs()
+    store.save(run)
+    (found,) = store.runs()
     assert np.array_equal(found.top_scores, run.top_scores)
 
 

@@ -112,10 +112,8 @@ def test_a_filter_follows_the_journey_and_no_block_of_an_interval_is_shorter_tha
     assert interval.block >= 12
 
 
-def test_a_view_is_never_stored_and_gaps_are(tmp_path):
+def test_a_view_is_never_stored_and_gaps_are(store):
     run = aligned(query_breaks=np.array([3, 7]), place_breaks=np.array([], np.int64))
-    store = Store(tmp_path)
-    store.prepare()
     with pytest.raises(BadInput, match="view"):
         store.save(in_sequences(run, Sequences(2)))
     store.save(run)
@@ -183,6 +181,7 @@ def test_options_that_do_not_fit_are_named(sequence, filter, word):
         views(sequence, filter)
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(not NORDLAND.is_dir(), reason=f"the real frames are not in {NORDLAND}")
 def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path):
     """R@1 of queries with a full window, along the list as it is, by another program on the same frames."""

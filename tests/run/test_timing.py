@@ -38,11 +38,6 @@ PROTOCOLS = st.builds(
 )
 
 
-@pytest.fixture
-def store(tmp_path):
-    return Store(tmp_path / "results")
-
-
 def asked(store, protocol, force=False):
     request = asked_for(Lookup(table(12, 4)), journey(12, 4), protocol)
     return made(request, Settings(frames=False, force=force), store, {})
