@@ -111,26 +111,21 @@ def test_a_list_is_filtered_by_words_tags_and_weights(
 @pytest.mark.parametrize(
     ("line", "wanted"),
     [
-        ("vprbench tab", ["table"]),
-        ("vprbench method=sa", ["method=sad", "method=salad", "method=salad_indoor"]),
-        ("vprbench -m method=sad,ho", ["method=sad,hog"]),
-        ("vprbench table methods=[sad,ho", ["methods=[sad,hog"]),
-        ("vprbench method=vprtempo method.max_", ["method.max_module="]),
-        ("vprbench method=vprtempo method.query_rule=", ["method.query_rule=spiking", "method.query_rule=linear"]),
-        ("vprbench dataset=folders dataset.ref", ["dataset.references="]),
-        ("vprbench timing=qu", ["timing=quick"]),
-        ("vprbench doctor dataset=sfu", ["dataset=sfu_mountain"]),
-        ("vprbench fetch nordland_6", ["nordland_64x32"]),
-        ("vprbench table stored=", ["stored=true", "stored=false"]),
-        ("vprbench search tri", ["trials="]),
-        ("vprbench list sp", ["spiking"]),
-        ("vprbench completion z", ["zsh"]),
-        ("vprbench method=sad corruption=bl", ["corruption=blur-1", "corruption=blur-2", "corruption=blur-3"]),
-        ("vprbench compare corruptions=a", ["corruptions=all"]),
+        ("tab", ["table"]),
+        ("method=sa", ["method=sad", "method=salad", "method=salad_indoor"]),
+        ("method=sad corruption=bl", ["corruption=blur-1", "corruption=blur-2", "corruption=blur-3"]),
+        ("method=vprtempo method.query_rule=", ["method.query_rule=spiking", "method.query_rule=linear"]),
+        *(("-m method=sad,ho", ["method=sad,hog"]), ("table methods=[sad,ho", ["methods=[sad,hog"])),
+        ("method=vprtempo method.max_", ["method.max_module="]),
+        ("dataset=folders dataset.ref", ["dataset.references="]),
+        *(("timing=qu", ["timing=quick"]), ("doctor dataset=sfu", ["dataset=sfu_mountain"])),
+        *(("fetch nordland_6", ["nordland_64x32"]), ("table stored=", ["stored=true", "stored=false"])),
+        *(("search tri", ["trials="]), ("list sp", ["spiking"]), ("completion z", ["zsh"])),
+        ("compare corruptions=a", ["corruptions=all"]),
     ],
 )
 def test_the_last_word_is_completed(line: str, wanted: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed(capsys, "__complete", line).split() == wanted
+    assert printed(capsys, "__complete", f"vprbench {line}").split() == wanted
 
 
 def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path: Path) -> None:

@@ -274,10 +274,6 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
 # Writing
 
 
-def only_file(path: Path) -> bool:
-    return [found.name for found in path.parent.iterdir()] == [path.name]
-
-
 def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stored_it(path: Path) -> None:
     where = destination(path, Prototypes(seed=1), WORLD)
     store(path, Prototypes(seed=1))
@@ -287,7 +283,7 @@ def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stor
     assert path.read_bytes() == before
     networks.save(where, fitted(Prototypes(seed=1)), "0123", 1.0, 1.0)
     assert path.read_bytes() != before
-    assert only_file(path)
+    assert [*path.parent.iterdir()] == [path]
 
 
 def test_what_a_killed_run_left_of_a_network_is_removed_after_a_day(path: Path) -> None:
@@ -311,7 +307,7 @@ def test_a_full_disk_leaves_the_old_network(path: Path, monkeypatch: pytest.Monk
     with pytest.raises(BadInput, match=r"stored.*No"):
         store(path, Prototypes(seed=1), replace=True)
     assert path.read_bytes() == before
-    assert only_file(path)
+    assert [*path.parent.iterdir()] == [path]
 
 
 def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_new_one(path: Path) -> None:

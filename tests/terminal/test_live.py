@@ -23,14 +23,9 @@ def test_steps_that_run_elsewhere_are_shown_with_host_and_stage_and_the_rest_is_
     table.share(1, "query 40 %", 0.0)
     table.step(0)
     table.step(2, failed=True)
+    table.begin(3, "here")
     text = shown(table)
+    assert "here" not in text  # a step that runs here needs no line of its own
     assert "node2  SAD on Route, seed 1  query 40 %" in text
     assert "node1" not in text
-    assert "2 of 6, 1 running, 3 waiting, 1 failed, 0:0" in text
-
-
-def test_a_step_that_runs_here_needs_no_line_of_its_own() -> None:
-    table = LiveTable(["SAD"], ["Route"], 2)
-    table.begin(0, "SAD on Route")
-    assert "SAD on Route" not in shown(table)
-    assert "0 of 2" in shown(table)
+    assert "2 of 6, 2 running, 2 waiting, 1 failed, 0:0" in text
