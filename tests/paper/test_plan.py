@@ -230,11 +230,3 @@ def test_columns_take_the_folder_of_their_frames_and_those_on_request_are_not_am
     assert (nordland.dataset["root"], nordland.dataset["protocol"]) == (str(tmp_path), "vprsnn")
     options = ("protocol", "places", "first_query_place", "query_places")
     assert [held_out.dataset[name] for name in options] == ["vprtempo", 2761, 600, 2761 - 600]
-
-
-def test_the_protocol_of_vprsnn_leaves_600_places_out_of_the_map_and_queries_all_others() -> None:
-    (rendered,) = chosen(columns=["railway_vprsnn"]).columns
-    dataset = registry.make_dataset(rendered.dataset)
-    assert (dataset.n_places, len(dataset.references), len(dataset.queries)) == (2700, 2 * 2700, 2700)
-    assert dataset.held_out is not None
-    assert (dataset.held_out.n_places, dataset.held_out.in_map) == (600, False)

@@ -18,7 +18,6 @@ from vprbench.paper.selection import (
     accuracy_series,
     groups,
     of_row,
-    options_apart,
     series,
 )
 from vprbench.paper.titles import protocol_words
@@ -79,13 +78,6 @@ def test_corrupted_queries_stand_in_no_column_of_clean_ones_nor_of_other_corrupt
     failed = lost(config={"corruption": "noise-2"})
     found = grouped([clean, moved], [failed], RAIL, shift, noise)
     assert [(group.runs, group.failures) for group in found] == [((clean,), ()), ((moved,), ()), ((), (failed,))]
-
-
-def test_runs_of_other_options_in_a_group_of_their_own_are_told_by_these() -> None:
-    before = run(dataset={**RAILWAY, "snow": True}, protocol={"renderer": 1}, day="2025-01-01")
-    todays = run(dataset={**RAILWAY, "fog": 0.5}, protocol={"renderer": 2})
-    assert [options_apart(group) for group in grouped([before, todays], [], FOGGY)] == [(), ("fog", "snow")]
-    assert options_apart(Group(RAIL, 1, (MINE, FOG), ())) == options_apart(Group(RAIL, 1, (), ())) == ()
 
 
 def test_two_protocols_are_two_groups_the_newest_first() -> None:
