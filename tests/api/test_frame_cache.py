@@ -88,9 +88,10 @@ def test_who_was_not_read_for_longest_makes_room_and_more_than_fits_is_not_kept(
     for seed in range(4):
         Painter(seed).check(seed=seed)
         assert sum(file.stat().st_size for file in frames_folder.rglob("*.frames")) <= most
-    newest = Painter(3)
-    newest.check(seed=3)
-    assert newest.made == 1
+    for seed in (2, 3):
+        newest = Painter(seed)
+        newest.check(seed=seed)
+        assert newest.made == 1
     monkeypatch.setattr("vprbench.api.frame_cache._MOST_BYTES", 1000)
     kept = sorted(frames_folder.rglob("*.frames"))
     Painter(5).check(seed=5)

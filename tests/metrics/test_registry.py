@@ -16,8 +16,10 @@ from little import a_run, unanswerable_run
 from small_plan import RUN, install
 from stored_runs import RAIL, ROWS, SAD, run
 
+from vprbench.api.arithmetic import Arithmetic
 from vprbench.cli import main
 from vprbench.metrics.accuracy import average_precision, pr_curve_multi
+from vprbench.metrics.energy import estimated_joules, synaptic_operations
 from vprbench.metrics.ranking import Outcome
 from vprbench.metrics.registry import METRICS, Metric
 from vprbench.paper.figures.metrics import of_rows
@@ -111,3 +113,27 @@ def test_the_figure_of_a_metric_shows_its_rows() -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["SAD", "VPRSNN"]
     assert axes.get_xlabel() == "R@100P %"
     assert METRICS["r100p"].explained in drawn.caption
+
+
+@pytest.mark.parametrize(
+    ("arithmetic", "picojoules"),
+    [
+        ([Arithmetic(1000, 0)], 4600),  # Horowitz: 3.7 + 0.9
+        ([Arithmetic(0, 1000)], 900),
+        ([Arithmetic(1000, 1000, "int8")], 330),  # 0.2 + 0.1 of a sum in 32 bits; 0.03
+        ([Arithmetic(10, 0), Arithmetic(10, 10, "int64")], 79),  # 0.1 + 3.1; 0.1
+    ],
+)
+def test_arithmetic_costs_what_the_table_says(arithmetic: list[Arithmetic], picojoules: float) -> None:
+    assert 1e12 * estimated_joules(arithmetic) == pytest.approx(picojoules)
+
+
+def test_synaptic_operations_add_up_by_their_kind_over_the_layers_that_lead_on() -> None:
+    layers = [
+        {"synops": 5.0, "operation": "AC"},
+        {"synops": 7.0, "operation": "MAC"},
+        {"synops": 1.5, "operation": "AC"},
+    ]
+    assert synaptic_operations({"layers": [*layers, {"name": "output"}]}) == (6.5, 7.0)
+    assert synaptic_operations({"layers": [{"name": "output"}]}) is None
+    assert synaptic_operations(None) is None
