@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from tempo_networks import QUERIES, REFERENCES, SMALL, fitted
 
-from vprbench.api.images import Images
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -20,39 +19,22 @@ from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import asking
 from vprbench.methods.vprtempo.rules import PAPER, RULES
 
-N_PLACES = 24
-SMALL: dict[str, Any] = {"height": 12, "width": 12, "max_module": 10}
-
-
-def frames(seed: int) -> Images:
-    """One smooth frame a place; frames of other seeds show the same places with other noise."""
-    scenes = np.cumsum(np.random.default_rng(0).normal(size=(N_PLACES, 12, 12)), axis=2)
-    scenes = 128 + 20 * scenes + 8 * np.random.default_rng(seed).normal(size=scenes.shape)
-    return Images.from_arrays(list(scenes.clip(0, 255).astype(np.uint8)))
-
-
-@cache
-def small(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> VPRTempo:
-    return kind(**SMALL, **arguments).fit(frames(1), np.arange(N_PLACES))
-
 
 def scores(kind: type[VPRTempo] = VPRTempo, **arguments: Any) -> npt.NDArray[np.float32]:
-    return small(kind, **arguments).query(frames(2))
+    return np.asarray(fitted(kind, **arguments).query(QUERIES))
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(
-    rules: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = small(rules=rules)
+def test_scores_are_counted_in_spreads_from_the_mean_over_the_references(rules, monkeypatch):
+    plain = fitted(rules=rules)
     assert not plain.chosen_rules().calibrated_scores
-    over_references = plain.query(frames(1)).astype(np.float64)
+    over_references = plain.query(REFERENCES).astype(np.float64)
     mean, spread = over_references.mean(0), over_references.std(0)
-    expected = (plain.query(frames(2)) - mean) / np.maximum(spread, 0.01 * spread.mean())
+    expected = (plain.query(QUERIES) - mean) / np.maximum(spread, 0.01 * spread.mean())
     assert scores(rules=rules, calibrated_scores=True) == pytest.approx(expected, rel=1e-3, abs=1e-3)
     monkeypatch.setattr("vprbench.methods.vprtempo.query._BLOCK", 7)  # several blocks of references count as one
-    anew = small.__wrapped__(rules=rules, calibrated_scores=True)
-    assert anew.query(frames(2)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+    anew = fitted.__wrapped__(rules=rules, calibrated_scores=True)
+    assert anew.query(QUERIES) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
 def test_a_place_that_hardly_answers_is_divided_by_a_hundredth_of_the_mean_spread_or_by_1() -> None:
@@ -82,19 +64,19 @@ def test_int8_scores_are_calibrated_as_those_of_the_float_network(rules: str) ->
 
 def test_the_linear_query_of_calibrated_networks_stays_one_affine_map() -> None:
     rules = replace(PAPER, query_rule="linear")
-    members = [small(calibrated_scores=True, query_rule="linear", seed=seed)._members[0] for seed in (0, 1)]
-    codes = small().encode(frames(2))
+    members = [fitted(calibrated_scores=True, query_rule="linear", seed=seed)._members[0] for seed in (0, 1)]
+    codes = fitted().encode(QUERIES)
     apart = [asking([member], rules).scores(codes) for member in members]
     assert asking(members, rules).scores(codes) == pytest.approx((apart[0] + apart[1]) / 2, rel=1e-4, abs=1e-4)
 
 
 def test_the_calibration_is_stored_and_holds_for_the_way_of_asking_that_it_was_made_with() -> None:
-    trained = small(calibrated_scores=True)
-    assert set(trained.state()) - set(small().state()) == {"score_mean", "score_spread"}
+    trained = fitted(calibrated_scores=True)
+    assert set(trained.state()) - set(fitted().state()) == {"score_mean", "score_spread"}
     restored = VPRTempo(**SMALL, calibrated_scores=True).restore(trained.state())
-    assert np.array_equal(restored.query(frames(2)), scores(calibrated_scores=True))
+    assert np.array_equal(restored.query(QUERIES), scores(calibrated_scores=True))
     for calibrated in (False, True):
         with pytest.raises(BadInput, match=f"set method.calibrated_scores={str(calibrated).lower()}"):
-            VPRTempo(**SMALL, calibrated_scores=not calibrated).restore(small(calibrated_scores=calibrated).state())
+            VPRTempo(**SMALL, calibrated_scores=not calibrated).restore(fitted(calibrated_scores=calibrated).state())
     assert VPRTempo().query_arguments == {"engine", "query_rule", "silent_winner"}
     assert VPRTempo(calibrated_scores=True).query_arguments == {"engine"}

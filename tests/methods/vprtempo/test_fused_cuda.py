@@ -165,9 +165,7 @@ def test_a_training_in_triton_gives_the_same_layers(by_triton: Found, name: str)
 
 
 @pytest.mark.extended
-def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_hidden(
-    by_triton: Found,
-) -> None:
+def test_launches_of_few_steps_change_nothing_are_reported_and_leave_no_number_hidden(by_triton):
     for part in PARTS:
         assert distance(by_triton(FEW)[0][part], by_triton("paper")[0][part]) <= ROUNDING
     assert by_triton(FEW)[1] == [step / 16 for step in (7, 14, 16, 5, 10, 15, 16)]

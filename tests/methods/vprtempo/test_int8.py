@@ -143,9 +143,7 @@ Make = Callable[[Network], Query]
 @pytest.mark.parametrize(
     ("sizes", "n_features", "n_pixels"), [([5, 5, 3], 37, 20), ([6, 3], 2, 2), ([2, 1], 9, 64), ([6, 3], 130, 65)]
 )
-def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(
-    sizes: list[int], n_features: int, n_pixels: int, make: Make
-) -> None:
+def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(sizes, n_features, n_pixels, make):
     query = make(network(sizes, n_features, n_pixels))
     for count in (1, 7, 8, 9, 100):
         spikes = shown(count, n_pixels)
@@ -163,9 +161,7 @@ def test_the_largest_sums_do_not_overflow(n_pixels: int, sign: int, ask: Ask) ->
     assert found == pytest.approx(np.full((9, 3), sign * n_pixels), rel=1e-6)
 
 
-def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_is_not_used(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_product_that_saturates_in_16_bits_as_on_a_processor_with_avx2_alone_is_not_used(monkeypatch):
     def in_16_bits(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         # oneDNN multiplies unsigned by signed, adds pairs in 16 bits, and takes the shift away in the end.
         pairs = ((left.int() + 128)[:, :, None] * right.int()).unflatten(1, (-1, 2)).sum(2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,9 +71,7 @@ PIXELS = np.array([[0.9, 0.5], [0.5, 0.9], [0.0, 0.0]], np.float32)  # the last 
         (0.3, [10, 1, 10], [1, 1], [[0.9, 0.54], [0, 0.9], [0, 0]]),  # the weaker spikes in step 5: 0.486 and 0.45
     ],
 )
-def test_a_query_ends_once_a_place_is_ahead_by_a_share(
-    lead: float | None, ends: list[int], answers: list[int], features: Any
-) -> None:
+def test_a_query_ends_once_a_place_is_ahead_by_a_share(lead, ends, answers, features):
     query = LatencyQuery(RIVALS, PAPER, 10, lead)
     *_, (steps, _) = query.run(PIXELS, lead or 1.0)
     assert steps.tolist() == ends
@@ -113,9 +110,7 @@ def test_a_larger_amplitude_spikes_earlier_in_the_cycle_of_its_layer() -> None:
     assert (outputs.times[answered, outputs.values.argmax(1)[answered]] == 21).all()  # the first step of its cycle
 
 
-def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_keeps_answers_in_time_and_spike_times_which_figures_draw(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     options = ["method.max_module=12", "method.steps=8", "dataset.places=12", "dataset.first_query_place=0", *RUN]
     asked = ["method=vprtempo_latencies", *options, "readouts=true"]

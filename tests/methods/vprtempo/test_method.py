@@ -149,9 +149,7 @@ def test_a_diverged_training_is_an_error_and_leaves_the_method_unfitted(rules: R
 
 
 @pytest.mark.parametrize(("size", "n_alike"), [((48, 64), 11), ((1, 1), 20)])
-def test_references_that_show_nothing_are_called_so_and_no_diverged_training(
-    size: tuple[int, int], n_alike: int
-) -> None:
+def test_references_that_show_nothing_are_called_so_and_no_diverged_training(size, n_alike):
     empty = [np.zeros((*size, 3), np.uint8)] * n_alike
     with pytest.raises(BadInput, match=f"{n_alike} of 20 images.* same input"):
         VPRTempo(**SMALL).fit(Images.from_arrays([*empty, *WORLD.references[n_alike:20]]), np.arange(20))

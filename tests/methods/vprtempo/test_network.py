@@ -235,9 +235,7 @@ def test_published_layers_that_do_not_fit_each_other_are_refused() -> None:
 N_PLACES = 12
 
 
-def test_a_run_with_a_published_file_scores_as_its_matrices_or_ends_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_with_a_published_file_scores_as_its_matrices_or_ends_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     of_method = ["rules=reference", f"height={SIDE}", f"width={SIDE}", "max_module=8"]
     of_timing = ["minimum_seconds=0", "sample=4", "minimum_queries=4", "batch_sizes=[1]"]
@@ -280,3 +278,7 @@ def test_the_output_layer_alone_learns_at_a_rate_of_its_own_by_default_at_stdp_r
     assert not differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.003))
     learnt = {"outputs", "output_thresholds"} if rules == "v1" else {"outputs"}
     assert differing(slow, trained(rules=rules, stdp_rate=0.003, output_stdp_rate=0.002)) == learnt
+    still = {"rules": rules, "output_stdp_rate": 0.0}
+    changed = differing(trained(**still), trained(**still, epochs=7))
+    assert "features" in changed
+    assert not changed & {"outputs", "output_thresholds"}

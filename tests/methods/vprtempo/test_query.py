@@ -97,9 +97,7 @@ def test_a_single_query_reads_no_output_weights_of_silent_features() -> None:
 
 @WAYS
 @pytest.mark.parametrize("kind", [SpikingQuery, Int8SpikingQuery])
-def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and_paper_none(
-    kind: Callable[[Network, Rules], Query], ask: Ask
-) -> None:
+def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and_paper_none(kind, ask):
     # Two modules of two places and of one. Under 0.5 on the first pixel module 0 has net inputs -0.15, -0.05 and, less
     # its thresholds, -0.15 and -0.35; place 2, in module 1, has -0.005. The second pixel excites place 2.
     inhibited = Network(
@@ -176,9 +174,7 @@ def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoeve
 
 @WAYS
 @KINDS
-def test_neither_the_number_of_threads_nor_onednn_change_a_score(
-    rules: Rules, ask: Ask, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_neither_the_number_of_threads_nor_onednn_change_a_score(rules, ask, monkeypatch):
     asked, spikes = network([30, 30, 10], n_features=100, n_pixels=80), shown(40, 80)
     found, before = ask(asking([asked], rules), spikes), torch.get_num_threads()
     expected = pytest.approx(found, abs=1e-6 * max(1.0, float(np.abs(found).max())))

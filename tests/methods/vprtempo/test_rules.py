@@ -127,9 +127,7 @@ def by_oracle(
 
 @ENGINES
 @pytest.mark.parametrize("rules", RULES)
-def test_200_steps_agree_with_the_oracle_and_move_weights_a_thousand_times_further(
-    rules: RuleSet, engine: ModuleType
-) -> None:
+def test_200_steps_agree_with_the_oracle_and_move_weights_a_thousand_times_further(rules, engine):
     for before, found, expected in zip(*(trained(rules)[whose] for whose in ("before", engine, "oracle")), strict=True):
         for own, wanted in zip(found, expected, strict=True):
             assert own == close_to(wanted, AGREEMENT[rules])

@@ -144,9 +144,7 @@ SOME_ALIKE[::4] = 0
         pytest.param(np.full((PLACES, PLACES), 0.9, np.float32), (40,), "neurons alike", id="saturated"),
     ],
 )
-def test_one_neuron_or_module_that_wins_nearly_all_probes_is_divergence(
-    scores: npt.NDArray[np.float32], modules: tuple[int, ...], diverged: str | None
-) -> None:
+def test_one_neuron_or_module_that_wins_nearly_all_probes_is_divergence(scores, modules, diverged):
     module = np.repeat(np.arange(len(modules)), modules)
     if diverged is None:
         check_winners(scores, module)
