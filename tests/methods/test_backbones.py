@@ -1,7 +1,5 @@
 """The backbones against float64 versions written straight from the key names, and the published sizes."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -17,7 +15,6 @@ from vprbench.methods.parts.backbones.resnet import n_channels, resnet
 from vprbench.methods.parts.backbones.vgg import vgg16_features
 from vprbench.methods.parts.backbones.vit import SIZES, VisionTransformer, first_blocks
 
-WORDS = {"0": "conv1", "1": "bn1", "4": "layer1", "5": "layer2", "6": "layer3"}
 RESNETS = {
     "resnet18": 11_176_512,
     "resnet34": 21_284_672,
@@ -53,22 +50,12 @@ def test_vgg16_equals_the_slow_version_at_both_cuts(n_layers, shape):
     assert_same(out, oracle.vgg16(tensors, "", x, n_layers - 1))
 
 
-@pytest.mark.parametrize(
-    ("name", "n_stages"), [("resnet18", 4), ("resnet50", 4), ("resnet50", 3), ("resnext101_32x8d", 4), ("resnet18", 2)]
-)
+@pytest.mark.parametrize(("name", "n_stages"), [("resnet18", 2), ("resnet50", 4), ("resnext101_32x8d", 4)])
 def test_resnet_equals_the_slow_version(name, n_stages):
     tensors, x = oracle.resnet_checkpoint(Draw(), name, n_stages=n_stages), images(75, 50, n=1)
     out = loaded(tensors, resnet, name, n_stages)(x)
     assert out.shape[:2] == (1, n_channels(name, n_stages))
     assert_same(out, oracle.resnet(tensors, "", x, name, n_stages), tolerance=1e-4)
-
-
-def test_both_forms_of_names_are_the_same_network():
-    state = oracle.resnet_checkpoint(Draw(), "resnet18", n_stages=3)
-    renamed = {".".join([WORDS[key.split(".")[0]], *key.split(".")[1:]]): tensor for key, tensor in state.items()}
-    numbers, words = loaded(state, resnet, "resnet18", 3), loaded(renamed, resnet, "resnet18", 3, names="words")
-    assert torch.equal(words(images(64, 96)), numbers(images(64, 96)))
-    assert list(dict(words.named_children())) == ["conv1", "bn1", "relu", "maxpool", "layer1", "layer2", "layer3"]
 
 
 @pytest.mark.parametrize("name", RESNETS)
@@ -150,13 +137,6 @@ def test_every_grid_gets_a_position_for_each_of_its_patches(grid):
         model = VisionTransformer.sized({}, "vits14", n_blocks=1)
         patches = model.tokens(torch.empty(1, 3, grid * 14, 2 * grid * 14), normalised=True).patches
     assert patches.shape == (1, grid, 2 * grid, 384)
-
-
-def test_a_checkpoint_loads_with_or_without_final_norm_and_mask_token():
-    tensors, x = oracle.vit_checkpoint(Draw()), images(*STORED_GRID)
-    bare = {name: tensor for name, tensor in tensors.items() if not name.startswith(("norm.", "mask_token"))}
-    found = vit(bare, norm=False).tokens(x, normalised=False).cls
-    assert torch.equal(found, vit(tensors).tokens(x, normalised=False).cls)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Places learnt after the fit: what is appended is the map of all, and neurons join a network that stays as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

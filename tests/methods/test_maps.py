@@ -1,7 +1,5 @@
 """What every method without a published network does with its arguments and its map: places, copies, asking early."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """NetVLAD in its three published layouts, and SFRS, against a float64 version written from the names in the files."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from functools import partial

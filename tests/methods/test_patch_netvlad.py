@@ -1,7 +1,5 @@
 """Patch-NetVLAD: patches by direct loops in float64, matching and geometry on worked examples, and what it costs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

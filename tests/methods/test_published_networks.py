@@ -1,7 +1,5 @@
 """Every published network: its yaml, its published sizes, the contract, and what it sees of an image."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Networks on VGG16 and ResNets, each against a float64 version written from the key names of its files."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from functools import partial

@@ -1,7 +1,5 @@
 """SAD: its compiled matching against whole numbers in int64 and PyTorch, and what it finds on real frames."""
 
-from __future__ import annotations
-
 import re
 import tracemalloc
 from collections.abc import Callable, Iterator

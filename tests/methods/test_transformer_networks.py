@@ -1,7 +1,5 @@
 """Networks on DINOv2, each against a slow computation from the tensors of a file by their published names."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,25 +7,11 @@ from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 
+import backbones_oracle as oracle
 import numpy as np
 import pytest
 import torch
-from backbones_oracle import (
-    Draw,
-    Tensors,
-    attention,
-    gem,
-    imagenet,
-    layer_norm,
-    prefixed,
-    resnet,
-    resnet_checkpoint,
-    salad,
-    salad_checkpoint,
-    under,
-    vit_checkpoint,
-    vit_tokens,
-)
+from backbones_oracle import Draw, Tensors, imagenet, prefixed, under, vit_checkpoint, vit_tokens
 from cross_image_oracle import encoded_together, encoder_checkpoint
 from described_images import distance, encoded, image, pillow
 from published_networks import PublishedNetwork, saved, saved_training, unit, with_checks, without
@@ -49,7 +33,7 @@ def floats(seen: Image, height: int, width: int, mode: str = "bilinear") -> Tens
 
 def dinov2(tensors: Tensors, seen: Image, pooling: str = "cls") -> Tensor:
     tokens = vit_tokens(tensors, "", imagenet(seen))[0]
-    return {"cls": tokens[0], "mean": tokens[1:].mean(0), "gem": gem(tokens[1:], 3, 0)}[pooling]
+    return {"cls": tokens[0], "mean": tokens[1:].mean(0), "gem": oracle.gem(tokens[1:], 3, 0)}[pooling]
 
 
 DINOV2 = PublishedNetwork(
@@ -83,19 +67,19 @@ PARTS, N_DIMENSIONS = {"clusters": 7, "cluster_dim": 12, "token_dim": 10}, 40
 def draw_salad(prefix: str = "") -> Tensors:
     draw = Draw(1)
     tensors = prefixed("backbone.model.", vit_checkpoint(draw)) | prefixed(
-        "aggregator.", salad_checkpoint(draw, **PARTS)
+        "aggregator.", oracle.salad_checkpoint(draw, **PARTS)
     )
     return prefixed(prefix, tensors)
 
 
 def described_by_salad(tensors: Tensors, seen: Image) -> Tensor:
-    return salad(tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0])
+    return oracle.salad(tensors, "aggregator.", vit_tokens(tensors, "backbone.model.", imagenet(seen))[0])
 
 
 def described_indoors(tensors: Tensors, seen: Image) -> Tensor:
     """Images are seen at the nearest multiples of 14."""
     tokens = vit_tokens(tensors, "model.backbone.model.", floats(seen, 56, 84))[0]
-    return salad(tensors, "model.aggregator.", tokens)
+    return oracle.salad(tensors, "model.aggregator.", tokens)
 
 
 def biased(tensors: Tensors) -> Tensors:
@@ -130,7 +114,9 @@ SALAD_INDOOR = PublishedNetwork(
 
 def draw_megaloc() -> Tensors:
     draw = Draw(3)
-    aggregator = prefixed("agg.", salad_checkpoint(draw, **PARTS)) | draw.linear("linear", 7 * 12 + 10, N_DIMENSIONS)
+    aggregator = prefixed("agg.", oracle.salad_checkpoint(draw, **PARTS)) | draw.linear(
+        "linear", 7 * 12 + 10, N_DIMENSIONS
+    )
     return prefixed("backbone.", vit_checkpoint(draw)) | prefixed("aggregator.", aggregator)
 
 
@@ -140,7 +126,7 @@ def saved_safely(path: Path, tensors: Tensors) -> Path:
 
 
 def described_by_megaloc(tensors: Tensors, seen: Image) -> Tensor:
-    inner = salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", imagenet(seen))[0])
+    inner = oracle.salad(tensors, "aggregator.agg.", vit_tokens(tensors, "backbone.", imagenet(seen))[0])
     return tensors["aggregator.linear.weight"].double() @ inner + tensors["aggregator.linear.bias"].double()
 
 
@@ -251,7 +237,7 @@ def cricavpr_together(tensors: Tensors, *images: Image) -> np.ndarray:
     parts = [tokens[:, 0]]
     for bounds in ([0, 8, 16], [0, 5, 11, 16]):
         for rows, columns in product(pairwise(bounds), repeat=2):
-            parts.append(gem(grid[:, slice(*rows), slice(*columns)], t["aggregation.1.p"], (1, 2)))
+            parts.append(oracle.gem(grid[:, slice(*rows), slice(*columns)], t["aggregation.1.p"], (1, 2)))
     return unit(encoded_together(t, torch.stack(parts, 1)).flatten(1).numpy())
 
 
@@ -333,7 +319,7 @@ def draw_boq(backbone: Callable[[Draw], Tensors], n_channels: int) -> Tensors:
 
 
 def norm(t: Tensors, at: str, x: Tensor) -> Tensor:
-    return layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
+    return oracle.layer_norm(x, t[f"{at}.weight"], t[f"{at}.bias"], eps=1e-5)
 
 
 def gathered(tensors: Tensors, features: Tensor) -> Tensor:
@@ -344,12 +330,12 @@ def gathered(tensors: Tensors, features: Tensor) -> Tensor:
     outs = []
     for number in (0, 1):
         b = under(t, f"boqs.{number}.")
-        x = norm(b, "encoder.norm1", x + attention(b, "encoder.self_attn", x, x, 2))
+        x = norm(b, "encoder.norm1", x + oracle.attention(b, "encoder.self_attn", x, x, 2))
         inner = (x @ b["encoder.linear1.weight"].T + b["encoder.linear1.bias"]).clamp(min=0)
         x = norm(b, "encoder.norm2", x + inner @ b["encoder.linear2.weight"].T + b["encoder.linear2.bias"])
         queries = b["queries"][0]
-        asking = norm(b, "norm_q", queries + attention(b, "self_attn", queries, queries, 2))
-        outs.append(norm(b, "norm_out", attention(b, "cross_attn", asking, x, 2)))
+        asking = norm(b, "norm_q", queries + oracle.attention(b, "self_attn", queries, queries, 2))
+        outs.append(norm(b, "norm_out", oracle.attention(b, "cross_attn", asking, x, 2)))
     return (torch.cat(outs).T @ t["fc.weight"].T + t["fc.bias"]).flatten()  # (DIM, ROWS)
 
 
@@ -359,7 +345,9 @@ def described_by_boq(tensors: Tensors, seen: Image) -> Tensor:
 
 
 def described_by_boq_on_resnet(tensors: Tensors, seen: Image) -> Tensor:
-    return gathered(tensors, resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"), "resnet50", n_stages=3))
+    return gathered(
+        tensors, oracle.resnet(tensors, "backbone.net.", floats(seen, 48, 80, "bicubic"), "resnet50", n_stages=3)
+    )
 
 
 def wrapped(tensors: Tensors) -> Tensors:
@@ -393,7 +381,7 @@ BOQ = PublishedNetwork(
 )
 BOQ_RESNET = PublishedNetwork(
     "boq_resnet50",
-    lambda: draw_boq(lambda draw: resnet_checkpoint(draw, "resnet50", "net.", n_stages=3), 1024),
+    lambda: draw_boq(lambda draw: oracle.resnet_checkpoint(draw, "resnet50", "net.", n_stages=3), 1024),
     BOQ.images,
     DIM * ROWS,
     described_by_boq_on_resnet,
