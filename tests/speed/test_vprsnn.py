@@ -37,8 +37,12 @@ def shown():
 def test_a_training_that_is_watched_learns_what_any_other_does_and_its_spikes_are_counted(fast):
     asked = {**MODULE, "fast": fast, "recorded_presentations": 16}
     network = VPRSNN(**asked)
-    with watched() as watch:
+    functions = [getattr(home, name) for name, home in HOMES.items()]
+    with contextlib.suppress(KeyboardInterrupt), watched() as watch:
         seen = network.fit(*shown()).state()
+        assert training.show != functions[-1]
+        raise KeyboardInterrupt
+    assert [getattr(home, name) for name, home in HOMES.items()] == functions  # whatever happened
     own = VPRSNN(**asked).fit(*shown()).state()
     assert seen.keys() == own.keys()
     for name in own:
@@ -84,14 +88,6 @@ def test_parts_are_timed_on_every_seventh_presentation_each_alone_and_leave_no_t
     }
     assert (watch.presentations, watch.input_spikes, watch.excitatory_spikes) == (15, 15 * 3, 15 * 8 * 2)
     assert potentials == {True: [*range(15)], False: [0, 7, 14]}
-
-
-def test_a_training_has_its_own_functions_back_whatever_happened():
-    own = [getattr(home, name) for name, home in HOMES.items()]
-    with contextlib.suppress(KeyboardInterrupt), watched():
-        assert training.show != own[-1]
-        raise KeyboardInterrupt
-    assert [getattr(home, name) for name, home in HOMES.items()] == own
 
 
 def test_the_modules_that_are_asked_are_copies_with_places_of_their_own():
