@@ -321,21 +321,6 @@ def test_images_are_seen_as_in_vpr_methods_evaluation_by_every_network(name: str
     assert (found - wanted).abs().max() < np.ptp(normalised) / 2000
 
 
-@pytest.mark.parametrize(
-    ("how", "expected"), [("pillow", pillow((384, 1024))), ("tensor", floats((384, 1024))), ("area", means_of_four)]
-)
-def test_netvlad_shrinks_large_images_by_other_kernels_on_request(how: str, expected) -> None:
-    (image,) = drawn_images(LARGE)
-    assert np.abs(seen("netvlad", image, resize=how) - expected(image)).max() < 0.1
-
-
-def test_area_enlarges_by_interpolation() -> None:
-    edge = np.full((8, 8, 3), 100, np.uint8)
-    edge[:, 4:] = 200
-    levels = seen("netvlad", edge, height=16, width=32)[8, :, 0]
-    assert set(levels.round(1)) == {100.0, 112.5, 137.5, 162.5, 187.5, 200.0}
-
-
 def test_anyloc_refuses_an_image_without_a_whole_patch() -> None:
     with pytest.raises(BadInput, match="AnyLoc needs 14 pixels a side"):
         seen("anyloc", drawn_images((13, 40))[0])
