@@ -11,7 +11,6 @@ from vprbench.methods.vprsnn.synapses import normalise
 
 Floats = npt.NDArray[np.float64]
 Spikes = npt.NDArray[np.bool_]  # (n_steps, n_inputs)
-PIECE = 100  # steps in which no neuron can fire twice
 
 
 class Module:
@@ -60,21 +59,6 @@ class Module:
         module.show(shown, train_of(*np.nonzero(spikes), self.n_inputs), resting)
         self.now = shown.now
         return self.counts
-
-    def fire_times(self, spikes: Spikes) -> list[list[int]]:
-        """Return the steps, counted from now, in which each neuron fires while an image is shown piece by piece.
-
-        The pieces follow one another without a rest, so that no input may have a delay.
-        """
-        assert self.longest == 0
-        fired: list[list[int]] = [[] for _ in range(self.n)]
-        begin = self.now
-        for first in range(0, len(spikes), PIECE):
-            counts = self.show(spikes[first : first + PIECE], resting=False)
-            assert counts.max() <= 1
-            for j in np.flatnonzero(counts):
-                fired[j].append(int(self.state.fired[j]) - begin)
-        return fired
 
 
 def train_of(steps: npt.NDArray[np.integer], sources: npt.NDArray[np.integer], n_inputs: int) -> Train:

@@ -112,34 +112,34 @@ def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPR
     assert configured == {**defaults(kind), **differs, "seed": "${seed}", "device": "${device}"}
 
 
+REFUSED: dict[str, list[Any]] = {
+    **{key: [0] for key in ("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "height")},
+    **{key: [0.0] for key in ("levels_per_hz", "time_step_ms", "weight_sum", "weight_max", "excitatory_tau_ms")},
+    **{key: [-1.0] for key in ("rest_ms", "excitatory_refractory_ms", "inhibitory_to_excitatory_weight")},
+    "theta_start_mv": [float("nan"), 7.0],  # a threshold of -65 mV, the rest
+    "weight_scale": [float("inf")],
+    "inhibition_tau_ms": [0.1],  # no longer than a step
+    "input_delay_max_ms": [-1.0, 151.0],  # longer than the rest
+    "first_rest_ms": [-1.0, 49.0],  # shorter than the interval
+    "presentation_ms": [0.0, 0.04],  # less than half a step
+    "weight_offset": [-0.1],
+    "inhibitory_threshold_mv": [-60.0],
+    "module_order": ["random"],
+    "engine": ["brian2"],
+    "patch": [4],
+    "calibration_places": [-1, 1],  # without an order that is shuffled
+    "hyperactive_threshold": [-1],
+    "hyperactive_candidates": [[], [0, -5]],
+    "published_weights": ["no such folder"],
+    "seed": [-1, 2**32],
+}
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        *({name: 0} for name in ("places_per_module", "n_excitatory", "epochs", "recorded_presentations", "height")),
-        *({name: 0.0} for name in ("levels_per_hz", "time_step_ms", "presentation_ms", "weight_sum", "weight_max")),
-        *({name: -1.0} for name in ("rest_ms", "input_delay_max_ms", "excitatory_refractory_ms", "first_rest_ms")),
-        {"theta_start_mv": float("nan")},
-        {"weight_scale": float("inf")},
-        {"excitatory_tau_ms": 0.0},
-        {"inhibition_tau_ms": 0.1},  # no longer than a step
+        *({name: value} for name, values in REFUSED.items() for value in values),
         {"levels_per_hz": 0.0255},  # a white pixel in every step
-        {"input_delay_max_ms": 151.0},  # longer than the rest
-        {"first_rest_ms": 49.0},  # shorter than the interval
-        {"weight_offset": -0.1},
-        {"inhibitory_to_excitatory_weight": -1.0},
-        {"theta_start_mv": 7.0},  # a threshold of -65 mV, the rest
-        {"inhibitory_threshold_mv": -60.0},
-        {"module_order": "random"},
-        {"engine": "brian2"},
-        {"patch": 4},
-        {"calibration_places": -1},
-        {"hyperactive_threshold": -1},
-        {"hyperactive_candidates": []},
-        {"hyperactive_candidates": [0, -5]},
-        {"published_weights": "no such folder"},
-        {"seed": -1},
-        {"seed": 2**32, "module_order": "shuffled"},
-        {"presentation_ms": 0.04},  # less than half a step
         {"recorded_presentations": 9},  # fewer than a module has images
         {"input_delay_max_ms": 4000.0, "rest_ms": 4000.0},  # more steps than a delay can count
         {"engine": "compiled", "device": "cuda"},

@@ -42,17 +42,13 @@ def counted(state: dict[str, npt.NDArray[Any]], sights: npt.NDArray[np.uint8], c
 
 
 @pytest.mark.parametrize("together", [1, 4, 256])
-def test_a_reaction_is_an_image_for_which_a_neuron_fires_however_often_and_in_whichever_company(
-    monkeypatch: pytest.MonkeyPatch, together: int
-) -> None:
+def test_a_reaction_is_an_image_for_which_a_neuron_fires_however_often_and_in_whichever_company(monkeypatch, together):
     monkeypatch.setattr(query, "_TOGETHER", together)
     assert layers(by_hand(), SIGHTS)["excitatory"].max() > 1
     assert counted(MADE, SIGHTS, False) == [[4, 1, 1, 0]]
 
 
-def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(monkeypatch):
     # Weak synapses: whether a neuron fires hangs on what the images before have left.
     weak = {**MADE, "weights": 0.05 * MADE["weights"]}
     sights = np.random.default_rng(0).integers(0, 256, (60, N)).astype(np.uint8)
@@ -64,9 +60,7 @@ def test_carried_potentials_are_carried_through_all_the_images_that_are_counted(
 
 @pytest.mark.parametrize(("threshold", "fires_for"), [(0, [0, 1]), (1, []), (2, [1]), (4, [1]), (5, [0, 1])])
 @pytest.mark.parametrize("assignment", ["standard", "weighted"])
-def test_a_neuron_with_as_many_reactions_as_the_threshold_is_not_heard(
-    threshold: int, fires_for: list[int], assignment: str
-) -> None:
+def test_a_neuron_with_as_many_reactions_as_the_threshold_is_not_heard(threshold, fires_for, assignment):
     scores = by_hand(threshold, assignment=assignment).match(lit(N, [1]))  # neurons 0 and 1 fire, for places 0 and 1
     assert np.flatnonzero(scores[0] > 0).tolist() == fires_for
     assert np.isneginf(scores).all() == (not fires_for)
@@ -135,9 +129,7 @@ def chosen(calibrated: VPRSNN) -> int:
         *((CANDIDATES, right, best) for right, best in (([1, 0], 0), ([0, 0], 0), ([1, 1], 3))),
     ],
 )
-def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(
-    calibrated: Callable[..., Raw], candidates: list[int], right: list[int], best: int
-) -> None:
+def test_the_first_threshold_with_the_best_recall_of_held_out_queries_is_chosen(calibrated, candidates, right, best):
     found = calibrated(replace(held_out(), right=np.array(right)), hyperactive_candidates=candidates)
     assert chosen(found) == best
     assert ("reactions" in found.state()) == (best > 0)
@@ -167,9 +159,7 @@ def test_reactions_are_counted_over_all_places_once_whether_or_not_the_map_has_t
     assert chosen(calibrated(held_out(in_map), hyperactive_candidates=[0, hyperactive + 1])) == 0
 
 
-def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reactions(
-    calibrated: Callable[..., Raw],
-) -> None:
+def test_the_network_of_the_map_has_no_say_in_the_choice_but_counts_its_own_reactions(calibrated):
     # In the map's network the neuron that hears the background is number 4 and the only one for its place.
     of_map = made([[0], [1], [], [], [*BACKGROUND], [], []], [0, 1, 1, 1, 2, 1, 1], PIXELS)
     found = calibrated(held_out(), of_map)
@@ -205,9 +195,7 @@ def test_a_calibration_forgets_an_earlier_one() -> None:
     assert chosen(found.calibrate(others())) == 0
 
 
-def test_the_modules_of_held_out_places_draw_other_random_numbers_than_those_of_the_map(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_modules_of_held_out_places_draw_other_random_numbers_than_those_of_the_map(monkeypatch):
     seen: list[int] = []
     learn = training.train
 
@@ -221,9 +209,7 @@ def test_the_modules_of_held_out_places_draw_other_random_numbers_than_those_of_
 
 
 @pytest.mark.parametrize("threshold", [0, 4])
-def test_a_threshold_that_is_given_stays_and_counts_reactions_to_the_first_traverse(
-    threshold: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_threshold_that_is_given_stays_and_counts_reactions_to_the_first_traverse(threshold, monkeypatch):
     found = fitted(hyperactive_threshold=threshold)
     state = dict(found.state())
     assert chosen(found) == threshold

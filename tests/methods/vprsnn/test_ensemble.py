@@ -44,9 +44,7 @@ def alone(**arguments: Any) -> VPRSNN:
     ],
     ids=lambda given: str(given),
 )
-def test_each_member_is_the_network_of_its_own_seed_epochs_and_threshold(
-    together: dict[str, Any], first: dict[str, Any], second: dict[str, Any]
-) -> None:
+def test_each_member_is_the_network_of_its_own_seed_epochs_and_threshold(together, first, second):
     state = ensemble(**together).state()
     assert same(member(state, 0), alone(**first).state())
     assert same(member(state, 1), alone(**second).state())
@@ -74,6 +72,14 @@ def test_scores_are_the_sum_of_the_members_scores(change: dict[str, Any]) -> Non
     assert np.isfinite(expected).any()
     assert together.match(codes) == pytest.approx(expected, rel=1e-5)
     assert together.match(codes).dtype == np.float32
+
+
+def test_probabilities_are_those_of_the_summed_scores() -> None:
+    plain = ensemble()
+    parts = VPRSNNEnsemble(**SMALL, seeds=[0, 10], probabilities=True).restore(plain.state())
+    codes = plain.encode(QUERIES)
+    less = plain.match(codes) - plain.match(codes).min(axis=1, keepdims=True)
+    assert parts.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
 
 
 def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from little_vprsnn import SMALL, WORLD, fitted, images, layers, same
+from little_vprsnn import SMALL, WORLD, fitted, images, layers, references, same
 
 from vprbench.errors import BadInput, NotFittedError, NotThere
 from vprbench.methods.vprsnn.method import VPRSNN
@@ -130,9 +130,7 @@ def test_values_that_no_network_has_are_refused(state: dict[str, Array], culprit
         ({**without("reactions"), "threshold": np.array(0)}, {"hyperactive_threshold": 3}),  # none were counted
     ],
 )
-def test_what_the_network_does_not_have_is_refused_with_the_argument(
-    state: dict[str, Array], change: dict[str, int]
-) -> None:
+def test_what_the_network_does_not_have_is_refused_with_the_argument(state, change):
     assert f"method.{next(iter(change))}" in refusal(state, **change)
 
 
@@ -179,6 +177,14 @@ def test_published_weights_are_taken_over_unchanged(tmp_path: Path, trained: VPR
     assert np.array_equal(method().restore(state).match(codes), found.match(codes))
 
 
+def test_the_assignment_of_published_weights_follows_the_images_and_not_the_order_of_the_modules(folder):
+    # The same weights for the places in the other order: neurons speak for the images that they learnt.
+    shown, places = references(10)
+    turned = method(published_weights=str(folder), epochs=12).fit(shown, (places // 5) * 5 + 4 - places % 5)
+    right = np.tile((np.arange(10) // 5) * 5 + 4 - np.arange(10) % 5, 2)
+    assert np.mean(turned.query(shown).argmax(1) == right) > 0.5
+
+
 def test_only_the_last_presentations_assign_published_weights(folder: Path) -> None:
     # Of 60 presentations, 10 an epoch, the last 12: places 3 and 4 of the second traverse, then two of every place.
     state = fitted(10, published_weights=str(folder), recorded_presentations=12).state()
@@ -205,9 +211,7 @@ def test_the_files_of_published_weights_are_told_or_missed_and_others_have_none(
         (10, {"height": 11}, "XeAe.npy"),
     ],
 )
-def test_published_weights_of_another_size_are_refused(
-    folder: Path, n_places: int, change: dict[str, int], culprit: str
-) -> None:
+def test_published_weights_of_another_size_are_refused(folder, n_places, change, culprit):
     with pytest.raises(BadInput) as error:
         fitted(n_places, published_weights=str(folder), **change)
     assert culprit in str(error.value)

@@ -77,6 +77,20 @@ def test_an_asked_module_starts_as_published_and_relaxes_in_the_first_silence() 
     assert not state.gi.any()
 
 
+def test_the_start_acts_on_the_first_query_where_potentials_are_carried() -> None:
+    low = {**SHORT, "excitatory_start_mv": -105.0, "first_rest_ms": 50.0, "carried_potentials": True}
+    method = fitted(**low)
+    codes = method.encode(QUERIES)
+    from_low, from_rest = (
+        layers(VPRSNN(**{**SMALL, **low, **start}).restore(method.state()), codes)["excitatory"]
+        for start in ({}, {"excitatory_start_mv": -65.0})
+    )
+    assert from_low[0].sum() < from_rest[0].sum()  # it takes longer from there
+    other = VPRSNN(**{**SMALL, **low, "carried_potentials": False}).restore(method.state())
+    same_start = VPRSNN(**{**SMALL, **low, "carried_potentials": False, "excitatory_start_mv": -65.0})
+    assert np.array_equal(other.match(codes), same_start.restore(method.state()).match(codes))
+
+
 def test_new_delays_are_not_those_of_the_training() -> None:
     new = fitted()
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(new.state())

@@ -61,9 +61,7 @@ def interrupt(trained: SimpleNamespace, after: int, work: Callable[[], Any]) -> 
     trained.numbers, trained.fatal = [], None
 
 
-def test_an_interrupted_training_trains_only_what_is_missing_also_in_other_threads(
-    trainings: Path, trained: SimpleNamespace
-) -> None:
+def test_an_interrupted_training_trains_only_what_is_missing_also_in_other_threads(trainings, trained):
     expected = fitted(20, epochs=2)
     assert trained.numbers == [0, 1, 2, 3]
     assert not list(trainings.iterdir())
@@ -88,9 +86,7 @@ def test_an_interrupted_training_trains_only_what_is_missing_also_in_other_threa
     ids=str,
 )
 @pytest.mark.usefixtures("trainings")
-def test_a_training_goes_on_with_modules_of_the_same_training_alone(
-    trained: SimpleNamespace, change: dict[str, Any], trained_anew: list[int]
-) -> None:
+def test_a_training_goes_on_with_modules_of_the_same_training_alone(trained, change, trained_anew):
     interrupt(trained, 1, lambda: fitted(10))
     fitted(10, **change)
     assert trained.numbers == trained_anew
@@ -98,9 +94,7 @@ def test_a_training_goes_on_with_modules_of_the_same_training_alone(
 
 @pytest.mark.parametrize("changed", ["images", "places"])
 @pytest.mark.usefixtures("trainings")
-def test_a_training_does_not_go_on_with_modules_of_other_images_or_places(
-    trained: SimpleNamespace, changed: str
-) -> None:
+def test_a_training_does_not_go_on_with_modules_of_other_images_or_places(trained, changed):
     interrupt(trained, 1, lambda: fitted(10))
     shown, places = references(10)
     if changed == "images":
@@ -109,9 +103,7 @@ def test_a_training_does_not_go_on_with_modules_of_other_images_or_places(
     assert trained.numbers == [0, 1]
 
 
-def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none_again(
-    trainings: Path, trained: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_that_is_interrupted_when_all_modules_are_trained_trains_none_again(trainings, trained, monkeypatch):
     expected = fitted(10, hyperactive_threshold=9).state()
     with monkeypatch.context() as patch:
         patch.setattr(training, "reactions", interrupted)
@@ -144,9 +136,7 @@ def test_an_interrupted_calibration_trains_only_what_is_missing(trainings: Path,
     assert not list(trainings.iterdir())
 
 
-def test_a_calibration_does_not_go_on_with_reactions_of_another_network(
-    trainings: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_calibration_does_not_go_on_with_reactions_of_another_network(trainings, monkeypatch):
     # The second traverse shows other images, from which other neurons learn; the first, for which reactions are
     # counted, is the same.
     def fit(second: int) -> VPRSNN:

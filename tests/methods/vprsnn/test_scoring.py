@@ -107,27 +107,6 @@ def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt: R
     assert labels(learnt).dtype == np.int64
 
 
-# --- standard ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("responses", "spoken_for", "silenced", "expected"),
-    [
-        pytest.param([[6, 3, 1]], [[0, 0, 1]], [0], [1.5, 1], id="one silenced: the mean is over it too"),
-        pytest.param([[6, 3, 1]], [[0, 0, 1]], [0, 1], [0, 1], id="all of a place silenced"),
-        pytest.param([[120] * 600], [[0] * 600], [], [120], id="small whole numbers do not overflow"),
-    ],
-)
-def test_a_place_scores_the_mean_spikes_of_its_neurons(
-    responses: list[list[int]], spoken_for: list[list[int]], silenced: list[int], expected: list[float]
-) -> None:
-    mute = np.isin(np.arange(np.size(spoken_for)), silenced).reshape(np.shape(spoken_for))
-    given = np.array([responses], np.uint8)
-    scores = scoring.standard(given, np.array(spoken_for), mute, len(expected))
-    assert scores.tolist() == [expected]
-    assert scores.dtype == np.float32
-
-
 # --- weighted ---------------------------------------------------------------------------------------------------
 
 
@@ -158,7 +137,8 @@ def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_siz
     assert not np.isin(np.arange(23), spoken_for).all()
     assert (spoken_for == -1).any()
     monkeypatch.setattr(scoring, "_BLOCK_CELLS", block_cells)
-    standard = scoring.standard(responses, spoken_for, silenced, n_places)
+    standard = scoring.standard(responses.astype(np.uint8), spoken_for, silenced, n_places)
+    assert standard.dtype == np.float32
     assert np.array_equal(standard, standard_one_by_one(responses, spoken_for, silenced, n_places))
     weighted = scoring.weighted(responses, learnt, silenced, n_places)
     expected = weighted_one_by_one(responses, learnt, silenced, n_places)
@@ -207,8 +187,6 @@ def test_a_neuron_is_hyperactive_from_the_threshold_on_and_none_for_a_threshold_
         pytest.param({0: [SILENT, [1, 0], SILENT], 5: [[1, 0], [1, 0], SILENT]}, [0, 0, 0], 5, id="silence is wrong"),
     ],
 )
-def test_the_threshold_with_the_highest_recall_at_one_is_chosen(
-    scores: dict[int, list[list[float]]], right: list[int], best: int
-) -> None:
+def test_the_threshold_with_the_highest_recall_at_one_is_chosen(scores, right, best):
     found = scoring.best_threshold(lambda t: np.array(scores[t], np.float32), np.array(right), [*scores])
     assert found == best

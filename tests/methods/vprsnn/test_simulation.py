@@ -177,9 +177,9 @@ def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():
 
 def test_a_threshold_is_a_limit_that_must_be_passed():
     at_rest = Module(np.zeros((1, 1)), 7.0, learning=False)  # theta - 72 is the potential at rest
-    assert at_rest.fire_times(silence(100, 1)) == [[]]
+    assert at_rest.show(silence(100, 1)).tolist() == [0]
     below = Module(np.zeros((1, 1)), 7.0 - 1e-9, learning=False)
-    assert below.fire_times(silence(100, 1)) == [[0]]
+    assert below.show(silence(100, 1)).tolist() == [1]
 
 
 @pytest.mark.parametrize("n_neurons", [1, 8, 11])

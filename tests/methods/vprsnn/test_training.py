@@ -57,9 +57,7 @@ def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_
 
 @pytest.mark.parametrize("seed", [0, 40])
 @pytest.mark.parametrize(("n_test", "n_calibration"), [(375, 75), (360, 0), (53, 10)])
-def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(
-    seed: int, n_test: int, n_calibration: int
-) -> None:
+def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(seed, n_test, n_calibration):
     rest, shuffled = published_order(n_test, n_calibration, seed)
     groups = modules(n_test, 25, "shuffled", seed, n_calibration)
     assert [len(group) for group in groups[:-1]] == [25] * (-(-n_test // 25) - 1)
@@ -90,9 +88,7 @@ def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_th
 # --- one module -------------------------------------------------------------------------------------------------
 
 
-def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on(monkeypatch):
     # Neurons that start at rest, so that the silence, 150 ms as every later presentation with its rest, is one more
     # image of the direct simulation, without input. Theta falls in it too, and here so fast that it matters.
     model = Model(
@@ -159,9 +155,7 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
         ({"epochs": 3, "recorded_presentations": 12}, [2, 2, 2, 3, 3]),
     ],
 )
-def test_the_last_presentations_are_recorded_which_changes_nothing_else(
-    arguments: dict[str, int], shown: list[int]
-) -> None:
+def test_the_last_presentations_are_recorded_which_changes_nothing_else(arguments, shown):
     found, whole = fitted(**arguments).state(), fitted(**{**arguments, "recorded_presentations": 250}).state()
     assert found["shown"].tolist() == [shown]
     assert 0 < found["sums"].sum() <= whole["sums"].sum()
