@@ -44,11 +44,6 @@ def held_out(n_places: int = 10, in_map: bool = False) -> HeldOut:
     return HeldOut(shown, places, images(WORLD.references[30 : 30 + n_places]), np.arange(n_places), in_map)
 
 
-def second_sight(n_places: int, first: int = 0) -> Images:
-    """Return the second image of each of so many places."""
-    return images(WORLD.references[20 + first : 20 + first + n_places])
-
-
 def fitted(n_places: int = 5, **arguments: Any) -> VPRSNN:
     return VPRSNN(**{**SMALL, **arguments}).fit(*references(n_places))
 
