@@ -21,7 +21,7 @@ from vprbench.methods.hog import HOG
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
-from vprbench.run import harness, machine, sources
+from vprbench.run import harness, machine, runner, sources
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import code_hash, fingerprint
 from vprbench.run.loose_code import UntoldError
@@ -88,7 +88,8 @@ def test_what_cannot_change_a_run_does_not_change_its_key(changes):
     assert key(**changes) == key()
 
 
-def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol():
+def test_a_run_holds_the_hash_of_its_code_and_the_timing_protocol(monkeypatch):
+    monkeypatch.setattr(runner, "code_hash", code_hash)
     run = run_of(METHOD, journey(6, 4))
     assert run.config["code"] == code_hash(type(METHOD))
     assert run.config["timing"] == {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
 from vprbench.plugins.networks import Files
-from vprbench.run import machine, runner
+from vprbench.run import descriptors, machine, runner, sources
 from vprbench.run.identity import Request
 from vprbench.run.record import Run
 from vprbench.run.stopwatch import Protocol
@@ -30,6 +31,9 @@ CONFIG: dict[str, Any] = {
     "overrides": [],
 }
 QUICK = Protocol(minimum_seconds=0, minimum_queries=5, sample=16, warmup_queries=2, batch_sizes=[1, 4])
+
+
+source_hash = functools.cache(sources.source_hash)
 
 
 def run_of(method: Method, dataset: Dataset, protocol: Protocol = QUICK, **changes: Any) -> Run:
@@ -66,6 +70,9 @@ def quiet_surroundings() -> Iterator[SimpleNamespace]:
     with pytest.MonkeyPatch.context() as patch:
         stand_in = SimpleNamespace(**{**vars(machine), **quick})
         patch.setattr(runner, "machine", stand_in)
+        patch.setattr(runner, "code_hash", lambda method: method.__qualname__)  # a class here has many files behind it
+        for module in (sources, descriptors):
+            patch.setattr(module, "source_hash", source_hash)
         gc.freeze()  # a measurement collects garbage first, which takes long among all that a test session imports
         try:
             yield stand_in
