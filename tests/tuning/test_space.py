@@ -37,10 +37,11 @@ def test_settings_lie_within_the_ranges_f_min_is_never_above_f_max_and_three_dig
 
 
 def test_random_settings_are_spread_over_the_range_evenly_or_by_its_logarithm() -> None:
+    points = drawn(300, seed=2)
     for each in (each for each in PARAMETERS if "rate_m" not in each.name):
         scale = np.log if each.log else np.asarray
         low, high = scale(each.low), scale(each.high)
-        shares = [(scale(values[each.name]) - low) / (high - low) for values in drawn(300, seed=2)]
+        shares = [(scale(values[each.name]) - low) / (high - low) for values in points]
         thirds = np.histogram(shares, bins=3, range=(0, 1))[0]
         assert thirds.min() > 70, each.name  # 100 expected, standard deviation 8
 
