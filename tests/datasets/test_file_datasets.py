@@ -53,7 +53,6 @@ def listed(references: str, queries: str, **options: Any) -> Dataset:
     [
         ("Image name,index\n0.jpg,0\n1.jpg,1\n", "Image name,index\n5.jpg,1\n6.jpg,0\n", {}, [[1], [0]]),  # VPRTempo's
         ("\ufeffImage, Place\n0.jpg, a\n", "IMAGE,PLACE\n1.jpg,a \n", {}, [[0]]),
-        ("image,place\n0.jpg,a\n", "image,place\n0.jpg,x\n1.jpg,a\n", {"unmatched": "drop"}, [[0]]),
         ("image,place\n3.jpg,0\n3.jpg,1\n", "image,place\n3.jpg,1\n", {}, [[1]]),
         # the first kind of ground truth that both tables have
         ("image,lat,lon,east,north\n0.jpg,1,2,0,0\n", "image,east,north,place\n1.jpg,25,0,a\n", {}, [[0]]),
@@ -67,6 +66,11 @@ def test_columns_of_a_list_are_found_by_their_names(references, queries, options
     for image in Path().glob("*.jpg"):  # paths may start from another folder
         image.unlink()
     assert rights(image_list(references=["map.csv"], queries="asked.csv", root="frames", **options)) == right
+
+
+def test_queries_without_a_right_place_are_dropped_on_request_and_no_others():
+    found = listed("image,place\n0.jpg,a\n", "image,place\n0.jpg,x\n1.jpg,a\n", unmatched="drop")
+    assert (rights(found), found.queries.names) == ([[0]], ("1.jpg",))
 
 
 # A thousandth of a degree near Brisbane (27.5 degrees south): 110.80 m north, 98.83 m east (tables of WGS 84).
