@@ -9,6 +9,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from checkout import SHARED
 from served_files import Server, serving
 
 os.environ["VPRBENCH_OFFLINE"] = "1"
@@ -18,6 +19,16 @@ os.environ["VPRBENCH_SLOT"] = tempfile.mkdtemp(prefix="vprbench-no-slot-")
 os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = tempfile.mkdtemp(prefix="vprbench-hypothesis-")
 PARTIAL = "VPRBENCH_PARTIAL"
 NUMBERS = count()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of real frames are extended, and skipped where there are none."""
+    for item in items:
+        if item.get_closest_marker("real_frames"):
+            item.add_marker(pytest.mark.extended)
+            if not SHARED.is_dir():
+                item.add_marker(pytest.mark.skip(reason="no folder shared/ that can be read lies beside the checkout"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,7 +17,7 @@ from vprbench.data.doctor import Finding, examine
 DATA = SHARED / "data"
 NORDLAND = DATA / "nordland_64x32"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} holds the real frames and is not there")
+pytestmark = pytest.mark.real_frames
 
 
 def ride(

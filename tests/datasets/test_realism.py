@@ -18,7 +18,7 @@ from vprbench.methods.sad import SAD
 from vprbench.methods.vprtempo.method import VPRTempo
 
 NORDLAND = SHARED / "data" / "nordland_64x32"
-needs_nordland = pytest.mark.skipif(not NORDLAND.is_dir(), reason=f"{NORDLAND} holds the real frames and is not there")
+needs_nordland = pytest.mark.real_frames
 PLACES = 2761  # of the real frames
 PATCH = 8
 

@@ -22,10 +22,7 @@ TECHNIQUES = (
     *("AlexNet_VPR", "RegionVLAD", "CoHOG", "HOG", "CALC"),
 )
 
-pytestmark = pytest.mark.skipif(
-    not (ORACLE.is_file() and CORRIDOR.is_dir()),
-    reason="the folder shared/ with the Corridor oracle is not beside the checkout",
-)
+pytestmark = pytest.mark.real_frames
 each_technique = pytest.mark.parametrize("technique", TECHNIQUES)
 
 

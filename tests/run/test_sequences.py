@@ -181,8 +181,7 @@ def test_options_that_do_not_fit_are_named(sequence, filter, word):
         views(sequence, filter)
 
 
-@pytest.mark.extended
-@pytest.mark.skipif(not NORDLAND.is_dir(), reason=f"the real frames are not in {NORDLAND}")
+@pytest.mark.real_frames
 def test_sums_of_sads_find_what_was_measured_on_real_frames(tmp_path):
     """R@1 of queries with a full window, along the list as it is, by another program on the same frames."""
     from vprbench.run.compose import composed_in_python

@@ -13,12 +13,7 @@ from vprbench.api.images import Images
 from vprbench.api.method import Method
 
 FOLDER = SHARED / "data" / "corridor"
-
-
-def needs_corridor(test: Any) -> Any:
-    """Mark a test as one on real frames, to be skipped where there are none."""
-    missing = pytest.mark.skipif(not FOLDER.is_dir(), reason="the folder shared/ is not beside the checkout")
-    return pytest.mark.extended(missing(test))
+needs_corridor = pytest.mark.real_frames
 
 
 def corridor(traverse: str) -> Images:

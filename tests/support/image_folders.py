@@ -15,7 +15,7 @@ from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 
 REAL = SHARED / "data"
-needs_real_frames = pytest.mark.skipif(not REAL.is_dir(), reason="the folder shared/ is not beside the checkout")
+needs_real_frames = pytest.mark.real_frames
 
 
 def fill(folder: Path, names: Iterable[str]) -> Path:
