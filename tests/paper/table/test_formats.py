@@ -29,6 +29,7 @@ from vprbench.paper.table.cells import Table
 from vprbench.paper.table.quantities import quantities
 from vprbench.run.note import Note
 from vprbench.run.record import Run
+from vprbench.terminal import console
 
 STORED = Path(__file__).parent / "stored"
 HOSTILE = "<script>alert(1)</script> a|b *c* _d_ `e` [f](g) \\ &amp; ~h~ $i$ é η"
@@ -149,11 +150,16 @@ def test_links_of_notes_lead_to_their_anchors_and_no_style_is_in_the_html() -> N
     assert not any("style" in attributes or tag == "style" for tag, attributes in tags)
 
 
-def test_a_terminal_shows_each_row_and_note_in_100_columns() -> None:
+@pytest.mark.parametrize("columns", [100, 30])
+def test_a_terminal_shows_each_row_and_note_in_its_columns(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "LEAST_WIDTH", columns)
+    monkeypatch.delenv("COLUMNS", raising=False)
     made = replace(whole(), columns=whole().columns[:1])
     lines = formats.for_terminal(made).splitlines()
-    assert max(map(len, lines)) <= 100
-    assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
+    table = [line for line in lines if "  " in line]
+    assert max(map(len, table)) <= columns
+    if columns == 100:
+        assert {row.name for row in made.rows} <= {line.split("  ")[0] for line in lines}
     assert {*map(str, range(1, 1 + len(made.notes)))} <= {line.split(" ")[0] for line in lines}
     assert max(map(len, formats.for_terminal(made, wide=True).splitlines())) > 100
 

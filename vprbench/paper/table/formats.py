@@ -26,7 +26,7 @@ def markdown(table: Table) -> str:
 def for_terminal(table: Table, wide: bool = False) -> str:
     """Return a table as text that fits the terminal, unless `wide`, with its notes; the legend is in the files."""
     of_gpu = [quantity.heading for quantity in table.quantities if quantity.device == "cuda"]
-    least = [*of_gpu, *(quantity.heading for quantity in TRAINING)]
+    least = [*dict.fromkeys([*of_gpu, *(quantity.heading for quantity in TRAINING)])]
     parts = [told(table.heading, "bold")]
     for column in table.columns:
         heads, lines = _lines(table, column)
