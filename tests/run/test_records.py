@@ -239,7 +239,6 @@ ARRAYS = {
         *(partial(tell, where, value) for where, values in VALUES.items() for value in values),
         *(partial(put, name, value) for name, values in ARRAYS.items() for value in values),
     ],
-    ids=str,
 )
 def test_a_run_that_is_damaged_or_cannot_be_is_named_set_aside_and_hides_no_other(store, three, caplog, spoil):
     spoil(three)
