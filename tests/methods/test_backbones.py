@@ -50,7 +50,10 @@ def test_vgg16_equals_the_slow_version_at_both_cuts(n_layers, shape):
     assert_same(out, oracle.vgg16(tensors, "", x, n_layers - 1))
 
 
-@pytest.mark.parametrize(("name", "n_stages"), [("resnet18", 2), ("resnet50", 4), ("resnext101_32x8d", 4)])
+@pytest.mark.parametrize(
+    ("name", "n_stages"),
+    [("resnet18", 2), ("resnet50", 4), pytest.param("resnext101_32x8d", 4, marks=pytest.mark.extended)],
+)
 def test_resnet_equals_the_slow_version(name, n_stages):
     tensors, x = oracle.resnet_checkpoint(Draw(), name, n_stages=n_stages), images(75, 50, n=1)
     out = loaded(tensors, resnet, name, n_stages)(x)

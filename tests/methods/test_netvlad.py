@@ -17,6 +17,8 @@ from published_networks import PublishedNetwork, saved, with_checks
 
 from vprbench.api.arrays import Image
 
+pytestmark = pytest.mark.extended  # published networks at full size
+
 IMAGENET = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])
 AVERAGE = np.array([117.5, 120.25, 90.75])  # of the .mat; unlike the usual mean, so that only the file's will do
 SFRS_MEAN = np.array([0.48501960784313836, 0.4579568627450961, 0.4076039215686255]) * 255  # as its authors have it

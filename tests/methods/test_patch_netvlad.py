@@ -24,6 +24,8 @@ from vprbench.methods import netvlad, patch_netvlad
 from vprbench.methods.parts.patch_geometry import inliers, score
 from vprbench.methods.patch_netvlad import PatchNetVLAD, above_cosines
 
+pytestmark = pytest.mark.extended  # published networks at full size
+
 SIDES = {"performance": (2, 5, 8), "speed": (5,), "storage": (5,)}
 SHARES = {"performance": (0.45, 0.15, 0.4), "speed": (1.0,), "storage": (1.0,)}
 

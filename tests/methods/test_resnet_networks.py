@@ -25,6 +25,8 @@ from vprbench.methods.cosplace import CosPlace, EigenPlaces
 from vprbench.methods.indoor import EigenPlacesIndoor
 from vprbench.methods.mixvpr import MixVPR
 
+pytestmark = pytest.mark.extended  # published networks at full size
+
 
 def backbone_checkpoint(draw: Draw, kind: str) -> Tensors:
     checkpoint = oracle.vgg16_checkpoint(draw) if kind == "vgg16" else oracle.resnet_checkpoint(draw, kind)

@@ -21,6 +21,8 @@ from torch.nn import functional
 
 from vprbench.api.arrays import Image
 
+pytestmark = pytest.mark.extended  # published networks at full size
+
 DIM = 128
 IMAGES = [image(56, 98), image(42, 70, 1), image(42, 70, 2)]
 OWN_SIZE = {"height": None, "width": None}

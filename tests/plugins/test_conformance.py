@@ -38,7 +38,13 @@ def configuration(name: str) -> dict[str, Any]:
     return OmegaConf.to_container(config, resolve=True)["method"]  # type: ignore[index, call-overload, return-value]
 
 
-@pytest.mark.parametrize("name", METHODS)
+# Slow ones, and other settings of networks that stand here already.
+EXTENDED = {"densevlad", "vprtempo_tuned", "vprtempo_tuned_ensemble", "vprtempo_oriented_ensemble", "vprsnn_fast"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.extended] * (name in EXTENDED)) for name in METHODS]
+)
 def test_a_method_keeps_every_rule(name: str) -> None:
     results = list(check(configuration(name)))
     assert [str(result) for result in results if result.state == "broken"] == []

@@ -29,6 +29,7 @@ from vprbench.speed.measure import AFTER, BEFORE, floor_laps, timed_fit
 from vprbench.speed.route import Route
 from vprbench.speed.settings import QUICK, Settings
 
+pytestmark = pytest.mark.extended  # a benchmark takes its time
 PLACES, MODULES, PLACES_OF_A_MODULE, PIXELS = 20, 2, 10, 12 * 12  # of quick=true
 FEATURES = 2 * PIXELS
 

@@ -17,6 +17,8 @@ from vprbench.speed.maps import keep, share_found, stored, text_of
 from vprbench.speed.searching import Case, searched
 from vprbench.speed.simulated import AREA, SEEN_AGAIN, WITHIN, Simulated
 
+pytestmark = pytest.mark.extended  # a benchmark takes its time
+
 
 def row(index="binary", places=10_000, **changed):
     times = {"building_seconds": 2.0, "query_seconds": 0.001, "batch_seconds": 0.0005, "others": 0.0}

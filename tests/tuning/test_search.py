@@ -75,6 +75,7 @@ def test_a_search_goes_on_from_the_trials_that_are_stored_up_to_as_many_as_are_a
     assert len({tuple(trial.values.values()) for trial in after}) == len(after) == 9
 
 
+@pytest.mark.extended
 def test_a_process_that_dies_costs_its_task_and_no_more_start_than_there_are_tasks(tmp_path: Path) -> None:
     begun: list[int] = []
     with Workers(Attempt(tmp_path / "died"), 8) as workers:
@@ -122,6 +123,7 @@ def test_a_killed_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert tried(after) == tried(explored(tmp_path / "whole", 9))
 
 
+@pytest.mark.extended
 def test_a_process_of_the_search_ends_with_the_search() -> None:
     program = """
 from dying_attempt import begin_and_wait

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -184,10 +185,24 @@ def _offered(group: Group) -> dict[str, list[Entry]]:
     return offered
 
 
+@cache
+def _entry_points(folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    """Return the entry points of plug-ins by name, looked up again once a folder of Python's path has changed."""
+    return tuple(sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name))
+
+
+def _changed(folder: str) -> int:
+    """Return when a folder was changed, in nanoseconds; 0 if there is none."""
+    try:
+        return Path(folder or ".").stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def _plugins() -> dict[str, Path | str]:
     """Return by the name of its entry point the folder of each plug-in, or the reason why the plug-in is not used."""
     points: dict[str, list[EntryPoint]] = {}
-    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
+    for point in _entry_points(tuple((folder, _changed(folder)) for folder in sys.path)):
         points.setdefault(point.name, []).append(point)
     found: dict[str, Path | str] = {}
     for name, shared in points.items():
