@@ -115,7 +115,7 @@ def train_in_triton(name: str, results: str) -> None:
 
 
 def not_run(reason: str) -> NoReturn:
-    """Skip, but fail where these tests were asked for by name (`make test-triton`)."""
+    """Skip, but fail where these tests were asked for by name (`VPRBENCH_INSIST_ON_TRITON`)."""
     if os.environ.get("VPRBENCH_INSIST_ON_TRITON"):
         pytest.fail(reason)
     pytest.skip(reason)
