@@ -62,6 +62,11 @@ def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth() -> No
         np.testing.assert_allclose(found[0], expected)
 
 
+def test_of_more_tied_places_than_are_ranked_the_first_stand_in_their_order() -> None:
+    places, scores = ranked_places(np.array([[0, 3, 0, 3, 3, 0, 5, 3]], np.float32), 4)
+    assert (places.tolist(), scores.tolist()) == ([[6, 1, 3, 4]], [[5, 3, 3, 3]])
+
+
 def test_a_tolerance_below_0_and_parts_of_different_runs_are_refused() -> None:
     with pytest.raises(BadInput, match="-1 places"):
         hits([1], [0.5], [1], [0, -1])
