@@ -55,7 +55,10 @@ def _holds_data(folder: Path) -> bool:
 def is_readable_folder(folder: Path) -> bool:
     """Tell whether a path is a folder whose files this process may list and open; never raises."""
     own = os.access in os.supports_effective_ids  # else the system knows the real user alone
-    return os.access(folder, os.R_OK | os.X_OK, effective_ids=own) and folder.is_dir()
+    try:
+        return os.access(folder, os.R_OK | os.X_OK, effective_ids=own) and folder.is_dir()
+    except ValueError:  # no path has a zero byte
+        return False
 
 
 def files_in(folder: Path) -> set[str]:

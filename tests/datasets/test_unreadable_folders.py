@@ -60,3 +60,8 @@ def test_frames_that_may_not_be_read_are_frames_that_are_not_there(seasons: Path
         with pytest.raises(NotThere, match="winter"):
             ask(**{option: str(seasons)})
     ask(**{option: str(seasons)})
+
+
+def test_a_name_that_no_folder_can_have_is_a_folder_that_is_not_there(seasons: Path) -> None:
+    with pytest.raises(NotThere):
+        ask(root=f"{seasons}\0")
