@@ -9,7 +9,7 @@ import json
 import multiprocessing
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self
@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from little import Lookup, Prototypes, destination, journey, pictures, replace_network_and_die
+from little_runs import quiet_surroundings
 from plugged_in import plugin, see_plugins
 from safetensors.numpy import save_file
 from small_plan import Apart
@@ -96,17 +97,14 @@ class Second(First):
     pass
 
 
-# What is stored comes back
-
-
-def test_arrays_come_back_bit_by_bit(tmp_path: Path) -> None:
+def test_arrays_come_back_bit_by_bit(path: Path) -> None:
     arrays = {
         "float32": np.array([[-np.inf, 1e-45], [-0.0, 0.1]], np.float32),
         "nothing": np.empty((0, 3)),
         "turned": np.arange(6, dtype=np.uint8).reshape(2, 3).T,
     }
     method = Holding(arrays=arrays)
-    path = tmp_path / "x.safetensors"
+    path.parent.mkdir()
     networks.save(networks.Destination(path, False, ORIGIN, WORLD.references), method, "", 1.0, 1.0)
     networks.load(path, method, ORIGIN)
     for name, given in arrays.items():
@@ -117,12 +115,11 @@ def test_arrays_come_back_bit_by_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("trained", "loaded", "given"),
     [
-        (Prototypes(), Prototypes(contrast=2.0), {}),
-        (Prototypes(), Prototypes(device="cuda"), {}),
+        (Prototypes(), Prototypes(contrast=2.0, device="cuda"), {}),
         (Prototypes(), Prototypes(), {"_target_": "elsewhere.Prototypes", "noise": 0.5, "seed": 0.0}),
         (First(), Second(), {}),
     ],
-    ids=["contrast", "device", "class and way of writing numbers", "another method of the same kind"],
+    ids=["contrast and device", "class and way of writing numbers", "another method of the same kind"],
 )
 def test_what_no_training_sees_may_differ(path: Path, trained: Method, loaded: Method, given: dict[str, Any]) -> None:
     store(path, trained)
@@ -131,21 +128,15 @@ def test_what_no_training_sees_may_differ(path: Path, trained: Method, loaded: M
     assert np.array_equal(loaded.state()["means"], trained.state()["means"])
 
 
-# Networks made for something else
-
-
-@pytest.mark.parametrize(
-    ("method", "dataset", "given", "wanted"),
-    [
+def test_every_difference_is_named_with_both_values(path: Path) -> None:
+    store(path, Prototypes())
+    two = Prototypes(noise=1.0, seed=2)
+    for method, dataset, given, wanted in (
         (Prototypes(), WORLD, {"noise": None}, ["method.noise is 0.5 there and null here"]),
         (Prototypes(), WORLD, {"noise": "low", "seed": True}, ["there and low here", "seed is 0 there and true here"]),
         (Prototypes(), WORLD, {"depth": 3}, ["method.depth is unknown there and 3 here"]),
-        (
-            Prototypes(noise=1.0, seed=2),
-            journey(8, 5),
-            {},
-            ["noise is 0.5 there and 1.0", "seed is 0 there and 2", "4 places there (dataset journey) and 5 here"],
-        ),
+        (two, WORLD, {}, ["noise is 0.5 there and 1.0", "seed is 0 there and 2"]),
+        (Prototypes(), journey(8, 5), {}, ["4 places there (dataset journey) and 5 here"]),
         (Others(), WORLD, {}, ["Prototypes, not of Others"]),
         *(
             (Prototypes(), replace(WORLD, name="voyage", **changed), {}, ["journey there and voyage here"])
@@ -155,14 +146,9 @@ def test_what_no_training_sees_may_differ(path: Path, trained: Method, loaded: M
                 {"places": np.array([0, 1, 3, 2])},
             )
         ),
-    ],
-)
-def test_every_difference_is_named_with_both_values(
-    path: Path, method: Method, dataset: Dataset, given: dict[str, Any], wanted: list[str]
-) -> None:
-    store(path, Prototypes())
-    line = refusal(path, method, dataset, **given)
-    assert [part for part in wanted if part not in line] == []
+    ):
+        line = refusal(path, method, dataset, **given)
+        assert [part for part in wanted if part not in line] == []
 
 
 def test_a_network_that_is_older_than_an_argument_has_its_default(path: Path) -> None:
@@ -173,23 +159,15 @@ def test_a_network_that_is_older_than_an_argument_has_its_default(path: Path) ->
     assert "method.noise is unknown there and 0.25 here" in refusal(path, noise=0.25)
 
 
-# Files that are no stored network
-
-
-def test_a_flipped_bit_anywhere_is_noticed(path: Path) -> None:
+def test_a_flipped_bit_or_an_end_that_is_cut_off_is_noticed(path: Path) -> None:
     store(path, Prototypes())
+    assert networks.made_by(path) == "0123"
     whole = path.read_bytes()
-    for position in range(len(whole)):
+    for position in range(0, len(whole), 3):
         spoilt = bytearray(whole)
         spoilt[position] ^= 1 << position % 8
         path.write_bytes(spoilt)
         refusal(path)
-
-
-def test_a_file_that_was_cut_off_is_no_network_of_any_run(path: Path) -> None:
-    store(path, Prototypes())
-    assert networks.made_by(path) == "0123"
-    whole = path.read_bytes()
     for length in (0, 5, 100, -1):
         path.write_bytes(whole[:length])
         assert "cannot be read" in refusal(path)
@@ -214,12 +192,8 @@ def denied(*_: Any, **__: Any) -> NoReturn:
     raise PermissionError(errno.EACCES, "Permission denied")
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"),
-    [("folder.safetensors", "is no file"), ("network.pth", "denied"), ("network.txt", "a published one")],
-)
 def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, wanted: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "folder.safetensors").mkdir()
     (tmp_path / "network.pth").touch()
@@ -227,8 +201,10 @@ def test_what_is_no_file_of_a_network_is_refused_when_it_is_chosen(
     files = networks.chosen_files("~/new.safetensors", "~/network.pth", False)
     assert (files.save, files.load) == (tmp_path / "new.safetensors", tmp_path / "network.pth")
     monkeypatch.setattr(Path, "open", denied)
-    with pytest.raises(BadInput, match=f"^load=.*{wanted}"):
-        networks.chosen_files(None, str(tmp_path / name), False)
+    wrong = {"folder.safetensors": "is no file", "network.pth": "denied", "network.txt": "a published one"}
+    for name, wanted in wrong.items():
+        with pytest.raises(BadInput, match=f"^load=.*{wanted}"):
+            networks.chosen_files(None, str(tmp_path / name), False)
 
 
 def test_a_method_that_keeps_no_network_says_what_to_do() -> None:
@@ -243,16 +219,11 @@ def test_a_method_that_keeps_no_network_says_what_to_do() -> None:
             ask()
 
 
-# Before the training
-
-
 @pytest.mark.parametrize(
     ("name", "force", "said"),
     [
-        ("network", False, r"\.safetensors"),
         ("network.pth", True, r"\.safetensors"),
         ("there.safetensors", False, r"is there already.*\$\{seed\}.*force=true"),
-        ("folder.safetensors", False, "is a folder"),
         ("folder.safetensors", True, "is a folder"),
         ("there/x.safetensors", False, "cannot be written"),
         ("x" * 300 + ".safetensors", False, "cannot be written"),
@@ -269,9 +240,6 @@ def test_a_file_that_cannot_be_stored_is_refused_before_the_training(
         monkeypatch.setattr(Path, "touch", denied)  # root, who may run these tests, has every right
     with pytest.raises(BadInput, match=said):
         destination(tmp_path / name, Prototypes(), WORLD, force)
-
-
-# Writing
 
 
 def test_a_file_that_appeared_during_the_training_stays_unless_the_same_run_stored_it(path: Path) -> None:
@@ -326,13 +294,11 @@ def test_a_process_killed_at_any_step_of_writing_leaves_the_old_network_or_the_n
     assert len(found) > 2
 
 
-@pytest.mark.parametrize(
-    "value", [np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]], ids=lambda v: str(type(v))
-)
-def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path, value: Any) -> None:
+def test_a_state_that_is_no_array_of_numbers_is_the_methods_mistake(path: Path) -> None:
     where = destination(path, Prototypes(), WORLD)
-    with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
-        networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)
+    for value in (np.array([None]), np.array(["a"]), torch.zeros(1), [1.0]):
+        with pytest.raises(TypeError, match=r"Holding\.state\(\).*means"):
+            networks.save(where, Holding(arrays={"means": value}), "", 1.0, 1.0)  # type: ignore[dict-item]
 
 
 # Published networks
@@ -358,72 +324,56 @@ def test_the_tensors_of_a_published_network_come_as_float32_under_dotted_names(t
     }
 
 
-@pytest.mark.parametrize(
-    ("name", "said"), [("x.safetensors", "cannot be read as a stored network"), ("x.pth", "would have to run code")]
-)
-def test_a_file_with_code_in_it_is_refused_and_its_code_does_not_run(tmp_path: Path, name: str, said: str) -> None:
-    (tmp_path / name).write_bytes(pickle.dumps({"model_0": {"thr": Trap(tmp_path / "sprung")}}))
-    assert said in refusal(tmp_path / name)
-    assert not (tmp_path / "sprung").exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "wanted"),
-    [
+def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused_and_its_code_does_not_run(
+    tmp_path: Path,
+) -> None:
+    for name, said in (("x.safetensors", "cannot be read as a stored network"), ("x.pth", "would have to run code")):
+        (tmp_path / name).write_bytes(pickle.dumps({"model_0": {"thr": Trap(tmp_path / "sprung")}}))
+        assert said in refusal(tmp_path / name)
+        assert not (tmp_path / "sprung").exists()
+    for content, wanted in (
         ([torch.zeros(1)], "one list"),
         (torch.nn.Linear(2, 2), "tensors alone"),
         ({"model_0": {**LAYER, "epoch": 4}}, "model_0.epoch is of type int"),
-        ({"model_0": None}, "model_0 is of type NoneType"),
         ({"model_0": {"thr": torch.zeros(2).to_sparse()}}, "model_0.thr is of type torch.sparse_coo"),
         ({"model_0": {"thr": torch.zeros(2, dtype=torch.complex64)}}, "torch.complex64"),
         ({"model_0": LAYER}, "model_0.feature_layer.thr, model_0.feature_layer.w.weight came; wanted means"),
-    ],
-    ids=["list", "module", "number", "nothing", "sparse", "complex", "of another method"],
-)
-def test_a_published_file_of_anything_but_the_wanted_tensors_is_refused(
-    tmp_path: Path, content: Any, wanted: str
-) -> None:
-    torch.save(content, tmp_path / "x.pth")
-    assert wanted in refusal(tmp_path / "x.pth")
+    ):
+        torch.save(content, tmp_path / "x.pth")
+        assert wanted in refusal(tmp_path / "x.pth")
 
 
 # The command line
 
 
-class Bench:
-    """Runs the little method on the command line, in a folder of its own."""
-
-    options = ("method=prototypes", "dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1")
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self.capsys = capsys
-
-    def run(self, *options: str, code: int = 0) -> tuple[str, str]:
-        """Return what is printed and what is told of errors."""
-        self.capsys.readouterr()
-        ended = main([*self.options, *options])
-        printed = self.capsys.readouterr()
-        assert ended == code, printed.err
-        return printed.out, printed.err
-
-    def ask(self, *options: str) -> dict[str, Any]:
-        return json.loads(self.run("output=json", *options)[0])  # type: ignore[no-any-return]
+Run = Callable[..., tuple[str, str]]
+Ask = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Bench:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs the little method on the command line, in a folder of its own; returns what is printed and the errors."""
     yaml = "_target_: little.Prototypes\nnoise: 0.5\ncontrast: 1.0\nseed: ${seed}\ndevice: ${device}"
     plugin(tmp_path / "plugin", "little", "little", {"prototypes": yaml})
     see_plugins(tmp_path / "plugin", monkeypatch)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    return Bench(capsys)
+    quick = ("method=prototypes", "dataset.places=12", "dataset.first_query_place=0", "timing=none", "threads=1")
+
+    def call(*options: str, code: int = 0) -> tuple[str, str]:
+        capsys.readouterr()
+        ended = main([*quick, *options])
+        printed = capsys.readouterr()
+        assert ended == code, printed.err
+        return printed.out, printed.err
+
+    with quiet_surroundings():
+        yield call
 
 
 @pytest.fixture
-def stored(bench: Bench) -> dict[str, Any]:
-    """Train and store net.safetensors; returns what was printed."""
-    return bench.ask("save=net.safetensors")
+def ask(run: Run) -> Ask:
+    return lambda *options: json.loads(run("output=json", *options)[0])
 
 
 def fail(*_: object) -> NoReturn:
@@ -431,10 +381,12 @@ def fail(*_: object) -> NoReturn:
 
 
 def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_network(
-    bench: Bench, stored: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    run: Run, ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Prototypes, "fit", fail)
-    loaded, again = bench.ask("load=net.safetensors"), bench.ask("load=net.safetensors")
+    stored = ask("save=net.safetensors")
+    with monkeypatch.context() as patch:
+        patch.setattr(Prototypes, "fit", fail)
+        loaded, again = ask("load=net.safetensors"), ask("load=net.safetensors")
     accuracy = ("recall_at_1", "recall_at_5", "auc_pr_a", "average_precision_a", "queries")
     assert [loaded[name] for name in accuracy] == [stored[name] for name in accuracy]
     runs = list(Store(Path("results")).runs())
@@ -448,70 +400,65 @@ def test_a_run_that_loads_trains_nothing_gives_the_same_scores_and_names_its_net
     record = json.loads(Path(loaded["run_folder"], "run.json").read_text())
     assert record["config"]["load"] == "net.safetensors"
     assert (loaded["from_store"], again["from_store"]) == (False, True)
-    lines = bench.run("load=net.safetensors")[0].splitlines()
+    lines = run("load=net.safetensors")[0].splitlines()
     at = next(number for number, line in enumerate(lines) if line.startswith("method "))
     assert lines[at + 1][lines[at].index("fit s") :].startswith("loaded ")
     (line,) = [line for line in csv.DictReader(io.StringIO(rows.csv(runs))) if line["network"]]
     assert (line["fit_seconds"], line["fit_compute_seconds"]) == ("", "")
-    assert bench.ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
-    assert "method.seed is 0 there and 1 here;" in bench.run("load=net.safetensors", "seed=1", code=2)[1]
+    assert ask()["run_folder"] == stored["run_folder"] != loaded["run_folder"]
+    assert "method.seed is 0 there and 1 here;" in run("load=net.safetensors", "seed=1", code=2)[1]
 
-
-def test_force_trains_again_and_another_network_in_the_same_file_is_another_run(
-    bench: Bench, stored: dict[str, Any]
-) -> None:
-    first, before = bench.ask("load=net.safetensors"), Path("net.safetensors").read_bytes()
-    assert bench.ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
+    before = Path("net.safetensors").read_bytes()
+    assert ask("save=net.safetensors", "force=true")["from_store"] is False  # and took another time to train
     assert Path("net.safetensors").read_bytes() != before
-    second = bench.ask("load=net.safetensors")
+    second = ask("load=net.safetensors")  # another network in the same file is another run
     assert second["from_store"] is False
-    assert second["network"] != first["network"]
+    assert second["network"] != loaded["network"]
 
 
-def test_nothing_is_trained_for_a_file_that_cannot_be_written(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_trained_for_a_file_that_cannot_be_written(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Prototypes, "fit", fail)
     Path("there.safetensors").write_text("mine")
     for save, wanted in (("net.pth", "ends in .safetensors"), ("there.safetensors", "is there already")):
-        assert wanted in bench.run(f"save={save}", code=2)[1]
+        assert wanted in run(f"save={save}", code=2)[1]
     assert Path("there.safetensors").read_text() == "mine"
 
 
 def test_a_run_is_answered_from_the_store_where_its_network_was_kept_and_else_made_again(
-    bench: Bench, caplog: pytest.LogCaptureFixture
+    run: Run, ask: Ask, caplog: pytest.LogCaptureFixture
 ) -> None:
-    bench.ask()
+    ask()
     caplog.set_level("INFO")
-    run = bench.ask("save=net.safetensors")
+    made = ask("save=net.safetensors")
     assert caplog.messages[0] == "prototypes is stored without its network: running again for save=net.safetensors"
     before = Path("net.safetensors").read_bytes()
-    again = bench.ask("save=net.safetensors")
-    assert (run["from_store"], again["from_store"]) == (False, True)
+    assert (made["from_store"], ask("save=net.safetensors")["from_store"]) == (False, True)
     assert Path("net.safetensors").read_bytes() == before
-    Path(run["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
-    assert [bench.ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
-    bench.ask("seed=1")
-    assert "save=net.safetensors is there already" in bench.run("save=net.safetensors", "seed=1", code=2)[1]
+    Path(made["run_folder"], "run.json").unlink()  # as where the run was killed when its network was stored
+    assert [ask("save=net.safetensors")["from_store"] for _ in range(2)] == [False, True]
+    ask("seed=1")
+    assert "save=net.safetensors is there already" in run("save=net.safetensors", "seed=1", code=2)[1]
 
 
 def test_a_network_outlives_a_failure_at_the_queries_and_a_failed_training_leaves_none(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    run: Run, ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for step, there in (("match", ["net.safetensors"]), ("fit", [])):
         with monkeypatch.context() as patch:
             patch.setattr(Prototypes, step, fail)
-            bench.run(f"save={step}/net.safetensors", code=1)
+            run(f"save={step}/net.safetensors", code=1)
         assert [path.name for path in Path(step).iterdir()] == there
-    assert bench.ask("load=match/net.safetensors")["queries"] > 0
+    assert ask("load=match/net.safetensors")["queries"] > 0
 
 
 def test_cells_of_a_sweep_store_networks_under_their_own_names_and_none_replaces_another(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(IN_SWEEP, "1")
     monkeypatch.setattr(crew, "run_apart", Apart())
-    bench.run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
+    run("-m", "seed=0,1", "save=nets/net-${seed}.safetensors")
     assert sorted(path.name for path in Path("nets").iterdir()) == ["net-0.safetensors", "net-1.safetensors"]
-    told = bench.run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
+    told = run("-m", "seed=2,3", "save=nets/net.safetensors", code=2)[1]
     assert "save=nets/net.safetensors is there already: give another name (in a sweep" in told
     keys = {record.parent.name for record in Path("results").rglob("run.json")}
     assert keys == {f"prototypes-{networks.made_by(path)}" for path in Path("nets").iterdir()}
