@@ -8,11 +8,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
-import torch
 
 from vprbench.api import BadInput, Variant
-
-Engine = Literal["compiled", "batched"]
 
 # More than 0, as all time constants
 _POSITIVE = {"places_per_module", "n_excitatory", "epochs", "recorded_presentations", "levels_per_hz"}
@@ -23,7 +20,6 @@ _CHOICES = {
     "module_order": ("contiguous", "shuffled"),
     "assignment": ("standard", "weighted"),
     "delays_at_query": ("new", "trained"),
-    "engine": (None, "compiled", "batched"),
 }
 
 
@@ -86,16 +82,7 @@ class Arguments:
     slow_post_trace_tau_ms: float = 40.0
     pre_rate: float = 1e-4  # added: VPRSNN's port has a plus where Diehl and Cook subtract
     post_rate: float = 0.01
-    engine: Engine | None = None
     seed: int = 0
-    device: str = "cpu"
-
-    @property
-    def torch_device(self) -> torch.device | None:
-        """Where PyTorch simulates; None if the compiled loops do."""
-        device = torch.device(self.device)
-        engine = self.engine or ("compiled" if device.type == "cpu" else "batched")
-        return None if engine == "compiled" else device
 
     def given(self) -> dict[str, Any]:
         """Return the arguments by name."""
@@ -154,5 +141,3 @@ class Arguments:
         if self.calibration_places < 0 or (self.calibration_places and self.module_order == "contiguous"):
             meaning = "it tells how many places were set aside before the others were shuffled"
             yield "calibration_places", f"{meaning}; give 0, or more with method.module_order=shuffled"
-        if self.engine == "compiled" and torch.device(self.device).type != "cpu":
-            yield "engine", f"it runs on processors alone: set device=cpu, not {self.device}"

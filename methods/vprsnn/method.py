@@ -36,7 +36,8 @@ from .training_sets import Lesson, lesson, modules
 
 _ASIDE = 1_000_000  # numbers of modules that learn held-out places begin here
 _QUERY_TIME = frozenset(
-    {"assignment", "carried_potentials", "delays_at_query", "engine", "hyperactive_threshold", "probabilities"}
+    {"assignment", "carried_potentials", "delays_at_query", "hyperactive_threshold", "probabilities"}
+    | {"engine"}  # an argument that networks of version 0.6 were stored with
 )
 
 
@@ -274,16 +275,14 @@ class VPRSNN(Arguments, Method):
 
     def _identity(self, levels: Levels, places: Places) -> dict[str, Any]:
         """Return what decides the outcome of a training, and who spends time on it, as plain values."""
-        free = {"assignment", "engine", "hyperactive_candidates", "hyperactive_threshold", "probabilities"}
+        free = {"assignment", "hyperactive_candidates", "hyperactive_threshold", "probabilities"}
         digest = hashlib.sha256()
         for file in [*sorted(Path(__file__).parent.rglob("*.py")), *self.files()]:
             digest.update(file.read_bytes())
-        engine = self.torch_device
         return {
             "method": type(self).__name__,
             "files": digest.hexdigest(),
-            "arguments": {name: value for name, value in self.given().items() if name not in {*free, "device"}},
-            "engine": "compiled" if engine is None else f"batched on {engine.type}",
+            "arguments": {name: value for name, value in self.given().items() if name not in free},
             "levels": _digest(levels),
             "places": _digest(places),
         }

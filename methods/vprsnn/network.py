@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -115,15 +114,6 @@ class ReadyNetwork:
             for number, weights in enumerate(network.weights)
         ]
         return cls(model, network, synapses, labels(network))
-
-    @cached_property
-    def stacked(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int16]]:
-        """Weights and delays as PyTorch simulates them, (n_modules, n_inputs, n_neurons)."""
-        n = self.model.n_excitatory
-        return (
-            np.stack([unpadded(module.weights, n) for module in self.synapses]),
-            np.stack([unpadded(module.delays, n) for module in self.synapses]),
-        )
 
 
 def _lengthened(array: npt.NDArray[Any], length: int, value: int) -> npt.NDArray[Any]:

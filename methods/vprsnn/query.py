@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from vprbench.api import takes
 
-from . import batched
 from .arrays import Scratch, State
 from .module import show
 from .network import ReadyNetwork
@@ -38,8 +37,6 @@ def ask(ready: ReadyNetwork, levels: Levels, stage: Stage) -> Answers:
     steps = len(trains) * (model.physics.shown + carried * model.physics.rest)
     neurons, arrivals = ready.labels.size, sum(len(train.step) for train in trains)
     takes(3 * steps * neurons, (6 * steps + arrivals) * neurons, kind="float64")
-    if (device := model.torch_device) is not None:
-        return Answers(*batched.ask(ready, trains, device, stage.report))
     shape = (len(trains), len(ready.synapses), model.n_excitatory)
     answers = Answers(np.empty(shape, np.int32), np.empty(shape, np.int32))
     free: list[Scratch] = []  # that no thread works in

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +10,6 @@ import numpy.typing as npt
 
 from vprbench.api import BadInput, checkpoints
 
-from . import batched
 from .arrays import Synapses
 from .model import Model
 from .module import show
@@ -37,9 +35,8 @@ class Training:
     def network(self, lessons: Sequence[Lesson], stage: str, given: Sequence[PublishedModule] | None = None) -> Network:
         """Return a network of trained modules.
 
-        On a device of its own PyTorch trains as many modules at once as fit, else compiled loops train one a thread.
-        Modules that are `given` learn nothing but which place each neuron speaks for; for that the compiled loops
-        suffice. Raises BadInput if there are not as many as lessons.
+        Modules that are `given` learn nothing but which place each neuron speaks for. Raises BadInput if there are not
+        as many as lessons.
         """
         if given is not None and len(given) != len(lessons):
             raise BadInput(
@@ -51,23 +48,13 @@ class Training:
         if len(missing) < len(modules):
             stage = f"{stage}, {len(modules) - len(missing)} of {len(modules)} modules are there"
 
-        def keep(number: int, module: Arrays) -> None:
+        def one(index: int, tell: Tell) -> None:
+            number = missing[index]
+            module = train(self.model, lessons[number], tell, None if given is None else given[number])
             modules[number] = dict(module)
             self.kept.put(self._name(lessons[number]), module)
 
-        def one(index: int, tell: Tell) -> None:
-            number = missing[index]
-            keep(number, train(self.model, lessons[number], tell, None if given is None else given[number]))
-
-        device = self.model.torch_device
-        if device is None or given is not None:
-            for_each_module(one, len(missing), self.stage(stage))
-        else:
-            for group, part in self._groups({number: lessons[number] for number in missing}):
-                together = [lessons[number] for number in group]
-                trained = batched.train(self.model, together, device, replace(part, name=stage).report)
-                for number, module in zip(group, trained, strict=True):
-                    keep(number, module)
+        for_each_module(one, len(missing), self.stage(stage))
         return Network.of([module for module in modules.values() if module is not None])
 
     def counted(self, network: Network, shown: Levels, stage: str, first: int = 0) -> Network:
@@ -85,20 +72,6 @@ class Training:
     def stage(self, name: str) -> Stage:
         """Return this training's stretch of the progress of that name."""
         return Stage(name, self.begin, self.end)
-
-    def _groups(self, lessons: Mapping[int, Lesson]) -> Iterator[tuple[list[int], Stage]]:
-        """Yield lessons that are learnt together, and their part: as many images each, as many lessons as fit."""
-        alike = defaultdict(list)
-        for number, lesson in lessons.items():
-            alike[len(lesson.levels)].append(number)
-        most, done = batched.modules_at_once(self.model), 0
-        images = sum(n_images * len(numbers) for n_images, numbers in alike.items())
-        for n_images, numbers in alike.items():
-            for first in range(0, len(numbers), most):
-                group = numbers[first : first + most]
-                until = done + n_images * len(group)
-                yield group, self.stage("").part(done / images, until / images)
-                done = until
 
     def _name(self, lesson: Lesson) -> str:
         return f"module-{self.model.seed}-{lesson.number}"

@@ -121,6 +121,9 @@ def _check_device(device: str, method: Any) -> None:
     if re.fullmatch(r"cpu|cuda(:\d+)?", device) is None:
         raise BadInput(f"device={device} is unknown: give cpu, cuda or cuda:1")
     if device != "cpu":
+        if isinstance(method, Mapping) and "_target_" in method and "device" not in method:
+            kind = method["_target_"].rpartition(".")[2]
+            raise BadInput(f"device={device}: {kind} has no argument device, it computes on the CPU; use device=cpu")
         import torch
 
         if torch.cuda.device_count() <= int(device.partition(":")[2] or 0):

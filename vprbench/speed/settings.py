@@ -161,8 +161,8 @@ class Bench:
         return self.make(name, self.settings.device, **{**self.settings.vprtempo(rules, n_places), **arguments})
 
     def vprsnn(self, method: str, **arguments: Any) -> Method:
-        """Return a module of VPRSNN, not yet fitted; it computes on the CPU by its compiled loops."""
+        """Return a module of VPRSNN, not yet fitted; it computes on the CPU."""
         asked = self.settings
         learnt = {"places_per_module": asked.vprsnn_places, "epochs": asked.vprsnn_epochs}
-        own = {**learnt, "n_excitatory": asked.vprsnn_neurons, "engine": "compiled", **asked.seen()}
+        own = {**learnt, "n_excitatory": asked.vprsnn_neurons, **asked.seen()}
         return self.make(method, "cpu", **{**own, **arguments})

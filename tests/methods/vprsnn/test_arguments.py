@@ -83,9 +83,7 @@ CHOICES: dict[str, Any] = {
     "carried_potentials": False,
     "delays_at_query": "new",
     "published_weights": None,
-    "engine": None,
     "seed": 0,
-    "device": "cpu",
 }
 
 
@@ -109,7 +107,7 @@ def test_a_configuration_has_the_defaults_of_its_class(name: str, kind: type[VPR
     configured = yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
     assert configured.pop("_target_") == f"{kind.__module__}.{kind.__name__}"
     assert configured.pop("tags") == ["spiking"]
-    assert configured == {**defaults(kind), **differs, "seed": "${seed}", "device": "${device}"}
+    assert configured == {**defaults(kind), **differs, "seed": "${seed}"}
 
 
 REFUSED: dict[str, list[Any]] = {
@@ -125,7 +123,6 @@ REFUSED: dict[str, list[Any]] = {
     "weight_offset": [-0.1],
     "inhibitory_threshold_mv": [-60.0],
     "module_order": ["random"],
-    "engine": ["brian2"],
     "patch": [4],
     "calibration_places": [-1, 1],  # without an order that is shuffled
     "hyperactive_threshold": [-1],
@@ -142,7 +139,6 @@ REFUSED: dict[str, list[Any]] = {
         {"levels_per_hz": 0.0255},  # a white pixel in every step
         {"recorded_presentations": 9},  # fewer than a module has images
         {"input_delay_max_ms": 4000.0, "rest_ms": 4000.0},  # more steps than a delay can count
-        {"engine": "compiled", "device": "cuda"},
     ],
     ids=str,
 )

@@ -10,10 +10,12 @@ import yaml
 from checkout import ROOT
 from little_vprsnn import SMALL, WORLD, fitted, held_out, images, references, same
 
-from vprbench.errors import NotFittedError
+from vprbench.errors import BadInput, NotFittedError
 from vprbench.methods.vprsnn import training
 from vprbench.methods.vprsnn.method import VPRSNN
 from vprbench.plugins.conformance import check
+from vprbench.run.compose import composed_in_python
+from vprbench.run.settings import checked_settings
 
 CONFIGURATIONS = ROOT / "conf" / "method"
 QUERIES = images(WORLD.queries)
@@ -38,7 +40,7 @@ def test_an_image_without_light_is_no_match() -> None:
 
 
 def test_with_carried_potentials_it_keeps_all_rules_of_the_contract_but_two() -> None:
-    config = {**yaml.safe_load((CONFIGURATIONS / "vprsnn.yaml").read_text()), "seed": 0, "device": "cpu"}
+    config = {**yaml.safe_load((CONFIGURATIONS / "vprsnn.yaml").read_text()), "seed": 0}
     results = list(check({**config, **SMALL, "carried_potentials": True}, set(SMALL)))
     assert [str(result) for result in results if result.state == "broken"] == []
     assert sum(result.state == "excepted" for result in results) == 2
@@ -54,6 +56,13 @@ def test_fast_leaves_out_the_delays_and_nothing_else() -> None:
 
 
 # --- before a network is there ----------------------------------------------------------------------------------
+
+
+def test_a_gpu_is_refused_to_a_method_without_an_argument_device() -> None:
+    for name, fits in (("vprsnn", False), ("vprsnn_ensemble", False), ("vprtempo", True)):
+        with pytest.raises(BadInput, match=r"device=cuda") as error:
+            checked_settings(composed_in_python([f"method={name}"], {"device": "cuda:999"}))
+        assert ("has no argument device" in str(error.value)) is not fits
 
 
 @pytest.mark.parametrize("ask", ["query", "state", "spikes", "match", "calibrate"])

@@ -8,7 +8,6 @@ import direct_vprsnn as direct
 import numpy as np
 import numpy.typing as npt
 import pytest
-import torch
 from little_vprsnn import SMALL, WORLD, fitted, images, layers, recorded_trains
 
 from vprbench.methods.vprsnn import scoring
@@ -96,26 +95,6 @@ def test_new_delays_are_not_those_of_the_training() -> None:
     same_again = VPRSNN(**SMALL, delays_at_query="trained").restore(new.state())
     codes = new.encode(QUERIES)
     assert not np.array_equal(layers(new, codes)["excitatory"], layers(same_again, codes)["excitatory"])
-
-
-@pytest.mark.parametrize(
-    "device",
-    [
-        "cpu",
-        pytest.param(
-            "cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU that CUDA can use")
-        ),
-    ],
-)
-def test_the_batched_engine_gives_what_the_compiled_one_gives(device: str) -> None:
-    arguments: dict[str, Any] = {"n_excitatory": 8, "epochs": 1, "presentation_ms": 100.0, "rest_ms": 30.0}
-    compiled, batched = fitted(**arguments), fitted(**arguments, engine="batched", device=device)
-    one, other = compiled.state(), batched.state()
-    assert one["sums"].sum() > 10
-    assert np.array_equal(one["sums"], other["sums"])
-    assert other["weights"] == pytest.approx(one["weights"], abs=1e-9)
-    codes = compiled.encode(QUERIES)
-    assert np.array_equal(compiled.match(codes), batched.match(codes))
 
 
 # --- scores and spikes ------------------------------------------------------------------------------------------

@@ -81,7 +81,6 @@ def test_an_interrupted_training_trains_only_what_is_missing_also_in_other_threa
         ({"seed": 1}, [0, 1]),
         ({"theta_plus_mv": 0.06}, [0, 1]),
         ({"assignment": "weighted"}, [1]),  # which asks otherwise, but learns the same
-        ({"engine": "compiled"}, [1]),
     ],
     ids=str,
 )
