@@ -35,13 +35,13 @@ def plain(*colours):
     return Images.from_arrays([np.full((2, 2, 3), colour, np.uint8) for colour in colours])
 
 
-def dataset(n_references=4, n_queries=2, **parts):
+def dataset(**parts):
     parts = {
         "name": "mine",
-        "references": plain(*[RED] * n_references),
-        "places": np.arange(n_references),
-        "queries": plain(*[RED] * n_queries),
-        "positives": (np.array([0]),) * n_queries,
+        "references": plain(*[RED] * 4),
+        "places": np.arange(4),
+        "queries": plain(RED, RED),
+        "positives": (np.array([0]),) * 2,
         "protocol": {},
     } | parts
     return Dataset(**parts)
@@ -62,9 +62,6 @@ def test_references_are_encoded_in_blocks_and_in_order():
     method = Colour().fit(plain(*colours), np.arange(150))
     assert sum(method.encoded) == 150
     assert max(method.encoded) < 150
-    descriptors = method.encode(plain(*colours))
-    scores = Colour().fit_descriptors(descriptors, np.arange(150)).match(descriptors)
-    assert np.array_equal(scores, method.match(descriptors))
     assert method.query(plain(*colours[::-1])).argmax(axis=1).tolist() == list(range(150))[::-1]
 
 
@@ -80,6 +77,10 @@ def test_without_references_or_after_a_failed_fit_there_is_no_map():
         method.match(np.zeros((1, 3), np.float32))
 
 
+def drawn(n):
+    return Images.from_arrays([np.full((2, 2, 3), (*divmod(i, 256), 7), np.uint8) for i in range(n)])
+
+
 @dataclass
 class Drawn(DescriptorMethod):
     """A random unit vector for each image."""
@@ -89,10 +90,6 @@ class Drawn(DescriptorMethod):
     def encode(self, images):
         vectors = np.array([np.random.default_rng(image[0, 0]).standard_normal(self.n_dimensions) for image in images])
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
-
-
-def drawn(n):
-    return Images.from_arrays([np.full((2, 2, 3), (*divmod(i, 256), 7), np.uint8) for i in range(n)])
 
 
 def test_fitting_holds_the_descriptors_once():
@@ -106,60 +103,53 @@ def test_fitting_holds_the_descriptors_once():
 
 # 1024x1024 pixels are 3 MiB
 @pytest.mark.parametrize(("height", "count", "at_most"), [(2, 70, 64), (1024, 30, 21), (10_000, 3, 2)])
-def test_large_references_are_encoded_in_smaller_blocks(height, count, at_most):
+def test_large_references_are_encoded_in_smaller_blocks_and_large_codes_held_in_fewer(height, count, at_most):
     method = Colour()
     method.fit(Images.from_arrays([np.full((height, 1024, 3), 9, np.uint8)] * count), np.zeros(count, np.int64))
     assert max(method.encoded) == at_most
+    for code_bytes, together in (0, 100), (1 << 24, 64), ((1 << 28) + 1, 3), (1 << 40, 1):
+        assert held_together(SimpleNamespace(code_bytes=code_bytes), 100) == together
 
 
-@pytest.mark.parametrize(
-    ("code_bytes", "together"), [(0, 100), (1, 100), (1 << 24, 64), ((1 << 28) + 1, 3), (1 << 40, 1)]
-)
-def test_codes_held_together_fill_no_more_than_a_gibibyte_unless_one_does(code_bytes, together):
-    assert held_together(SimpleNamespace(code_bytes=code_bytes), 100) == together
-
-
-def test_a_search_that_cannot_be_is_bad_input_before_anything_is_encoded():
+def test_arguments_of_the_search_come_by_name_alone_fit_any_network_and_are_refused_before_anything_is_encoded():
     method = Colour()
+    assert (method.index, method.neighbours) == ("exact", 100)
     method.index = "ivfpq"
     with pytest.raises(BadInput, match=r"ivfpq .*256 .*2 came"):
         method.fit(plain(RED, GREEN), np.arange(2))
     assert method.encoded == []
-
-
-def test_arguments_of_the_search_fit_any_network_and_come_by_name_alone_and_have_their_defaults():
     assert Drawn.query_arguments == {"index", "neighbours", "rerank", "probes"}
     assert Drawn(5).n_dimensions == 5
     with pytest.raises(TypeError):
         Drawn(5, "hnsw")
-    assert (Colour().index, Colour().neighbours) == ("exact", 100)
     assert len({Colour(), Colour()}) == 2  # equal to itself alone
 
 
-def test_an_audit_counts_what_an_index_finds_of_the_best_through_what_a_method_makes_of_matching(monkeypatch):
+class Halved(Drawn):
+    """Searches by every second number."""
+
+    def fit_descriptors(self, descriptors, places):
+        return super().fit_descriptors(descriptors[:, ::2], places)
+
+    def match(self, codes):
+        return super().match(codes[:, ::2])
+
+
+@pytest.mark.parametrize(("kind", "step"), [(Drawn, 1), (Halved, 2)])
+def test_an_audit_counts_what_an_index_finds_of_the_best_through_what_a_method_makes_of_matching(
+    kind, step, monkeypatch
+):
     monkeypatch.setattr("vprbench.api.search.CELLS", 600 * 7)  # seven queries at a time
-
-    class Halved(Drawn):
-        """Searches by every second number."""
-
-        def fit_descriptors(self, descriptors, places):
-            return super().fit_descriptors(descriptors[:, ::2], places)
-
-        def match(self, codes):
-            return super().match(codes[:, ::2])
-
-    queries = Images.from_arrays([np.full((2, 2, 3), (i, 3, 3), np.uint8) for i in range(60)])
-    for kind, step in ((Drawn, 1), (Halved, 2)):
-        method = kind(32, index="ivfpq", neighbours=20).fit(drawn(600), np.arange(600))
-        codes, index = method.encode(queries), method.searched
-        audit = method.audit(codes)
-        exact = np.argsort(-(codes[:, ::step] @ index.references[:].T), axis=1)
-        own = np.argsort(-method.match(codes), axis=1, kind="stable")
-        for n, found in ((1, audit.recall_at_1), (10, audit.recall_at_10)):
-            shares = [len({*mine[:n]} & {*theirs[:n]}) / n for mine, theirs in zip(own, exact, strict=True)]
-            assert found == pytest.approx(np.mean(shares), abs=1e-9)
-        assert 0.05 < audit.recall_at_10 < 0.95
-        assert method.searched is index
+    method = kind(32, index="ivfpq", neighbours=20).fit(drawn(600), np.arange(600))
+    index, codes = method.searched, method.encode(drawn(660)[600:])
+    exact = np.argsort(-(codes[:, ::step] @ index.references[:].T), axis=1)
+    own = np.argsort(-method.match(codes), axis=1, kind="stable")
+    audit = method.audit(codes)
+    for n, found in ((1, audit.recall_at_1), (10, audit.recall_at_10)):
+        shares = [len({*mine[:n]} & {*theirs[:n]}) / n for mine, theirs in zip(own, exact, strict=True)]
+        assert found == pytest.approx(np.mean(shares), abs=1e-9)
+    assert 0.05 < audit.recall_at_10 < 0.95
+    assert method.searched is index
     exact = Drawn(32).fit(drawn(30), np.arange(30))
     assert exact.audit(exact.encode(drawn(3))) == Audit(1, 1)
 
@@ -180,21 +170,16 @@ def test_a_place_is_worth_its_most_similar_image(places):
 @pytest.mark.parametrize(
     ("parts", "wanted"),
     [
-        ({"n_references": 0, "places": np.array([], np.int64)}, "no reference images"),
-        ({"n_queries": 0}, "no query images"),
+        ({"references": plain(), "places": np.array([], np.int64)}, "no reference images"),
+        ({"queries": plain(), "positives": ()}, "no query images"),
         ({"places": np.arange(3)}, "4 reference images but 3 place ids"),
         ({"places": np.array([0, 1, 1, 4])}, "[2, 3] are missing"),
         ({"places": np.array([-1, 0, 1, 2])}, "-1 came"),
         ({"positives": (np.array([0]),)}, "2 queries but ground truth for 1"),
         ({"name": "a/b"}, "dataset.name=a/b"),
         ({"place_numbers": np.arange(3)}, "3 numbers for 4 places"),
-        *(
-            (
-                {"positives": (np.array([0]), np.array(right))},
-                f"the ground truth of query 1 (image 1) names place {culprit}, but places run from 0 to 3",
-            )
-            for right, culprit in (([1, 4], 4), ([-1], -1), ([-2, 1], -2))
-        ),
+        ({"positives": (np.array([0]), np.array([1, 4]))}, "of query 1 (image 1) names place 4, but places run from"),
+        ({"positives": (np.array([0]), np.array([-2, 1]))}, "names place -2, but places run from 0 to 3"),
     ],
 )
 def test_parts_of_a_dataset_that_do_not_fit_are_refused_with_their_numbers(parts, wanted):
