@@ -3,7 +3,6 @@
 import importlib
 import inspect
 import json
-import linecache
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,6 @@ from vprbench.plugins.networks import Files
 from vprbench.run import harness, machine, runner, sources
 from vprbench.run.corrupted_frames import corrupted
 from vprbench.run.identity import code_hash, fingerprint
-from vprbench.run.loose_code import UntoldError
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -219,55 +217,15 @@ def test_values_and_statements_count_and_words_layout_and_place_of_code_do_not(t
         assert (old in BEFORE, meaning(BEFORE.replace(old, new)) != meaning(BEFORE)) == (True, counts)
 
 
-CELLS = '''
-import numpy as np
-from vprbench.api import Method, Resize
-SCALE, UNUSED = 2.0, 1
-
-def halved(value):
-    return quartered(value) * 2
-
-def quartered(value):
-    return value / 4
-
-class Mine(Method):
-    """Mine."""
-
-    def fit(self, references, places):
-        return self
-
-    def encode(self, images):
-        return [halved(np.mean(image)) * SCALE for image in images]
-
-    match = encode
-'''
-
-
-def session(monkeypatch, text, known=True, **values):
-    """Run a text as the cell of a notebook and return the class Mine that it defines."""
-    main = ModuleType("__main__")
-    monkeypatch.setitem(sys.modules, "__main__", main)
-    name = f"<cell {abs(hash(text))}>"
-    if known:
-        monkeypatch.setitem(linecache.cache, name, (len(text), None, text.splitlines(keepends=True), name))
-    vars(main).update(values)
-    exec(compile(text, name, "exec"), vars(main))
-    return main.Mine
-
-
-def test_of_a_notebook_what_a_class_and_all_that_it_names_says_counts_and_nothing_else(monkeypatch):
-    def told(old, new, **values):
-        assert old in CELLS
-        return sources.source_hash(session(monkeypatch, CELLS.replace(old, new), **values))
-
-    before = told("", "")
-    for old, new in {"2.0, 1": "3.0, 1", "* 2\n": "* 3\n", "value / 4": "value / 5", "np.mean(": "Resize("}.items():
-        assert told(old, new) != before
-    for old, new in {"2.0, 1": "2.0, 7", "Mine.": "Yours.", "def halved": "other = 1\n\ndef halved"}.items():
-        assert told(old, new) == before
-    with pytest.raises(UntoldError, match="NET"):
-        told("SCALE for", "SCALE * NET.weight for", NET=np.random.default_rng())
-    unknown = session(monkeypatch, f"{CELLS}\n", known=False)
-    with pytest.raises(UntoldError, match="Mine"):
-        sources.source_hash(unknown)
-    assert code_hash(unknown) != code_hash(unknown)
+def test_a_class_of_a_script_counts_with_its_file_and_a_class_without_a_file_is_another_one_each_time(
+    tmp_path, monkeypatch
+):
+    script = ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", script)
+    exec("class Mine:\n    pass\n", vars(script))
+    with pytest.raises(OSError, match="Mine"):
+        sources.source_hash(script.Mine)
+    assert code_hash(script.Mine) != code_hash(script.Mine)
+    (tmp_path / "script.py").write_text(BEFORE)
+    script.__file__ = str(tmp_path / "script.py")
+    assert sources.source_hash(script.Mine) == sources.meaning([tmp_path / "script.py"])

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import hashlib
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.method import Method
@@ -17,7 +21,6 @@ from vprbench.interactive import short
 from vprbench.plugins import registry
 from vprbench.plugins.entries import Group, entries, insist_on_one
 from vprbench.run.compose import composed_in_python
-from vprbench.run.loose_code import UntoldError, plain
 from vprbench.run.sources import source_hash
 from vprbench.text import near
 
@@ -61,6 +64,7 @@ class NamedDataset:
         return _as_call("dataset", self.name, self.options)
 
 
+_MOST_NUMBERS = 1 << 16  # of an array that a record holds; of a larger one it holds the hash
 AnyMethod = str | NamedMethod | Method | type[Method]
 AnyDataset = str | NamedDataset | Dataset
 
@@ -143,7 +147,7 @@ def _of_object(given: Method, per_run: Mapping[str, Any]) -> Recipe:
     for name, value in arguments.items():
         try:
             recorded[name] = plain(value)
-        except UntoldError as error:
+        except ValueError as error:
             untold = f"its argument {name} cannot be recorded, for a {error}"
     try:
         source_hash(kind)
@@ -182,10 +186,28 @@ def _arguments(given: Method) -> tuple[dict[str, Any], str | None]:
     return found, None
 
 
+def plain(value: Any) -> Any:
+    """Return a value as plain ones that a record can hold; raises ValueError for an object without plain content."""
+    try:
+        return to_jsonable_python(value, fallback=_of_array)
+    except (PydanticSerializationError, UnicodeDecodeError) as error:
+        raise ValueError(f"{type(value).__name__} has no plain content") from error
+
+
+def _of_array(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        if value.size <= _MOST_NUMBERS:
+            return value.tolist()
+        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    raise ValueError(f"{type(value).__name__} has no plain content")
+
+
 def _alike(recorded: Any, default: Any) -> bool:
     try:
         return bool(recorded == plain(default))
-    except UntoldError:
+    except ValueError:
         return False
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from vprbench import api
-from vprbench.run import loose_code
 
 #: Modules of this project that compute for methods; all others count by `harness.VERSION`, or compute nothing.
 COMPUTING = frozenset(
@@ -40,25 +39,17 @@ def source_hash(kind: type) -> str:
     """Return the hash of the code behind a class: its own file, and all that compute for it.
 
     Comments, docstrings, imports for types and the places of files do not count: an edited sentence and a moved file
-    give the same hash. Values, defaults and statements count. Of a class of a notebook or a script it is what
-    `loose_code.told` finds. Raises OSError for a class without source.
+    give the same hash. Values, defaults and statements count. Raises OSError for a class without a file, as one that a
+    cell of a notebook defines.
     """
-    if kind.__module__ != "__main__":
-        return meaning(behind(kind).values())
-    texts, used = loose_code.told(kind)
-    files: dict[str, Path] = {}
-    for name, file in used:
-        if name == api.__name__:  # of which any name may be used
-            files |= {home: path for home in COMPUTING if (path := _file(home)) is not None}
-        elif _counts(name, name, file):
-            files |= behind_file(name, file)
-    return meaning(files.values(), texts.values())
+    return meaning(behind(kind).values())
 
 
-def meaning(files: Iterable[Path], texts: Iterable[str] = ()) -> str:
+def meaning(files: Iterable[Path]) -> str:
     """Return the hash of what Python files say to the interpreter, in whatever order and under whatever names."""
-    texts = (*texts, *(path.read_text(encoding="utf-8") for path in files))
-    return hashlib.sha256("".join(sorted(map(_hash_of, texts))).encode()).hexdigest()
+    return hashlib.sha256(
+        "".join(sorted(_hash_of(path.read_text(encoding="utf-8")) for path in files)).encode()
+    ).hexdigest()
 
 
 def behind(kind: type) -> dict[str, Path]:
@@ -69,8 +60,8 @@ def behind(kind: type) -> dict[str, Path]:
     """
     try:
         return behind_file(kind.__module__, Path(inspect.getfile(kind)))
-    except TypeError as error:
-        raise loose_code.UntoldError(f"the source of {kind.__qualname__} is not known") from error
+    except (OSError, TypeError) as error:
+        raise OSError(f"{kind.__qualname__} has no file: put the class into one, as mine.py") from error
 
 
 def behind_file(name: str, file: Path) -> dict[str, Path]:
