@@ -21,7 +21,7 @@ def counted(queries, references):
     return np.array([-(query != references).sum(1) for query in queries]).reshape(len(queries), len(references))
 
 
-@pytest.mark.parametrize("n_words", [1, 7, 8, 9, 72, 210])
+@pytest.mark.parametrize("n_words", [1, 7, 8, 72])
 def test_scores_are_minus_the_bits_that_differ(n_words):
     for n_references in (1, 8, 75):
         references, queries = drawn(n_references, n_words, 1), drawn(5, n_words, 2, 0.2)
@@ -30,9 +30,6 @@ def test_scores_are_minus_the_bits_that_differ(n_words):
             scores = known.scores(packed(queries[:n_queries]))
             assert scores.dtype == np.float32
             assert np.array_equal(scores, wanted[:n_queries])
-
-
-def test_opposite_bits_differ_all_and_equal_ones_not_at_all():
     bits = np.repeat([[False], [True]], 64 * 300, axis=1)
     assert BinaryMap(packed(bits), np.arange(2)).scores(packed(bits)).tolist() == [[0, -19200], [-19200, 0]]
 
@@ -40,11 +37,12 @@ def test_opposite_bits_differ_all_and_equal_ones_not_at_all():
 def test_threads_and_layout_change_nothing():
     references, queries = drawn(900, 20, 1), drawn(200, 20, 2)
     known, codes, before = BinaryMap(packed(references), np.arange(900)), packed(queries), torch.get_num_threads()
+    wanted = counted(queries, references)
     try:
         for threads in (1, 3):
             torch.set_num_threads(threads)
-            assert np.array_equal(known.scores(codes), counted(queries, references))
-            assert np.array_equal(known.scores(np.asfortranarray(codes)), counted(queries, references))
+            assert np.array_equal(known.scores(codes), wanted)
+            assert np.array_equal(known.scores(np.asfortranarray(codes)), wanted)
     finally:
         torch.set_num_threads(before)
 

@@ -16,8 +16,8 @@ def counts_of(events, chosen):
     return frame
 
 
-@pytest.mark.parametrize("window_us", [1_000, 100_000, 700_001])
-def test_windows_count_what_a_mask_of_times_counts(window_us):
+@pytest.mark.parametrize(("window_us", "per_frame"), [(1_000, 1), (100_000, 7), (700_001, 900)])
+def test_windows_count_what_a_mask_of_times_counts_and_equal_numbers_one_slice_after_the_other(window_us, per_frame):
     events = by_chance(3000)
     first = int(events.t[0])
     frames = list(counted(in_chunks(events), *SHAPE, window_us=window_us))
@@ -26,11 +26,6 @@ def test_windows_count_what_a_mask_of_times_counts(window_us):
         start = first + k * window_us
         assert (frame.first_us, frame.last_us) == (start, start + window_us)
         assert np.array_equal(frame.counts, counts_of(events, (events.t >= start) & (events.t < start + window_us)))
-
-
-@pytest.mark.parametrize("per_frame", [1, 7, 900])
-def test_equal_numbers_count_one_slice_after_the_other(per_frame):
-    events = by_chance(3000)
     frames = list(counted(in_chunks(events), *SHAPE, per_frame=per_frame))
     assert len(frames) == 3000 // per_frame
     for k, frame in enumerate(frames):
@@ -50,23 +45,17 @@ def test_an_event_may_come_ten_milliseconds_late_and_a_gap_gives_empty_frames():
 
 
 @pytest.mark.parametrize(
-    ("events", "named"),
+    ("events", "counting", "named"),
     [
-        (at(0, 100_000, 89_000), "89000 us"),
-        (at(0, 10, x=30), "at 0 us, column 30"),
-        (at(0, 601_000_001), "601000001 us"),
+        (at(0, 100_000, 89_000), {"window_us": 100_000}, "89000 us"),
+        (at(0, 10, x=30), {"window_us": 1_000_000}, "at 0 us, column 30"),
+        (at(0, 601_000_001), {"window_us": 1_000_000}, "601000001 us"),
+        *((at(), counting, "per_frame") for counting in ({}, {"window_us": 5, "per_frame": 5}, {"per_frame": 0})),
     ],
-    ids=["late", "outside", "gap"],
 )
-def test_late_events_those_outside_the_sensor_and_long_gaps_are_refused(events, named):
+def test_late_events_those_outside_the_sensor_long_gaps_and_no_window_are_refused(events, counting, named):
     with pytest.raises(BadInput, match=named):
-        list(counted([events], *SHAPE, window_us=100_000 if "89000" in named else 1_000_000))
-
-
-@pytest.mark.parametrize("counting", [{}, {"window_us": 5, "per_frame": 5}, {"per_frame": 0}])
-def test_a_window_or_a_number_has_to_be_given(counting):
-    with pytest.raises(BadInput, match="per_frame"):
-        list(counted([], *SHAPE, **counting))
+        list(counted([events], *SHAPE, **counting))
 
 
 def test_no_more_than_the_next_chunk_is_read_ahead():
@@ -90,21 +79,8 @@ def test_hot_pixels_stand_out_of_those_around_them_and_an_edge_does_not():
     assert np.argwhere(hot_pixels(totals, 10.0)).tolist() == [[4, 3], [9, 13]]
 
 
-@pytest.fixture
-def kept(tmp_path, monkeypatch):
+def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / "events"))
-    return tmp_path / "events"
-
-
-def recording(events, reads):
-    def read():
-        reads.append("read")
-        yield events
-
-    return Recording("drive", read, *SHAPE)
-
-
-def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(kept):
     t = np.arange(2000) * 1000
     x, y = (np.tile(part.ravel(), 4)[:2000].astype(np.uint16) for part in np.indices(SHAPE)[::-1])
     x[::4], y[::4] = 3, 4
@@ -123,6 +99,10 @@ def test_frames_are_grey_counts_up_to_255_without_hot_pixels_and_kept(kept):
         again, _ = event_frames(recording(events, reads), {"file": 1}, None, window_us=1_500_000)
     assert reads == ["read"] * 3
     assert again[:].fingerprint() == images.fingerprint()
-    assert len(list(kept.iterdir())) == 2
+    assert len(list((tmp_path / "events").iterdir())) == 2
     with pytest.raises(BadInput, match="drive"):
         event_frames(recording(at(0, 5), []), {}, None, window_us=10)
+
+
+def recording(events, reads):
+    return Recording("drive", lambda: reads.append("read") or iter([events]), *SHAPE)

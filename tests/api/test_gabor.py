@@ -1,5 +1,6 @@
 """The bank of Gabor filters against loops over pixels and cells that follow the published formula."""
 
+import itertools
 import math
 
 import numpy as np
@@ -27,11 +28,9 @@ def filter_by_hand(angle, wavelength, phase, width):
 
 
 FILTERS = [
-    filter_by_hand(quarter * math.pi / 4, wavelength, phase, width)
+    filter_by_hand(quarter * math.pi / 4, *others)
     for quarter in range(4)
-    for wavelength in (2.25, 3)
-    for phase in (0, math.pi / 2)
-    for width in (1, 2)
+    for others in itertools.product((2.25, 3), (0, math.pi / 2), (1, 2))
 ]
 
 

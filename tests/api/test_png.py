@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -69,9 +70,7 @@ PLAIN = {
 }
 OTHERS = {
     "grey with alpha": saved(GREY, "LA"),
-    "palette": saved(COLOUR, "P"),
     "palette with transparency": saved(COLOUR, "P", transparency=bytes(range(256))),
-    "black and white": saved(GREY, "1"),
     "16 bits of grey": saved(GREY.astype(np.uint16) * 257),
     "16 bits of colour": png_of(filtered(0, 6), 7, 9, bits=16),
     "interlaced": png_of(b"\0\x01\x02\x03", 1, 1, interlaced=1),
@@ -79,10 +78,8 @@ OTHERS = {
     "a colour profile": saved(COLOUR, icc_profile=b"no profile"),
     "camera on its side": saved(COLOUR, exif=TURNED),
     "two frames": saved(COLOUR, save_all=True, append_images=[PillowImage.new("RGB", (WIDTH, HEIGHT))]),
-    "JPEG": saved(COLOUR, kind="JPEG"),
     "JPEG, four inks": saved(COLOUR, "CMYK", kind="JPEG"),
     "JPEG, camera on its side": saved(COLOUR, kind="JPEG", exif=TURNED),
-    "BMP": saved(COLOUR, kind="BMP"),
 }
 
 
@@ -119,22 +116,18 @@ def test_an_image_of_more_pixels_than_pillow_allows_is_refused_by_name(path, mon
         read_image(path)
 
 
-@pytest.mark.parametrize(("kind", "shape"), [("PNG", (6, 5, 3)), ("PNG", (6, 5)), ("PNG", (6, 5, 4)), ("JPEG", (6, 5))])
+@pytest.mark.parametrize(("kind", "shape"), [("PNG", (6, 5, 3)), ("PNG", (6, 5)), ("JPEG", (6, 5))])
 def test_a_file_cut_anywhere_never_gives_other_pixels_and_a_cut_png_is_left_to_pillow(path, kind, shape, capfd):
     whole = saved(noise(*shape), kind=kind)
-    pixels = by_pillow(whole)
     for n_bytes in [*range(0, len(whole), 7), *range(len(whole) - 30, len(whole))]:
         path.write_bytes(whole[:n_bytes])
         assert png.decoded(whole[:n_bytes]) is None
-        try:
-            cut = read_image(path)
-        except BadInput:
-            continue
-        assert np.array_equal(cut, pixels), f"{n_bytes} of {len(whole)} bytes"
+        with suppress(BadInput):
+            assert np.array_equal(read_image(path), by_pillow(whole)), f"{n_bytes} of {len(whole)} bytes"
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(path, capfd):
+def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(path):
     whole = PLAIN["text and resolution"]
     refused = 0
     for place in [*range(120), *range(120, len(whole), 97), *range(len(whole) - 20, len(whole))]:
@@ -150,17 +143,12 @@ def test_a_png_with_one_wrong_byte_is_an_error_or_what_pillow_makes_of_it(path, 
         else:
             np.testing.assert_array_equal(read_image(path), expected)
     assert refused > 30
-    assert capfd.readouterr() == ("", "")
 
 
-SHORT = filtered(0, 3)[:-22]  # eight of nine rows
 BAD = {
     "no such filter": png_of(bytes([9]) + filtered(0, 3)[1:], 7, 9),
-    "a row too few": png_of(SHORT, 7, 9),
-    "a row too few, grey": png_of(filtered(0, 1)[:-8], 7, 9, colour=0),
-    "a row too few beside what is left to Pillow": png_of(SHORT, 7, 9, extra=chunk(b"sBIT", b"\x08\x08\x08")),
-    "a row too few of 16 bits": png_of(filtered(0, 6)[:-43], 7, 9, bits=16),
-    "a row too few of single bits": png_of(b"\0\x80" * 8, 7, 9, bits=1, colour=0),
+    "a row too few": png_of(filtered(0, 3)[:-22], 7, 9),
+    "a row too few of 16 bits, left to Pillow": png_of(filtered(0, 6)[:-43], 7, 9, bits=16),
     "a pass too few of those interlaced": png_of(b"\0\1" * 2, 2, 2, colour=0, interlaced=1),
     "400 million pixels that are not there": png_of(b"\0", 20_000, 20_000),
     "a truncated PNG": saved(noise(40, 40, 3))[:2000],
@@ -177,13 +165,10 @@ def test_a_file_that_is_no_whole_image_is_answered_in_one_line_with_its_path(pat
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_file_and_a_folder_are_named(tmp_path, path):
+def test_a_missing_file_and_a_folder_are_named_and_no_image_starts_another_program(tmp_path, path, monkeypatch):
     for wrong, named in ((path, r"frame\.png does not exist"), (tmp_path, "cannot be read as an image")):
         with pytest.raises(BadInput, match=named):
             read_image(wrong)
-
-
-def test_no_image_starts_another_program(path, monkeypatch):
     started = []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: started.append(True))
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n")

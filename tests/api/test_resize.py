@@ -7,36 +7,28 @@ import torch
 from vprbench.api.resize import resize_batch, resize_image
 
 KINDS = ("bilinear", "bicubic")
-SIZES = [((32, 48), (10, 13)), ((33, 47), (11, 30)), ((9, 14), (20, 31)), ((40, 20), (7, 41)), ((64, 64), (1, 1))]
+SIZES = [((32, 48), (10, 13)), ((9, 14), (20, 31)), ((40, 20), (7, 41)), ((64, 64), (1, 1))]
 
 
-def triangle(x):
-    return np.maximum(1 - np.abs(x), 0)
+def filter_of(kind, antialiased, x):
+    """The triangle, or Keys' cubic convolution: a = -0.5 where images are antialiased, -0.75 elsewhere."""
+    x, a = np.abs(x), -0.5 if antialiased else -0.75
+    if kind == "bilinear":
+        return np.maximum(1 - x, 0)
+    near, far = ((a + 2) * x - (a + 3)) * x**2 + 1, a * (x**3 - 5 * x**2 + 8 * x - 4)
+    return np.where(x <= 1, near, np.where(x < 2, far, 0))
 
 
-def cubic(a):
-    """Keys' cubic convolution; a = -0.5 where images are antialiased, -0.75 elsewhere."""
+def weights(n_in, n_out, kind, antialiased):
+    """What each of `n_out` takes from each of `n_in`: pixel centres at half, rows summing to 1.
 
-    def kernel(x):
-        x = np.abs(x)
-        near = ((a + 2) * x - (a + 3)) * x**2 + 1
-        far = a * (x**3 - 5 * x**2 + 8 * x - 4)
-        return np.where(x <= 1, near, np.where(x < 2, far, 0))
-
-    return kernel
-
-
-def weights(n_in, n_out, kernel, antialiased):
-    """Return what each of `n_out` takes from each of `n_in`: pixel centres at half, rows summing to 1.
-
-    An antialiasing filter is as wide as the output's pixels; the other one as the input's, at whose border the
-    outermost pixel is repeated.
+    An antialiasing filter is as wide as the output's pixels; the other one repeats the outermost input pixels.
     """
     scale = n_in / n_out
     width = max(scale, 1) if antialiased else 1
     repeated = 0 if antialiased else 4
     inputs = np.arange(-repeated, n_in + repeated)
-    found = kernel((inputs + 0.5 - (np.arange(n_out)[:, None] + 0.5) * scale) / width)
+    found = filter_of(kind, antialiased, (inputs + 0.5 - (np.arange(n_out)[:, None] + 0.5) * scale) / width)
     found /= found.sum(1, keepdims=True)
     folded = np.zeros((n_out, n_in))
     for column, place in enumerate(np.clip(inputs, 0, n_in - 1)):
@@ -46,9 +38,7 @@ def weights(n_in, n_out, kernel, antialiased):
 
 def wanted(image, height, width, kind, antialiased):
     """Resize (h, w, 3) without rounding anything."""
-    kernel = triangle if kind == "bilinear" else cubic(-0.5 if antialiased else -0.75)
-    down = weights(image.shape[0], height, kernel, antialiased)
-    across = weights(image.shape[1], width, kernel, antialiased)
+    down, across = (weights(*sides, kind, antialiased) for sides in zip(image.shape, (height, width), strict=False))
     return np.einsum("yh,hwc,xw->yxc", down, image.astype(np.float64), across)
 
 

@@ -74,12 +74,13 @@ def test_an_own_copy_comes_before_everything_and_is_named_if_it_is_no_file(folde
     own = tmp_path / "own.pth"
     own.write_bytes(b"mine")
     (folder / "net.pth").write_bytes(CONTENT)
-    for path in (str(own), "~/own.pth"):
-        assert find_weights(replace(of_content(sha256=SHA256), path=path), "gcl") == own
+    assert find_weights(replace(of_content(sha256=SHA256), path="~/own.pth"), "gcl") == own
     for path in ("/nowhere/net.pth", "."):
-        wanted = rf"^method\.net\.path={re.escape(path)} is no file that can be read: .*gcl"
-        with pytest.raises(NotThere, match=wanted):
+        with pytest.raises(NotThere, match=rf"^method\.net\.path={re.escape(path)} is no file .*gcl"):
             find_weights(replace(LINKED, path=path), "gcl", "net")
+    for name in ("../net.pth", "a/net.pth", "", ".."):
+        with pytest.raises(BadInput, match=r"method\.weights\.file="):
+            find_weights(replace(LINKED, file=name), "gcl")
     assert downloads == []
 
 
@@ -122,13 +123,6 @@ def test_what_no_program_may_or_can_fetch_is_said_to_a_person(wanted, said, fold
     assert downloads == []
 
 
-def test_a_name_that_leaves_the_folder_is_refused(downloads):
-    for name in ("../net.pth", "a/net.pth", "", ".."):
-        with pytest.raises(BadInput, match=r"method\.weights\.file="):
-            find_weights(replace(LINKED, file=name), "gcl")
-    assert downloads == []
-
-
 def test_a_folder_that_cannot_be_looked_into_is_named(monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
@@ -158,7 +152,10 @@ def test_files_of_torch_are_read_nested_as_they_are_with_numbers_of_numpy(path, 
         *(np.array([0.25], ">f8")[0], np.array([0.5, 2.0]), np.array([[1, 2], [3, 4]], ">i2", order="F")),
         *(np.array([True]), np.array("ab")),
     ]
-    content = read_weights(write_torch({"recalls": numbers, "state_dict": TENSORS}, path, zipped=zipped))
+    written = write_torch({"recalls": numbers, "state_dict": TENSORS}, path, zipped=zipped).read_bytes()
+    if not zipped:  # before numpy 2 its module had another name
+        path.write_bytes(re.sub(rb"cnumpy\._core\.multiarray\n", b"cnumpy.core.multiarray\n", written))
+    content = read_weights(path)
     assert torch.equal(content["state_dict"]["weight"], TENSORS["weight"])
     for value, found in zip(numbers, map(np.asarray, content["recalls"]), strict=True):
         assert not value.ndim or found.dtype.newbyteorder("=") == value.dtype.newbyteorder("=")
@@ -175,37 +172,28 @@ def test_safetensors_are_read_whatever_the_name_and_truncated_ones_refused(tmp_p
             read_weights(path)
 
 
-@pytest.mark.parametrize("how", ["zipped", "old", "bare pickle", "a program"])
-def test_a_hostile_file_is_refused_and_not_run(tmp_path, path, how):
-    mark = tmp_path / "mark"
-    if how == "bare pickle":
-        path.write_bytes(pickle.dumps(Trap(mark)))
-    elif how == "a program":
-        path.write_bytes(f"cos\nsystem\n(S'touch {mark}'\ntR.".encode())
+@pytest.mark.parametrize(("how", "told"), [("zipped", "running code"), ("old", "running code"), ("pickle", "net.pth")])
+def test_a_hostile_file_is_refused_and_not_run(tmp_path, path, how, told):
+    if how == "pickle":
+        path.write_bytes(pickle.dumps(Trap(tmp_path / "mark")))
     else:
-        write_torch({"state_dict": TENSORS, "x": Trap(mark)}, path, zipped=how == "zipped")
-    wanted = {"bare pickle": r"net\.pth", "a program": r"would run os\.system"}.get(how, "running code")
-    with pytest.raises(BadInput, match=wanted) as error:
+        write_torch({"state_dict": TENSORS, "x": Trap(tmp_path / "mark")}, path, zipped=how == "zipped")
+    with pytest.raises(BadInput, match=told) as error:
         read_weights(path)
-    assert not mark.exists()
+    assert not (tmp_path / "mark").exists()
     assert "\n" not in str(error.value)
-
-
-def test_numpy_scalars_are_read_under_old_and_new_names(path):
-    written = write_torch({"best_score": np.float64(0.852)}, path, zipped=False).read_bytes()
-    for name in (b"cnumpy.core.multiarray\n", b"cnumpy._core.multiarray\n"):
-        path.write_bytes(re.sub(rb"cnumpy\._?core\.multiarray\n", name, written))
-        assert read_weights(path) == {"best_score": 0.852}
+    path.write_bytes(b"cos\nsystem\n(S'true'\ntR.")
+    with pytest.raises(BadInput, match=r"would run os\.system"):
+        read_weights(path)
 
 
 @pytest.mark.parametrize(
     ("content", "value"),
     [
         ({"state_dict": TENSORS}, np.array([(1, 2.0)], "i4,f8")[0]),
-        ({"model_state_dict": TENSORS, "optimizer_state_dict": {}}, np.datetime64("2026-01-01")),
         (TENSORS, np.array([{}])),
     ],
-    ids=["record", "date", "objects"],
+    ids=["record", "objects"],
 )
 def test_a_file_with_more_than_tensors_names_what_it_needs_and_a_conversion_that_works(
     content, value, tmp_path, path, monkeypatch
@@ -216,7 +204,7 @@ def test_a_file_with_more_than_tensors_names_what_it_needs_and_a_conversion_that
     monkeypatch.chdir(tmp_path)
     _, _, program = shlex.split(named[1])
     exec(program, {})
-    kept = state_dict(tmp_path / named[2], "model_state_dict", "state_dict")
+    kept = state_dict(tmp_path / named[2], "state_dict")
     assert kept.keys() == TENSORS.keys()
     assert all(torch.equal(kept[name], values) for name, values in TENSORS.items())
 
@@ -228,7 +216,6 @@ def test_a_file_with_more_than_tensors_names_what_it_needs_and_a_conversion_that
         (b"\n<!DOCTYPE html><html>Sign in", "is a web page"),
         (b"PK\x03\x04" + bytes(100), "cannot be read as a file of torch"),
         (b"version https://git-lfs.github.com/spec/v1\noid", "is damaged, or no file of torch"),
-        (bytes(2000), "net.pth"),
         (b"\x10\x00\x00\x00\x00\x00\x00\x00{", "cannot be read as safetensors"),
         (None, r"net\.pth.*\(No"),
     ],
@@ -263,9 +250,7 @@ def test_the_first_key_that_is_there_counts_or_the_top_and_parameters_come_as_te
         {"epoch": 3, "net": TENSORS},
         {"state_dict": 3},
         {"state_dict": {"nested": TENSORS}},
-        {"state_dict": {"a": torch.ones(1), "lr": 0.1}},
         {"state_dict": {}},
-        {},
     ],
 )
 def test_anything_but_tensors_is_refused_with_what_is_there(path, content):
@@ -289,9 +274,7 @@ def test_prefixes_go_wherever_a_part_of_a_name_begins_and_two_names_that_become_
         ({"weight": TENSORS["weight"]}, r"^net\.pth.*1 missing \(bias\)"),
         ({**TENSORS, **{f"x{i}": torch.ones(1) for i in range(5)}}, r"5 unexpected \(x0, x1, x2 and 2 more\)"),
         ({**TENSORS, "weight": torch.ones(3, 2)}, r"1 other \(weight real \(3, 2\), wanted real \(2, 3\)\)"),
-        ({**TENSORS, "weight": torch.ones(1, 3)}, r"weight real \(1, 3\), wanted"),  # it would broadcast
         ({**TENSORS, "weight": torch.ones(2, 3, dtype=torch.int8)}, r"weight whole \(2, 3\), wanted real"),
-        ({**TENSORS, "bias": torch.tensor([0.0, np.nan])}, r"1 not finite \(bias\)"),
         ({**TENSORS, "bias": torch.tensor([0.0, 1e300], dtype=torch.float64)}, r"1 not finite \(bias\)"),
     ],
 )
@@ -316,18 +299,13 @@ def test_a_module_has_the_values_in_its_own_precision_and_keeps_nothing_of_the_f
     assert network[0].weight.requires_grad
 
 
-def test_a_module_that_stays_on_meta_is_a_fault_of_its_own():
+def test_a_module_that_stays_on_meta_is_a_fault_of_its_own_and_counters_and_strides_do_not_matter():
     with torch.device("meta"):
-        module = nn.Linear(3, 2)
+        module, conv = nn.Linear(3, 2), nn.Conv2d(2, 2, 3, bias=False)
         module.register_buffer("mean", torch.ones(3), persistent=False)
     with pytest.raises(RuntimeError, match="Linear keeps mean on meta"):
         load_strictly(module, TENSORS, HERE)
-
-
-def test_a_counter_of_a_normalisation_may_be_in_the_file_alone_and_strides_do_not_matter():
     given = torch.arange(36.0).reshape(2, 2, 3, 3).to(memory_format=torch.channels_last)
-    with torch.device("meta"):
-        conv = nn.Conv2d(2, 2, 3, bias=False)
     load_strictly(conv, {"weight": given, "norm.num_batches_tracked": torch.tensor(3)}, HERE)
     assert conv.weight.is_contiguous()
     assert torch.equal(conv.weight, given)

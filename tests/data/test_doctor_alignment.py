@@ -1,28 +1,17 @@
 """The doctor's comparison of traverses: aligned, shifted in part or whole, reversed, or too different to tell."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
 from doctored import PLACES, season
 
-from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import Finding, examine
+from vprbench.data.doctor import examine
 
 
-def compared(
-    references: Sequence[Sequence[Image]],
-    queries: Sequence[Image],
-    right: Sequence[Sequence[int]] | None = None,
-    tolerance: int = 0,
-    **protocol: Any,
-) -> list[Finding]:
+def compared(references, queries, right=None, tolerance=0, **protocol):
     """Return what alignment says where query i shows place i, give or take the tolerance, or `right` if given."""
     places = len(references[0])
     if right is None:
@@ -38,7 +27,7 @@ def compared(
     return [finding for finding in examine(dataset) if finding.check == "alignment"]
 
 
-def noise(seed: int, places: int = PLACES) -> list[Image]:
+def noise(seed, places=PLACES):
     return [*np.random.default_rng(seed).integers(0, 256, (places, 32, 64, 3), np.uint8)]
 
 

@@ -1,7 +1,5 @@
 """What the doctor finds in folders and frames: codes, numbers and names, and the words that docs/doctor.md shows."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -15,7 +13,6 @@ from checkout import ROOT
 from doctored import NAMES, PLACES, coded, dataset_of, examined, healthy, save, season
 from PIL import Image as PillowImage
 
-from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.data.doctor import Finding, as_text, command, examine, insist, quick
@@ -32,10 +29,10 @@ Damage = Callable[[Path, Path], Any]  # of winter and summer; a dictionary says 
 
 
 @pytest.fixture
-def spoilt(tmp_path: Path) -> Callable[[Damage], Dataset]:
+def spoilt(tmp_path):
     """A function that returns the dataset of two healthy folders after some damage."""
 
-    def spoilt(damage: Damage) -> Dataset:
+    def spoilt(damage):
         winter, summer = healthy(tmp_path)
         besides = damage(winter, summer)
         return dataset_of([winter], summer, **(besides if isinstance(besides, dict) else {}))
@@ -43,40 +40,40 @@ def spoilt(tmp_path: Path) -> Callable[[Damage], Dataset]:
     return spoilt
 
 
-def again(folder: Path, frames: list[Any], names: list[str] | None = None) -> None:
+def again(folder, frames, names=None):
     shutil.rmtree(folder)
     save(folder, frames, names)
 
 
-def show(folder: Path, names: list[str], grey: int) -> None:
+def show(folder, names, grey):
     """Put frames of one grey value in place of these."""
     for name in names:
         PillowImage.fromarray(np.full((32, 64, 3), grey, np.uint8)).save(folder / name)
 
 
-def resize(folder: Path, names: list[str], size: tuple[int, int]) -> None:
+def resize(folder, names, size):
     for name in names:
         PillowImage.open(folder / name).resize(size).save(folder / name)
 
 
-def write(folder: Path, names: list[str], change: Callable[[bytes], bytes]) -> None:
+def write(folder, names, change):
     for name in names:
         (folder / name).write_bytes(change((folder / name).read_bytes()))
 
 
-def too_few(winter: Path, summer: Path) -> None:
+def too_few(winter, summer):
     again(winter, season(0, PLACES + 1)[:PLACES])
     frames = season(1, PLACES + 1)
     again(summer, frames[:35] + frames[36:])
 
 
-def dictionary_order(winter: Path, summer: Path) -> dict[str, Any]:
+def dictionary_order(winter, summer):
     again(winter, season(0), UNNAMED)
     again(summer, season(1), UNNAMED)
     return {"names": UNNAMED, "query_names": sorted(UNNAMED)}
 
 
-DOCUMENTED: dict[str, Damage] = {
+DOCUMENTED = {
     "Missing files": lambda winter, summer: [(winter / name).unlink() for name in NAMES[10:17]],
     "Empty file": lambda winter, summer: write(summer, NAMES[5:6], lambda _: b""),
     "Web page as .png": lambda winter, summer: write(summer, NAMES[31:32], lambda _: PAGE),
@@ -96,7 +93,7 @@ DOCUMENTED: dict[str, Damage] = {
 
 @pytest.mark.parametrize("title", [*SHOWN, *sorted({*DOCUMENTED} - {*SHOWN})])
 def test_the_document_shows_what_the_doctor_says(title, tmp_path, spoilt):
-    said: list[str] = []
+    said = []
     assert command("little", lambda: spoilt(DOCUMENTED[title]), said.append) == 1
     paragraphs = said[0].replace(str(tmp_path), "/data").split("\n\n")[1:]
     aligned = "note alignment: summer and winter are aligned"
@@ -104,12 +101,12 @@ def test_the_document_shows_what_the_doctor_says(title, tmp_path, spoilt):
     assert " ".join(line for line in told if not line.startswith(aligned)) == " ".join(SHOWN[title].split())
 
 
-def strangers(winter: Path, summer: Path) -> None:
+def strangers(winter, summer):
     for name in ("031.heic", "list.csv"):
         (winter / name).touch()
 
 
-QUICK: dict[str, tuple[Damage, list[str]]] = {
+QUICK = {
     "nothing": (lambda *_: {}, []),
     "a folder that is gone": (lambda winter, _: shutil.rmtree(winter), ["error files:"]),
     "pages in place of all images": (
@@ -143,7 +140,7 @@ def test_what_a_failed_download_leaves_is_told_from_an_image(spoilt, content, ki
     assert found.text.endswith(f"summer is {kind}: 031.png")
 
 
-def unused(winter: Path, summer: Path) -> None:
+def unused(winter, summer):
     """Leave seven images beside the frames, three of them black, and a list."""
     names = [f"{kind}{number}.png" for kind, many in (("slow", 4), ("tunnel", 3)) for number in range(many)]
     for name in names:
@@ -152,18 +149,18 @@ def unused(winter: Path, summer: Path) -> None:
     (winter / "list.txt").write_text("no image")
 
 
-def small_and_red(winter: Path, summer: Path) -> None:
+def small_and_red(winter, summer):
     red = np.array([1.0, 0.8, 0.6])
     again(summer, [(frame[::2, ::2] * red).astype(np.uint8) for frame in season(1)])
 
 
-def copied(winter: Path, summer: Path) -> None:
+def copied(winter, summer):
     shutil.copy(summer / "011.png", summer / "012.png")
     PillowImage.open(summer / "030.png").save(summer / "031.png", compress_level=0)  # other bytes, the same pixels
     shutil.copy(winter / "044.png", summer / "044.png")
 
 
-EXAMINED: dict[str, tuple[Damage, list[str]]] = {
+EXAMINED = {
     "nothing": (lambda *_: {}, []),
     "images that are not used": (unused, ["note unused: 67 60 7 3"]),
     "a page as large as an image": (
@@ -212,7 +209,7 @@ def test_two_reference_traverses_of_the_same_frames_are_an_error(tmp_path):
 def test_the_cheap_checks_decode_nothing(spoilt):
     dataset = spoilt(lambda *_: {})
 
-    def refuse(number: int) -> Image:
+    def refuse(number):
         raise AssertionError(f"frame {number} was decoded")
 
     blind = Images(refuse, NAMES)
@@ -234,7 +231,7 @@ def test_a_run_is_refused_with_one_line_for_the_first_error_and_given_warnings_b
 
 
 def test_progress_is_reported_for_each_traverse_up_to_its_end(tmp_path):
-    heard: dict[str, float] = {}
+    heard = {}
     with listening(lambda stage, done: heard.__setitem__(stage, done)):
         examined(*healthy(tmp_path))
     assert heard == {"looking at winter": 1.0, "looking at summer": 1.0}
@@ -259,12 +256,12 @@ def test_long_text_is_broken_between_words_alone():
     ids=["healthy", "a warning", "an error", "a dataset that cannot be built"],
 )
 def test_errors_and_warnings_exit_with_1(spoilt, damage, code, said):
-    def build() -> Dataset:
+    def build():
         if damage is None:
             raise NotThere("winter/000.png is missing: get the frames")
         return spoilt(damage)
 
-    lines: list[str] = []
+    lines = []
     assert command("little", build, lines.append, "json") == code
     found = json.loads(lines[0])
     assert [f"{finding['level']} {finding['check']}" for finding in found] == said

@@ -1,10 +1,5 @@
 """The doctor's checks of lists: names, their order, and the ground truth."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import pytest
 from doctored import NAMES, PLACES, coded, notes
@@ -12,18 +7,18 @@ from little import picture
 
 from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.data.doctor import Finding, quick
+from vprbench.data.doctor import quick
 
 PLAIN = [f"{number}.png" for number in range(12)]
 
 
 def checked(
-    names: Sequence[str] = NAMES,
-    query_names: Sequence[str] = NAMES,
-    right: Sequence[Sequence[int]] | None = None,
-    more: Sequence[Sequence[str]] = (),
-    **protocol: Any,
-) -> tuple[Finding, ...]:
+    names=NAMES,
+    query_names=NAMES,
+    right=None,
+    more=(),
+    **protocol,
+):
     """Return what the cheap checks find where places, queries and further reference traverses have these names."""
     listed = [*names, *(name for others in more for name in others)]
     positives = [[number] for number in range(len(query_names))] if right is None else right
@@ -39,7 +34,7 @@ def checked(
     )
 
 
-def places(count: int, skipped: Sequence[int] = ()) -> list[list[int]]:
+def places(count, skipped=()):
     """Return the place of its own for each query, none for some."""
     return [[] if query in skipped else [query] for query in range(count)]
 
@@ -47,7 +42,7 @@ def places(count: int, skipped: Sequence[int] = ()) -> list[list[int]]:
 PAST_THE_GAP = [*range(10), 8, *range(11, 30), *range(55, 60)]
 SHUFFLED = [[int(place)] for place in np.random.default_rng(0).permutation(PLACES)]
 AROUND = [range(max(0, query - 1), min(20, query + 2)) for query in range(20)]
-FINDINGS: dict[str, tuple[dict[str, Any], list[str]]] = {
+FINDINGS = {
     "a name twice too often": ({"names": [*NAMES[:58], "003.png", "003.png"]}, ["note names: 1 2 60 003"]),
     "queries in dictionary order": (
         {"names": PLAIN, "query_names": sorted(PLAIN)},

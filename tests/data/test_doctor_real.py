@@ -1,9 +1,6 @@
 """The doctor on real frames: Nordland, the Corridor of VPR-Bench, and a few of Gardens Point."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +9,7 @@ from doctored import notes, wrong
 
 from vprbench.api.dataset import Dataset, FrameFolder
 from vprbench.api.images import Images
-from vprbench.data.doctor import Finding, examine
+from vprbench.data.doctor import examine
 
 DATA = SHARED / "data"
 NORDLAND = DATA / "nordland_64x32"
@@ -20,9 +17,7 @@ NORDLAND = DATA / "nordland_64x32"
 pytestmark = pytest.mark.real_frames
 
 
-def ride(
-    references: list[Path], queries: list[Path], tolerance: int = 0, folders: tuple[FrameFolder, ...] = ()
-) -> tuple[Finding, ...]:
+def ride(references, queries, tolerance=0, folders=()):
     """Return what is found where query i shows place i, give or take the tolerance."""
     n = len(references)
     return examine(
@@ -38,7 +33,7 @@ def ride(
     )
 
 
-def clean(season: str) -> list[Path]:
+def clean(season):
     """Return the frames of a season that stand in the published list, in order."""
     return [NORDLAND / season / name for name in (NORDLAND / "frames_clean_qvpr.txt").read_text().split()]
 

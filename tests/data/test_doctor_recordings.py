@@ -1,7 +1,5 @@
 """What the doctor finds in recordings of event cameras: codes and numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -16,12 +14,12 @@ HEIGHT, WIDTH = 24, 32
 SECOND = 1_000_000
 
 
-def speed() -> np.ndarray:
+def speed():
     """Metres in each of 60 seconds of a drive that stops again and again."""
     return 2 + 8 * (np.random.default_rng(5).random(PLACES) > 0.4)
 
 
-def drive(seed: int) -> Events:
+def drive(seed):
     """Events as many as the camera is fast; light rises where the place says, whatever the season."""
     chance = np.random.default_rng(seed)
     second = np.repeat(np.arange(PLACES), 40 * speed().astype(int))
@@ -32,7 +30,7 @@ def drive(seed: int) -> Events:
     return Events(t, x.astype(np.uint16), y.astype(np.uint16), p)
 
 
-def recorded(events: Events, name: str, late_us: int = 0, unit: int = 1) -> Recording:
+def recorded(events, name, late_us=0, unit=1):
     """Return a recording that comes in chunks, with a position each second."""
     metres = np.stack([np.cumsum(speed()), np.zeros(PLACES)], axis=1)
     middle = SECOND * np.arange(PLACES) + SECOND // 2
@@ -44,25 +42,25 @@ def recorded(events: Events, name: str, late_us: int = 0, unit: int = 1) -> Reco
     return Recording(name, chunks, HEIGHT, WIDTH, (middle + SECOND // 2 + late_us) // unit, metres, middle)
 
 
-def swapped(events: Events, back_us: int) -> Events:
+def swapped(events, back_us):
     t = events.t.copy()
     t[1000] = t[999] - back_us
     return replace(events, t=t)
 
 
-def hole(events: Events) -> Events:
+def hole(events):
     kept = (events.t < 20 * SECOND) | (events.t > 22 * SECOND)
     return Events(events.t[kept], events.x[kept], events.y[kept], events.p[kept])
 
 
-def hot(events: Events) -> Events:
+def hot(events):
     often = np.arange(len(events.t)) % 10 == 0
     x, y = (np.where(often, at, column).astype(np.uint16) for at, column in ((7, events.x), (5, events.y)))
     return replace(events, x=x, y=y)
 
 
 Damage = Callable[[Events], Recording]
-FOUND: dict[str, tuple[Damage, list[str]]] = {
+FOUND = {
     "nothing": (lambda events: recorded(events, "winter"), []),
     "time that runs backwards": (lambda events: recorded(swapped(events, 70_000), "winter"), ["error time: 1 70,000"]),
     "a late packet": (lambda events: recorded(swapped(events, 7_000), "winter"), ["note time: 1 7,000"]),

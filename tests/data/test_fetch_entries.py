@@ -1,7 +1,5 @@
 """The entries of conf/fetch: complete, honest about where files come from, and fitting what they describe."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

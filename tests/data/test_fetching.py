@@ -1,23 +1,17 @@
 """Fetching: a dataset gets into its folder whatever server, archive and disk do, or nothing changes there."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
 import re
 import shutil
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from archive_files import special, tarred, zipped
 from filelock import FileLock
-from served_files import Server
 
 from vprbench.data.fetch import command
 from vprbench.data.fetch.command import Settings, fetch, fetch_command
@@ -35,42 +29,42 @@ COMPLETE = ["fetched.json", "spring", "spring/1.png", "spring/2.png"]
 pytestmark = pytest.mark.usefixtures("on_the_net")
 
 
-def spring(*urls: str, **stated: Any) -> Part:
+def spring(*urls, **stated):
     return Part("spring.zip", urls, Wanted(unpacked_bytes=4 * CHUNK), {"spring": Held(files=2)}, **stated)
 
 
-def little(*urls: str, **changed: Any) -> Download:
+def little(*urls, **changed):
     """A little dataset of one part, unless other parts are given."""
     about = {"description": "a little journey", "licence": "CC BY 4.0", "source": "https://example.org"}
     parts = {"parts": {"spring": spring(*urls)}} if urls else {}
     return Download(**{"name": "little", "datasets": ("little",), "folder": "little", **about, **parts, **changed})
 
 
-def get(entry: Download, root: Path | None, check: Any = None, timeout_seconds: float = 60.0, **settings: Any) -> int:
+def get(entry, root, check=None, timeout_seconds=60.0, **settings):
     given = Settings(root=None if root is None else str(root), **settings)
     return fetch(entry, given, check, timeout_seconds=timeout_seconds, pause_seconds=0.0)
 
 
-def refused(entry: Download, root: Path, message: str, kind: type[BadInput] = BadInput, **settings: Any) -> None:
+def refused(entry, root, message, kind=BadInput, **settings):
     with pytest.raises(kind, match=message):
         get(entry, root, **settings)
 
 
-def visible(root: Path) -> list[str]:
+def visible(root):
     return sorted(str(path.relative_to(root)) for path in root.rglob("*") if not path.name.startswith("."))
 
 
-def recorded(root: Path) -> dict[str, Any]:
+def recorded(root):
     return dict(json.loads((root / "fetched.json").read_text(encoding="utf-8"))["parts"])
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
+def root(tmp_path):
     return tmp_path / "data" / "little"
 
 
 @pytest.fixture
-def url(server: Server) -> str:
+def url(server):
     return server.serve("/spring", SPRING)
 
 
@@ -154,10 +148,10 @@ def test_what_a_person_can_do_is_said_where_all_fail_and_nothing_is_asked_for_wh
 
 
 @contextmanager
-def interrupting(title: str) -> Iterator[None]:
+def interrupting(title):
     """As when somebody presses Ctrl-C a third into a download."""
 
-    def interrupt(stage: str, done: float) -> None:
+    def interrupt(stage, done):
         if stage.startswith("downloading") and 0.3 < done < 1:
             raise KeyboardInterrupt
 
@@ -165,7 +159,7 @@ def interrupting(title: str) -> Iterator[None]:
         yield
 
 
-def interrupt(entry: Download, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def interrupt(entry, root, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(command, "progress_shown", interrupting)
         with pytest.raises(KeyboardInterrupt):
@@ -241,7 +235,7 @@ def test_an_archive_put_there_by_hand_needs_no_net_and_is_compared_with_what_is_
 # Disks and folders
 
 
-def free(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
+def free(monkeypatch, n_bytes):
     """Let every disk have so many bytes free."""
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(total=10**12, used=0, free=n_bytes))
 
@@ -286,7 +280,7 @@ def test_folders_that_are_there_in_part_or_links_are_refused_before_anything_is_
     ],
 )
 def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, missing, said):
-    def check(name: str, folder: Path) -> tuple[str, ...]:
+    def check(name, folder):
         assert folder == root
         if name in missing:
             raise NotThere("summer is missing")
@@ -299,7 +293,7 @@ def test_the_first_dataset_that_has_its_frames_is_checked(url, root, capsys, mis
 def test_a_person_is_told_what_to_do_and_what_the_person_put_there_is_checked(root, capsys):
     entry = little(register="Register at https://example.org, and put spring/ into {folder}.\n")
 
-    def missing(name: str, folder: Path) -> tuple[str, ...]:
+    def missing(name, folder):
         raise NotThere("1.png is missing")
 
     assert get(entry, root) == 2

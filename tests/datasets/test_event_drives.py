@@ -1,18 +1,12 @@
 """Recordings of event cameras, own and published: which frames they give, and where the camera was."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from event_recordings import by_chance, write_aedat2
 from image_folders import REAL, answer, needs_real_frames, rights
 
-from vprbench.api import Events
 from vprbench.datasets.brisbane_events_7x7 import brisbane_events_7x7
 from vprbench.datasets.event_folders import event_folders
 from vprbench.datasets.event_vpr import brisbane_event_vpr, qcr_event_vpr
@@ -20,23 +14,23 @@ from vprbench.errors import NotThere
 from vprbench.methods.sad import SAD
 
 METRES_A_DEGREE = 110_574  # of latitude, at the equator
-OPTIONS: dict[str, Any] = {"height": 20, "width": 30, "hot_factor": None}
+OPTIONS = {"height": 20, "width": 30, "hot_factor": None}
 
 
 @pytest.fixture(autouse=True)
-def _frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _frames(tmp_path, monkeypatch):
     monkeypatch.setenv("VPRBENCH_EVENTS", str(tmp_path / "frames"))
 
 
 @pytest.fixture
-def options(tmp_path: Path) -> dict[str, Any]:
+def options(tmp_path):
     """A drive of 10 s in the map, and one of 7 s."""
     write_aedat2(tmp_path / "map.aedat", by_chance(4000, 1, seconds=10.0))
     write_aedat2(tmp_path / "drive.aedat", by_chance(4000, 2, seconds=7.0))
     return {"references": [str(tmp_path / "map.aedat")], "queries": str(tmp_path / "drive.aedat"), **OPTIONS}
 
 
-def track(file: Path, metres: Callable[[float], float], times: np.ndarray) -> None:
+def track(file, metres, times):
     rows = [f"{time},{metres(time) / METRES_A_DEGREE!r},0" for time in times.tolist()]
     file.with_suffix(".csv").write_text("\n".join(["time,lat,lon", *rows]) + "\n")
 
@@ -93,7 +87,7 @@ def test_recordings_that_are_missing_are_named(options, tmp_path):
     assert "sunset" in answer(brisbane_event_vpr, root=str(tmp_path), queries="sunset3")
 
 
-def write_hdf5(file: Path, events: Events, nanoseconds: int) -> None:
+def write_hdf5(file, events, nanoseconds):
     """Write events whose clock of nanoseconds since 1970 is at `nanoseconds` when that of `events` is at 0."""
     h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install vprbench[events]")
     file.parent.mkdir(exist_ok=True)
@@ -102,7 +96,7 @@ def write_hdf5(file: Path, events: Events, nanoseconds: int) -> None:
             stored[name] = column
 
 
-def sentence(kind: str, at: datetime, lat: float, fix: bool = True) -> str:
+def sentence(kind, at, lat, fix=True):
     """Return a sentence of NMEA 0183 with its checksum, at 0 degrees of longitude."""
     clock, degrees = f"{at:%H%M%S}.00", int(lat)
     where = f"{degrees:02d}{60 * (lat - degrees):010.7f},N,00000.0000000,E"
@@ -113,7 +107,7 @@ def sentence(kind: str, at: datetime, lat: float, fix: bool = True) -> str:
     return f"${text}*{np.bitwise_xor.reduce(np.frombuffer(text.encode(), np.uint8)):02X}\r\n"
 
 
-def log(begin: datetime, seconds: int, metres_a_second: float, kinds: tuple[str, ...] = ("RMC",)) -> str:
+def log(begin, seconds, metres_a_second, kinds=("RMC",)):
     """Return a log of a drive to the north that has no fix in its first two seconds, and a broken line."""
     lines = ["$GPGSV,3,1,11,03,03,111,00*74\r\n", "$GPRMC,broken\r\n"]
     for n in range(seconds):

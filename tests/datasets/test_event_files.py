@@ -1,7 +1,5 @@
 """Event recordings give the events that were written, whatever their format, and what is none is refused by name."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

@@ -1,10 +1,7 @@
 """What each dataset of files makes of names, orders, columns, radii and queries without a right place."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ from image_folders import REAL, fill, lists, needs_real_frames, numbered, reds, 
 from mat_cells import cells
 from scipy.io import savemat
 
-from vprbench.api.dataset import Dataset
 from vprbench.datasets.dbstruct import dbstruct
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
@@ -24,23 +20,23 @@ from vprbench.plugins import registry
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def configured(name: str, **changes: Any) -> Dataset:
+def configured(name, **changes):
     config = yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8"))
     return registry.make_dataset({**config, **changes})
 
 
-def at(*positions: tuple[int, int]) -> list[str]:
+def at(*positions):
     return [f"@{east}@{north}@10@S@@@{i}@.jpg" for i, (east, north) in enumerate(positions)]
 
 
 # Lists in CSV files
 
 
-def listed(references: str, queries: str, **options: Any) -> Dataset:
+def listed(references, queries, **options):
     """Return the dataset of two tables beside the images 0.jpg to 9.jpg."""
     fill(Path(), numbered(10))
     Path("map.csv").write_text(references, encoding="utf-8")

@@ -1,7 +1,5 @@
 """Frames of a folder: natural order whatever the file system lists first, links, and what lies beside frames."""
 
-from __future__ import annotations
-
 import os
 from contextlib import nullcontext
 from pathlib import Path

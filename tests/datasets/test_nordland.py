@@ -1,13 +1,9 @@
 """Nordland: the published list and ways to ask it, and folders in which something is missing."""
 
-from __future__ import annotations
-
 import hashlib
-from collections.abc import Callable, Mapping
 from functools import partial
 from math import hypot
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +12,6 @@ from hypothesis import strategies as st
 from image_folders import REAL, answer, needs_real_frames, reds, rights
 from PIL import Image as PillowImage
 
-from vprbench.api.dataset import Dataset
 from vprbench.datasets.nordland import chosen_names, nordland, published_frames
 from vprbench.datasets.readers import frame_folders
 from vprbench.errors import BadInput, NotThere
@@ -203,12 +198,12 @@ def test_the_frames_beside_the_checkout_are_those_divisible_by_ten_and_found_by_
 # The published ways to ask Nordland
 
 
-def config(*options: str) -> dict[str, Any]:
+def config(*options):
     return dict(compose.composed(list(options))["dataset"])
 
 
 @pytest.fixture(scope="module")
-def datasets(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Dataset]:
+def datasets(tmp_path_factory):
     """Every published way over four seasons that seem to hold the listed frames: nothing is read."""
     folder = tmp_path_factory.mktemp("nordland")
     for season in SEASON_LEVEL:
@@ -223,7 +218,7 @@ DRAWN = {*np.random.RandomState(42).permutation(3300)[:600].tolist()}  # that VP
 EIGHTH = FRAMES[::8][:3300]
 LEFT = [name for place, name in enumerate(EIGHTH) if place not in DRAWN]
 # References, query, names of the map and of the queries, and tolerance in places.
-PUBLISHED: dict[str, tuple[list[str], str, list[str], list[str], int]] = {
+PUBLISHED = {
     "nordland": (["spring", "fall"], "summer", EIGHTH, EIGHTH[600:], 0),
     "nordland_vprsnn": (["spring", "fall"], "summer", LEFT, LEFT, 0),
     "nordland_patchnetvlad": (["summer"], "winter", FRAMES, FRAMES, 7),
@@ -231,7 +226,7 @@ PUBLISHED: dict[str, tuple[list[str], str, list[str], list[str], int]] = {
     "nordland_vprbench": (["winter"], "summer", FRAMES, FRAMES[::10], 1),
 }
 # Ground truth from what each publishes, of the numbers of a query and of a frame of the map.
-BY_SOURCE: dict[str, Callable[[int, int], bool]] = {
+BY_SOURCE = {
     "nordland_patchnetvlad": lambda query, frame: hypot(query - frame, query - frame) <= 10,  # frame i at (i, i)
     "nordland_27k": lambda query, frame: abs(query * METRES_A_FRAME - frame * METRES_A_FRAME) <= 25,
     "nordland_vprbench": lambda query, frame: frame in (query - 1, query, query + 1),

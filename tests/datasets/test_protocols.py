@@ -1,9 +1,5 @@
 """Two ways to split the places of a dataset are never mixed: in columns, captions, growth and searches."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import figure_runs
 import numpy as np
 import pytest
@@ -18,18 +14,17 @@ from vprbench.paper.page import words
 from vprbench.paper.plan import PlannedColumn, Row
 from vprbench.paper.selection import ResolvedColumn, groups
 from vprbench.plugins import registry
-from vprbench.run.record import Run
 from vprbench.tuning.places import cut, querying, searchable
 
 
-def config(name: str) -> dict[str, Any]:
+def config(name):
     return dict(yaml.safe_load(registry.entries("dataset")[name].path.read_text(encoding="utf-8")))
 
 
 SYNTHETIC, NORDLAND = {**config("synthetic"), "places": 12}, config("nordland")
 
 
-def record(protocol: str, places: int = 12, held_out: int = 2) -> dict[str, Any]:
+def record(protocol, places=12, held_out=2):
     """Return what a rendered dataset records of so many places."""
     left = places - held_out
     return {
@@ -40,13 +35,13 @@ def record(protocol: str, places: int = 12, held_out: int = 2) -> dict[str, Any]
     }
 
 
-def asked_for(protocol: str, /, places: int = 12) -> Run:
+def asked_for(protocol, /, places=12):
     """Return a run of a rendered dataset under a protocol."""
     given = {"protocol": record(protocol, places), "fingerprint": f"{protocol}{places}"}
     return run(dataset={**SYNTHETIC, "protocol": protocol}, **given)
 
 
-def column(protocol: str, **dataset: Any) -> ResolvedColumn:
+def column(protocol, **dataset):
     planned = PlannedColumn(protocol, f"Railway, {protocol}", ("dataset=synthetic",), None)
     return ResolvedColumn(planned, dataset or {**SYNTHETIC, "protocol": protocol})
 

@@ -1,7 +1,5 @@
 """Every dataset of files gives what was written, and refuses missing, damaged and hostile files by name."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial
@@ -25,14 +23,14 @@ from vprbench.datasets.vpr_tutorial import gardens_point, with_matrix
 from vprbench.errors import BadInput, NotThere
 from vprbench.storage import mat_files
 
-WRITERS: dict[str, Callable[[Path, Any], object]] = {
+WRITERS = {
     ".mat": savemat,
     ".npy": partial(np.save, allow_pickle=True),
     ".npz": lambda file, arrays: np.savez_compressed(file, **arrays),
 }
 
 
-def put(path: Path, content: Any) -> None:
+def put(path, content):
     """Write images into a folder, or a text or arrays into a file; None takes away what is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if content is None:
@@ -47,12 +45,12 @@ def put(path: Path, content: Any) -> None:
         WRITERS[path.suffix](path, content)
 
 
-def table(header: str, *rows: str) -> str:
+def table(header, *rows):
     """Return a CSV of the images 0.jpg, 1.jpg and so on."""
     return "\n".join([f"image,{header}", *(f"{number}.jpg,{row}" for number, row in enumerate(rows))]) + "\n"
 
 
-def structure(**changes: Any) -> dict[str, Any]:
+def structure(**changes):
     """Return the fields of dbStruct in the order in which Relja/netvlad writes them."""
     return {
         "whichSet": "test",
@@ -178,11 +176,11 @@ SOURCES = {
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def written(source: str, **changed: Any) -> tuple[Callable[..., Dataset], dict[str, Any]]:
+def written(source, **changed):
     """Write the files of a source; returns the dataset's function and its options, some of them changed."""
     make, files, options, *_ = SOURCES[source]
     for path, content in files.items():
@@ -190,7 +188,7 @@ def written(source: str, **changed: Any) -> tuple[Callable[..., Dataset], dict[s
     return make, {"name": "mine", **options, **changed}
 
 
-def read(source: str, **changed: Any) -> Dataset:
+def read(source, **changed):
     make, options = written(source, **changed)
     return make(**options)
 
@@ -216,19 +214,19 @@ def test_what_was_written_is_read(source):
         assert dataset.places.tolist() == reds(dataset.references) == [*range(dataset.n_places)]
 
 
-def flipped(bit: int) -> Callable[[bytes], bytes]:
+def flipped(bit):
     at, by = bit // 8, 1 << bit % 8
     return lambda content: content[:at] + bytes([content[at] ^ by]) + content[at + 1 :]
 
 
-def first(keep: int) -> Callable[[bytes], bytes]:
+def first(keep):
     return lambda content: content[:keep]
 
 
-def zip_field(field: int, value: int) -> Callable[[bytes], bytes]:
+def zip_field(field, value):
     """Change a field of every member, in its own header and in that of the directory."""
 
-    def spoil(content: bytes) -> bytes:
+    def spoil(content):
         spoilt = bytearray(content)
         for signature, shift in ((b"PK\3\4", 0), (b"PK\1\2", 2)):
             for start in (found.start() for found in re.finditer(re.escape(signature), content)):
@@ -238,7 +236,7 @@ def zip_field(field: int, value: int) -> Callable[[bytes], bytes]:
     return spoil
 
 
-def both(content: str) -> dict[str, str]:
+def both(content):
     return {"map0.csv": content, "map1.csv": content, "asked.csv": content}
 
 
@@ -248,7 +246,7 @@ BY_CSV = {"ground_truth": "ground_truth.csv"}
 METRES = structure()["utmDb"]
 
 # What is changed on the disk, which options, and what the message names.
-REFUSED: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
+REFUSED = {
     "index": [
         ({"b": ["3.jpg"]}, {}, "dataset.references hold different numbers of images (a 3, b 4)"),
         ({"c": numbered(7)}, {}, "3 of 7 queries have no reference within 1 places (first: c/4.jpg)"),
@@ -361,7 +359,7 @@ REFUSED: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
         ),
     ],
 }
-MISSING: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
+MISSING = {
     "index": [
         *(({}, {option: None}, "dataset.references and dataset.queries") for option in ("references", "queries")),
         ({}, {"queries": "gone"}, "dataset.queries: gone is no folder"),
@@ -397,12 +395,12 @@ MISSING: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]] = {
 }
 
 
-def cases(refused: dict[str, list[tuple[dict[str, Any], dict[str, Any], str]]]) -> Any:
+def cases(refused):
     every = [pytest.param(source, *case, id=f"{source} {case[2]}") for source in refused for case in refused[source]]
     return pytest.mark.parametrize(("source", "files", "options", "told"), every)
 
 
-def refusal(source: str, files: dict[str, Any], options: dict[str, Any], kind: type[BadInput]) -> str:
+def refusal(source, files, options, kind):
     make, given = written(source, **options)
     for path, content in files.items():
         put(Path(path), content)

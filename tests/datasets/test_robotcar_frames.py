@@ -1,12 +1,9 @@
 """RobotCar's frames: raw ones processed when looked at, kept, and made anew where what was kept is something else."""
 
-from __future__ import annotations
-
 import json
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,11 +28,9 @@ from robotcar_download import (
 from scipy.ndimage import map_coordinates
 
 import vprbench.datasets.oxford_robotcar as robotcar
-from vprbench.api.dataset import Dataset
 from vprbench.datasets.oxford_robotcar import kept
 from vprbench.datasets.oxford_robotcar.calibration import (
     STEREO_LEFT,
-    Calibration,
     Camera,
     find_calibration,
     processed,
@@ -47,11 +42,11 @@ from vprbench.run.identity import fingerprint
 # The camera
 
 
-def calibration(folder: Path, x: np.ndarray, y: np.ndarray, camera: Camera = SMALL) -> Calibration:
+def calibration(folder, x, y, camera=SMALL):
     return read_calibration(write_table(folder, x, y), camera)
 
 
-def noise(camera: Camera) -> np.ndarray:
+def noise(camera):
     return np.random.default_rng(0).integers(0, 256, (camera.height, camera.width), dtype=np.uint8)
 
 
@@ -60,7 +55,7 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels_and_its_decimals_
     raw = noise(SMALL)
     seen = processed(raw, calibration(tmp_path, *grid()))
     for y, x, channel in np.ndindex(SMALL.height - 2, SMALL.width - 2, 3):
-        by_distance: dict[int, list[int]] = {}
+        by_distance = {}
         for dy, dx in np.ndindex(3, 3):
             if SITES[(y + dy) % 2, (x + dx) % 2] == channel:
                 by_distance.setdefault((dy - 1) ** 2 + (dx - 1) ** 2, []).append(int(raw[y + dy, x + dx]))
@@ -137,34 +132,34 @@ def test_the_table_is_found_in_the_root_or_where_the_option_says(tmp_path, folde
 
 
 @pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def root(tmp_path, monkeypatch):
     monkeypatch.setattr(robotcar, "STEREO_LEFT", SMALL)
     monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "no-downloads"))
     return write_download(tmp_path / "robotcar")
 
 
 @pytest.fixture
-def processings(monkeypatch: pytest.MonkeyPatch) -> list[None]:
+def processings(monkeypatch):
     """Grows by one whenever a raw frame is processed."""
-    seen: list[None] = []
+    seen = []
     process = kept.processed
     monkeypatch.setattr(kept, "processed", lambda *given: seen.append(None) or process(*given))
     return seen
 
 
-def dataset(root: Path, **arguments) -> Dataset:
+def dataset(root, **arguments):
     return robotcar.oxford_robotcar(root=str(root), **{**TINY, **arguments})
 
 
-def frame_path(root: Path, traverse: str, place: int) -> Path:
+def frame_path(root, traverse, place):
     return root / RECORDINGS[traverse] / "demosaiced" / f"{STAMPS[traverse][place]}.png"
 
 
-def raw_path(root: Path, traverse: str, place: int) -> Path:
+def raw_path(root, traverse, place):
     return raw_folder(root, traverse) / f"{STAMPS[traverse][place]}.png"
 
 
-def shows_all(found: Dataset) -> bool:
+def shows_all(found):
     """Whether references and queries are uniform in the colours of their traverses and places."""
     expected = [colour_of(traverse, place) for traverse in ("sun", "rain") for place in range(4)]
     expected += [colour_of("dusk", place) for place in (1, 2, 3)]
@@ -266,7 +261,7 @@ def test_many_threads_may_look_at_the_same_frames_at_once(root):
 # Whose frames are taken
 
 
-def write_processed(folder: Path, traverse: str, places: int = 4, mode: str = "RGB") -> None:
+def write_processed(folder, traverse, places=4, mode="RGB"):
     folder.mkdir(parents=True, exist_ok=True)
     for place in range(places):
         colour = (250, place, 0) if mode == "RGB" else place

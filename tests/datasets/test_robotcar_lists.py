@@ -1,7 +1,5 @@
 """RobotCar's published lists: their places, the images that they repeat, and other lists refused by name."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

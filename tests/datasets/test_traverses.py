@@ -1,8 +1,5 @@
 """Whatever is asked of traverses: places are split, numbered and matched by rule, or refused by the option's name."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +9,8 @@ from hypothesis import strategies as st
 from image_folders import answer
 from little import numbers_in, pictures
 
-from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images
 from vprbench.datasets.readers.traverses import (
     Evaluation,
-    Split,
     Traverses,
     dataset_of,
     right_places,
@@ -27,7 +21,7 @@ from vprbench.errors import BadInput
 
 quickly = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 anything = st.one_of(st.integers(-3, 80), st.sampled_from([-(10**30), 2**31, 2**63 - 1, 2**63, 10**30]))
-protocols: st.SearchStrategy[Evaluation] = st.sampled_from(["vprtempo", "vprsnn"])
+protocols = st.sampled_from(["vprtempo", "vprsnn"])
 
 
 class Asked(NamedTuple):
@@ -40,12 +34,12 @@ class Asked(NamedTuple):
     tolerance: int
     query_stride: int
 
-    def parts(self) -> Split:
+    def parts(self):
         return split(*self)
 
 
 @st.composite
-def asked(draw: st.DrawFn) -> Asked:
+def asked(draw):
     protocol = draw(protocols)
     places = draw(st.integers(1, 60))
     first = draw(st.integers(0, places - 1))
@@ -128,10 +122,10 @@ def test_frames_that_are_missing_between_places_break_the_journey():
         assert Traverses(["a"], "b", None).breaks(np.array(places)).tolist() == broken
 
 
-def made(given: Asked, traverses: list[int], query: int) -> Dataset:
+def made(given, traverses, query):
     """Return the dataset of pictures whose number is 1000 times their traverse's and their place's together."""
 
-    def frames(shown: Sequence[tuple[str, int]]) -> Images:
+    def frames(shown):
         return pictures([1000 * int(traverse) + place for traverse, place in shown])
 
     return dataset_of(

@@ -1,12 +1,8 @@
 """Folders of frames that may not be read are missing ones: named, with what to do, never a crash."""
 
-from __future__ import annotations
-
 import ctypes
 import os
-from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
 
 import pytest
 from checkout import is_readable
@@ -19,7 +15,7 @@ READ_EVERYTHING = 1 << 1 | 1 << 2  # CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH of
 
 
 @contextmanager
-def closed(folder: Path) -> Iterator[None]:
+def closed(folder):
     """Take from this process the right to read a folder, and from root the right to read it nevertheless."""
     mode = folder.stat().st_mode
     folder.chmod(0)
@@ -31,7 +27,7 @@ def closed(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def without_the_rights_of_root() -> Iterator[None]:
+def without_the_rights_of_root():
     """Take from this thread, and give back, the capabilities that let root read every file."""
     system = ctypes.CDLL(None, use_errno=True)
     if not hasattr(system, "capset"):
@@ -48,7 +44,7 @@ def without_the_rights_of_root() -> Iterator[None]:
 
 
 @pytest.fixture
-def seasons(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def seasons(tmp_path, monkeypatch):
     """The folders of two seasons, with a file for each of ten places; no season was downloaded."""
     monkeypatch.setenv("VPRBENCH_DATA", str(tmp_path / "none"))
     for season in ("summer", "winter"):
@@ -58,14 +54,14 @@ def seasons(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "seasons"
 
 
-def ask(**root: str) -> None:
+def ask(**root):
     places = {"places": 10, "query_places": 10, "first_query_place": 0}
     nordland("frames", references=["winter"], stride=1, frame_multiple=10, **places, **root)
 
 
 @pytest.mark.parametrize("option", ["root", "default_root"])
 @pytest.mark.parametrize("which", [".", "winter", ".."])
-def test_frames_that_may_not_be_read_are_frames_that_are_not_there(seasons: Path, which: str, option: str) -> None:
+def test_frames_that_may_not_be_read_are_frames_that_are_not_there(seasons, which, option):
     ask(**{option: str(seasons)})
     with closed((seasons / which).resolve()):
         assert not is_readable(seasons / which / "winter")
@@ -74,6 +70,6 @@ def test_frames_that_may_not_be_read_are_frames_that_are_not_there(seasons: Path
     ask(**{option: str(seasons)})
 
 
-def test_a_name_that_no_folder_can_have_is_a_folder_that_is_not_there(seasons: Path) -> None:
+def test_a_name_that_no_folder_can_have_is_a_folder_that_is_not_there(seasons):
     with pytest.raises(NotThere):
         ask(root=f"{seasons}\0")

@@ -1,7 +1,5 @@
 """Files are replaced as a whole: a reader of the old file keeps it, and a full disk changes nothing."""
 
-from __future__ import annotations
-
 import pytest
 from file_limit import no_file_may_exceed
 

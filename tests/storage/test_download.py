@@ -1,19 +1,14 @@
 """Downloads: what gets its name is the whole right file, whatever server, net and disk do meanwhile."""
 
-from __future__ import annotations
-
 import hashlib
 import socket
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import requests
 from file_limit import no_file_may_exceed
-from served_files import Served, serving
+from served_files import serving
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
@@ -29,7 +24,7 @@ PAGE = b"\n<!DOCTYPE html><html><body>Sign in</body></html>"
 
 
 @pytest.fixture
-def server() -> Iterator[Served]:
+def server():
     """One file on the net."""
     with serving() as net:
         net.serve("/net.pth", CONTENT)
@@ -37,16 +32,16 @@ def server() -> Iterator[Served]:
 
 
 @pytest.fixture
-def to(tmp_path: Path) -> Path:
+def to(tmp_path):
     return tmp_path / "weights" / "net.pth"
 
 
-def get(url: Served | str, to: Path, timeout_seconds: float = PATIENCE, **stated: Any) -> None:
+def get(url, to, timeout_seconds=PATIENCE, **stated):
     address = url if isinstance(url, str) else url.url
     fetch(address, to, timeout_seconds=timeout_seconds, pause_seconds=0.0, **stated)
 
 
-def refused(url: Served | str, to: Path, message: str, **stated: Any) -> None:
+def refused(url, to, message, **stated):
     """The download is refused in one line, and no file is there."""
     with pytest.raises(BadInput, match=message) as error:
         get(url, to, **stated)
@@ -54,12 +49,12 @@ def refused(url: Served | str, to: Path, message: str, **stated: Any) -> None:
     assert not to.exists()
 
 
-def left_behind(to: Path) -> list[str]:
+def left_behind(to):
     """Everything beside the file but its lock."""
     return sorted(path.name for path in to.parent.iterdir() if path.name not in (to.name, f".{to.name}.lock"))
 
 
-def interrupt(server: Served, to: Path, after_bytes: int = CHUNK) -> None:
+def interrupt(server, to, after_bytes=CHUNK):
     """Leave a part of `after_bytes`, as a run does that loses its server."""
     to.unlink(missing_ok=True)
     server.breaks_after, server.honours_ranges = after_bytes, False
@@ -71,7 +66,7 @@ def interrupt(server: Served, to: Path, after_bytes: int = CHUNK) -> None:
 
 
 def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_to_the_whole(server, to):
-    heard: list[tuple[str, float]] = []
+    heard = []
     with listening(lambda stage, done: heard.append((stage, done))):
         get(server, to, size_bytes=len(CONTENT), sha256=SHA256.upper())
     assert to.read_bytes() == CONTENT
@@ -122,7 +117,7 @@ def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_a
         nobody.bind(("127.0.0.1", 0))  # and does not listen
         refused(f"http://127.0.0.1:{nobody.getsockname()[1]}/net.pth", to, "refused")
 
-    def unknown(*_: Any, **__: Any) -> None:
+    def unknown(*_, **__):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
@@ -250,10 +245,10 @@ def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server, to, tmp_
 
 
 @pytest.fixture
-def drive(server: Served, monkeypatch: pytest.MonkeyPatch) -> str:
+def drive(server, monkeypatch):
     request = requests.Session.request
 
-    def elsewhere(session: requests.Session, method: str, url: str, **options: Any) -> requests.Response:
+    def elsewhere(session, method, url, **options):
         here = server.url.replace("/net.pth", "/page") if url.startswith("https://drive.google.com/") else url
         return request(session, method, here, **options)
 

@@ -1,7 +1,5 @@
 """Where no home is known, one line says what to set."""
 
-from __future__ import annotations
-
 import pwd
 from pathlib import Path
 
@@ -16,10 +14,10 @@ FOLDERS = {"VPRBENCH_WEIGHTS": weights_folder, "VPRBENCH_PARTIAL": partial_folde
 
 
 @pytest.fixture(autouse=True)
-def nameless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def nameless(monkeypatch, tmp_path):
     """Be a user without a name and a home, as in many a container."""
 
-    def unknown(_: object) -> None:
+    def unknown(_):
         raise KeyError("uid not found")
 
     monkeypatch.setattr(pwd, "getpwuid", unknown)

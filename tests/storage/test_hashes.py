@@ -1,7 +1,5 @@
 """Hashes of files are right whatever happens to the files or to the database, and computed once."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os
@@ -12,7 +10,6 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import platformdirs
 import pytest
@@ -30,12 +27,12 @@ ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
 @pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def read(monkeypatch):
     """How often each file was read, by name."""
-    counts: Counter[str] = Counter()
+    counts = Counter()
     digest = file_hashes.file_digest
 
-    def counted(file: Any, kind: str) -> Any:
+    def counted(file, kind):
         counts[Path(os.fsdecode(file.name)).name] += 1
         return digest(file, kind)
 
@@ -44,34 +41,34 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return tmp_path / "hashes"
 
 
-def later(folder: Path) -> FileHashes:
+def later(folder):
     """Return the hashes in a folder as seen when no file has changed for long."""
     return FileHashes(folder, lambda: YEAR_2096)
 
 
-def write(path: Path, content: bytes) -> Path:
+def write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
     return path
 
 
-def files(tmp_path: Path, count: int) -> list[Path]:
+def files(tmp_path, count):
     return [write(tmp_path / "frames" / f"{i}.png", b"frame %d" % i) for i in range(count)]
 
 
-def expected(paths: list[Path]) -> list[FileHash]:
+def expected(paths):
     return [FileHash(len(path.read_bytes()), hashlib.sha256(path.read_bytes()).digest()) for path in paths]
 
 
-def are_right(hashes: FileHashes, paths: list[Path]) -> bool:
+def are_right(hashes, paths):
     return [*hashes.of(paths)] == expected(paths)
 
 
-def refused(hashes: FileHashes, paths: list[Path]) -> str:
+def refused(hashes, paths):
     with pytest.raises(BadInput) as caught:
         hashes.of(paths)
     assert "\n" not in str(caught.value)
@@ -114,7 +111,7 @@ def test_hashes_that_were_read_before_an_error_are_kept(tmp_path, folder, read, 
     monkeypatch.setattr(file_hashes, "_BATCH", 4)
     paths, digest = files(tmp_path, 10), file_hashes.file_digest
 
-    def broken(file: Any, kind: str) -> Any:
+    def broken(file, kind):
         if file.name.endswith("9.png"):
             raise OSError(errno.EIO, "Input/output error")
         return digest(file, kind)
@@ -167,7 +164,7 @@ def test_a_file_that_is_being_written_is_read_until_it_is_whole_but_not_for_ever
     path, digest = write(tmp_path / "a.png", b"half"), file_hashes.file_digest
     rest = [b" more"] * times
 
-    def overtaken(file: Any, kind: str) -> Any:
+    def overtaken(file, kind):
         found = digest(file, kind)
         if rest:
             with path.open("ab") as end:
@@ -207,7 +204,7 @@ def test_a_damaged_database_is_begun_anew(tmp_path, folder, read, caplog, damage
     assert not read
 
 
-def ask(folder: Path, *questions: str) -> list[Any]:
+def ask(folder, *questions):
     """Put questions to the database by other means; returns the rows that answer the last."""
     (path,) = folder.iterdir()
     with closing(sqlite3.connect(path)) as database, database:
@@ -269,7 +266,7 @@ print(*(file.sha256.hex() for file in found))
 def test_several_threads_and_processes_share_the_hashes(tmp_path, folder, read, caplog):
     paths, hashes = sorted(files(tmp_path, 60)), later(folder)
     command = [sys.executable, "-c", OTHER_PROCESS, str(folder), str(tmp_path / "frames")]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     others = [subprocess.Popen(command, cwd=ROOT, **pipes) for _ in range(2)]
     with ThreadPoolExecutor(6) as threads:
         assert all(threads.map(lambda i: are_right(hashes, paths[i:] + paths[:i]), range(12)))

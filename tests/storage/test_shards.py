@@ -1,30 +1,27 @@
 """Long arrays in shards: the rows of a plain array, whichever file has them, and written on after a kill."""
 
-from __future__ import annotations
-
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vprbench.storage import shards
-from vprbench.storage.shards import Array, Shards, Writer
+from vprbench.storage.shards import Shards, Writer
 
 N, D = 300, 5
 
 
 @pytest.fixture(autouse=True)
-def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_shards(monkeypatch):
     monkeypatch.setattr(shards, "_LEAST_ROWS", 64)
 
 
 @pytest.fixture
-def rows() -> Array:
+def rows():
     return np.random.default_rng(0).standard_normal((N, D)).astype(np.float32)
 
 
-def written(folder: Path, rows: Array) -> tuple[Shards, list[int]]:
+def written(folder, rows):
     """Return the shards, and the first rows of those that were missing."""
     writer, began = Writer(folder, len(rows)), []
     for part in writer.missing():

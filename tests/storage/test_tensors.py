@@ -1,7 +1,5 @@
 """A sealed file of arrays tells any change of text, names, types, shapes and numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from safetensors.numpy import save_file

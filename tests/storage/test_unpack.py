@@ -1,7 +1,5 @@
 """Unpacking: all of what is wanted gets into its folder or nothing does, and nothing gets anywhere else."""
 
-from __future__ import annotations
-
 import gzip
 import lzma
 import os
@@ -11,10 +9,8 @@ import struct
 import tarfile
 import tracemalloc
 import zipfile
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +25,7 @@ from vprbench.storage.unpack import Wanted, unpack
 NOISE = np.random.default_rng(0).bytes(30_000)  # that no compression makes smaller
 FILES = {"set/spring/1.png": b"one", "set/spring/2.png": b"two", "set/read.me": NOISE}
 WANTED = Wanted(unpacked_bytes=10**6, only="*.png", strip=1)
-MAKERS: dict[str, Any] = {
+MAKERS = {
     "zip": zipped,
     "tar": lambda files: tarred(files, compression=""),
     "gz": tarred,
@@ -39,23 +35,23 @@ MAKERS: dict[str, Any] = {
 
 
 @pytest.fixture
-def archive(tmp_path: Path) -> Path:
+def archive(tmp_path):
     return tmp_path / "frames.tar.gz"  # whatever it holds
 
 
 @pytest.fixture
-def to(tmp_path: Path) -> Path:
+def to(tmp_path):
     """The destination, with somebody's file in it."""
     (tmp_path / "data" / "winter").mkdir(parents=True)
     (tmp_path / "data" / "winter" / "1.png").write_bytes(b"mine")
     return tmp_path / "data"
 
 
-def everything(folder: Path) -> dict[str, bytes]:
+def everything(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def refused(archive: Path, to: Path, wanted: Wanted, message: str, kind: type[BadInput] = BadInput) -> None:
+def refused(archive, to, wanted, message, kind=BadInput):
     """Unpacking raises, and nothing has changed on the disk, in the destination or around it."""
     around = archive.parent
     before = everything(around)
@@ -76,7 +72,7 @@ def test_the_wanted_files_come_out_under_their_names(archive, to, maker):
         content = tarred(FILES, compression="")
         archive.write_bytes(lzma.compress(content[:700]) + bytes(8) + lzma.compress(content[700:]) + bytes(4))
     (to / "spring").mkdir()  # an empty folder is no obstacle
-    heard: list[float] = []
+    heard = []
     with listening(lambda stage, done: heard.append(done)):
         assert unpack(archive, to, WANTED) == 2
     assert everything(to) == {"spring/1.png": b"one", "spring/2.png": b"two", "winter/1.png": b"mine"}
@@ -98,11 +94,11 @@ def test_what_is_not_approved_or_interrupted_does_not_get_there(archive, to):
     archive.write_bytes(zipped(FILES))
     seen = []
 
-    def disapprove(folder: Path) -> None:
+    def disapprove(folder):
         seen.append(sorted(everything(folder)))
         raise BadInput("other frames than expected")
 
-    def interrupt(stage: str, done: float) -> None:
+    def interrupt(stage, done):
         if done:
             raise KeyboardInterrupt
 
@@ -190,7 +186,7 @@ def test_a_zip_is_refused_for_what_it_states(archive, to, offset, field, said, k
 # Headers that ask for the whole memory
 
 
-def empty(name: str, **fields: Any) -> bytes:
+def empty(name, **fields):
     info = tarfile.TarInfo(name)
     for field, value in fields.items():
         setattr(info, field, value)
@@ -202,7 +198,7 @@ SPARSE = {"GNU.sparse.major": "1", "GNU.sparse.minor": "0"}
 
 
 @contextmanager
-def memory_stays_below(most_bytes: int) -> Iterator[None]:
+def memory_stays_below(most_bytes):
     tracemalloc.start()
     try:
         yield
@@ -253,7 +249,7 @@ def test_other_files_than_expected_are_refused(archive, to, files, wanted, said)
     refused(archive, to, wanted, said)
 
 
-def with_another(content: bytes, position: int) -> bytes:
+def with_another(content, position):
     return content[:position] + bytes([content[position] ^ 0xFF]) + content[position + 1 :]
 
 
@@ -286,7 +282,7 @@ def test_a_full_disk_is_named_and_what_was_moved_goes_back_where_the_rest_cannot
         refused(archive, to, WANTED, r"\(.*File.*large\).*: free")
     rename = Path.rename
 
-    def fails_for_b(path: Path, target: Path) -> Path:
+    def fails_for_b(path, target):
         if target.name == "b":
             raise OSError(5, os.strerror(5), str(target))
         return rename(path, target)
