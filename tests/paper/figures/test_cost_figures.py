@@ -1,17 +1,13 @@
 """Figures of what accuracy costs: points, bars and fronts stand at the numbers of the runs; names cover nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import figure_runs
 import numpy as np
 import pytest
 from checkout import ROOT
 from figure_runs import series
-from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
@@ -20,13 +16,11 @@ from stored_runs import answers
 from vprbench.metrics.intervals import share_interval
 from vprbench.paper.figures.growth import growth
 from vprbench.paper.figures.speed import query_rate, training_time
-from vprbench.paper.figures.style import Drawn, looks
+from vprbench.paper.figures.style import looks
 from vprbench.paper.figures.tradeoff import against_memory, against_rate, front
 from vprbench.paper.growth import samples
-from vprbench.paper.plan import Quantity, Row, read_plan
-from vprbench.paper.selection import Series
+from vprbench.paper.plan import Row, read_plan
 from vprbench.run.note import Note
-from vprbench.run.record import Run
 
 approx = pytest.approx
 METHODS = ("VPRTempo", "VPRTempo, public code", "SAD", "NetVLAD", "CosPlace", "MixVPR")
@@ -36,15 +30,15 @@ NORDLAND, STREET = PLAN.columns["nordland"], PLAN.columns["street"]
 UNPUBLISHED = replace(PLAN.columns["railway"], title="Railway (rendered), 225 places", published=None)
 
 
-def words(axes: Axes) -> list[str]:
+def words(axes):
     return [text.get_text() for text in axes.texts]
 
 
-def legend(drawn: Drawn) -> list[str]:
+def legend(drawn):
     return [text.get_text() for each in drawn.figure.legends for text in each.get_texts()]
 
 
-def bar_ends(axes: Axes, number: int = 0) -> tuple[float, float]:
+def bar_ends(axes, number=0):
     """Return the ends of the upright bar of a point."""
     ((_, low), (_, high)) = axes.containers[number].lines[2][0].get_segments()[0]
     return low, high
@@ -53,74 +47,61 @@ def bar_ends(axes: Axes, number: int = 0) -> tuple[float, float]:
 # R@1 against rate and memory
 
 
-def method(name: str, share: float, hz: float = 100.0, megabytes: float = 500.0, kept: int | None = None) -> Series:
+def method(name, share, hz=100.0, megabytes=500.0, kept=None):
     """Return a row of one run on 400 queries whose encode and match take equally long."""
     times = {"encode_seconds": 0.5 / hz, "match_seconds": 0.5 / hz}
     costs = {"peak_memory_bytes": int(megabytes * 1e6), "bytes_per_place": kept}
     return series(name, figure_runs.run(name, share, n_queries=400, n_places=450, **times, **costs))
 
 
-def points(axes: Axes) -> list[tuple[float, float]]:
+def points(axes):
     lines = [container.lines[0] for container in axes.containers]
     return [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in lines]
 
 
-def steps(axes: Axes) -> list[tuple[float, float]]:
+def steps(axes):
     """Return the corners of the front: the only line with more than one of them."""
     (line,) = (line for line in axes.lines if len(line.get_xdata()) > 1)
-    return [(float(x), float(y)) for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)]
+    return line.get_xydata().tolist()
 
 
-def test_points_stand_at_the_total_rate_and_the_recall_in_percent_and_untimed_rows_are_left_out_by_name() -> None:
+def test_points_stand_at_the_total_rate_and_the_recall_with_its_interval_and_untimed_rows_are_left_out():
     untimed = series("Untimed", replace(method("GCL", 0.5).runs[0], timing=None))
     drawn = against_rate([method("SAD", 0.5, 80), method("GCL", 0, 2), method("C", 1, 4), untimed])
     (axes,) = drawn.figure.axes
     assert points(axes) == [approx((80, 50)), approx((2, 0)), approx((4, 100))]
     assert axes.get_ylim() == (0, 100)
     assert "Left out, for it was not timed: Untimed." in drawn.caption
+    for hits, kind in ([1] * 400, "independent"), (np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20).tolist(), "blocks"):
+        expected = share_interval(np.array(hits))
+        assert expected.kind == kind
+        run = figure_runs.run("SAD", n_queries=len(hits), n_places=450, outcome=answers(hits, 450))
+        ends = bar_ends(against_rate([series("SAD", run)]).figure.axes[0])
+        assert ends == approx((100 * expected.low, 100 * expected.high))
 
 
-@pytest.mark.parametrize(
-    ("hits", "kind"), [([1] * 400, "independent"), (np.repeat([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], 20).tolist(), "blocks")]
-)
-def test_the_bar_is_the_interval_of_the_hits(hits: list[int], kind: str) -> None:
-    expected = share_interval(np.array(hits))
-    assert expected is not None
-    assert expected.kind == kind
-    run = figure_runs.run("SAD", n_queries=len(hits), n_places=450, outcome=answers(hits, 450))
-    assert bar_ends(against_rate([series("SAD", run)]).figure.axes[0]) == approx(
-        (100 * expected.low, 100 * expected.high)
-    )
-
-
-def test_the_front_is_that_of_a_slow_search_over_all_pairs() -> None:
+def test_the_front_is_that_of_a_slow_search_over_all_pairs():
     """A point is on it unless another is at least as good in both and better in one; the cheapest comes first."""
     grid = list(product(range(3), repeat=2))
     for chosen in product(grid, repeat=3):
-        costs, gains = zip(*chosen, strict=True)
-        better = [
-            i
-            for i, (cost, gain) in enumerate(chosen)
-            if not any(c <= cost and g >= gain and (c, g) != (cost, gain) for c, g in chosen)
-        ]
+        costs, gains = np.array(chosen).T
+        beaten = [(costs <= c) & (gains >= g) & ((costs != c) | (gains != g)) for c, g in chosen]
         found = front(costs, gains)
-        assert sorted(found) == better
+        assert sorted(found) == [*np.flatnonzero(~np.any(beaten, axis=1))]
         assert sorted(costs[i] for i in found) == [costs[i] for i in found]
 
 
-def test_the_steps_run_from_the_best_to_the_worse_end_of_the_costs() -> None:
+def test_the_steps_run_from_the_best_to_the_worse_end_of_the_costs():
     rows = [method("A", 0.25, 100), method("B", 0.5, 10), method("C", 0.75, 1), method("D", 0.25, 50)]
     (axes,) = against_rate(rows).figure.axes
-    corners = [(100, 25), (10, 25), (10, 50), (1, 50), (1, 75), (axes.get_xlim()[0], 75)]
-    assert steps(axes) == [approx(corner) for corner in corners]
+    corners = [[100, 25], [10, 25], [10, 50], [1, 50], [1, 75], [axes.get_xlim()[0], 75]]
+    assert np.array(steps(axes)) == approx(np.array(corners))
     (axes,) = against_memory([method("A", 0.25, megabytes=100), method("B", 0.5, megabytes=1000)]).figure.axes
-    assert steps(axes) == [approx(corner) for corner in [(100, 25), (1000, 25), (1000, 50), (axes.get_xlim()[1], 50)]]
+    assert np.array(steps(axes)) == approx(np.array([[100, 25], [1000, 25], [1000, 50], [axes.get_xlim()[1], 50]]))
 
 
-def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_that_keep_descriptors() -> None:
-    seeds = [
-        figure_runs.run("t", share, seed=i, peak_memory_bytes=10**8 * (i + 1)) for i, share in ((0, 0.5), (1, 0.7))
-    ]
+def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_that_keep_descriptors():
+    seeds = [figure_runs.run("t", 0.5 + 0.2 * i, seed=i, peak_memory_bytes=10**8 * (i + 1)) for i in (0, 1)]
     (axes,) = against_memory([series("VPRTempo", *seeds)]).figure.axes
     assert points(axes) == [approx((150, 60))]
     drawn = against_memory([method("SAD", 0.5, kept=784), method("VPRTempo", 0.6), method("GCL", 0.3, kept=8192)])
@@ -128,34 +109,25 @@ def test_memory_is_the_mean_of_the_seeds_and_the_map_has_a_panel_for_the_rows_th
     assert points(right) == [approx((784, 50)), approx((8192, 30))]
 
 
-@pytest.mark.parametrize(
-    ("shares", "rates"),
-    [
-        ([0.5 + 0.01 * i for i in range(6)], [1000 - 20 * i for i in range(6)]),
-        ((0.9, 0.88, 0.4, 0.3, 0.6, 0.62), (1000, 900, 5, 0.5, 40, 30)),
-        ([0.5] * 6, [100] * 6),
-    ],
-    ids=["crowded", "spread", "alike"],
-)
-def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_inside(shares: Any, rates: Any) -> None:
+@pytest.mark.parametrize("apart", [0, 1], ids=["alike", "crowded"])
+def test_names_of_six_methods_cover_neither_one_another_nor_points_and_stay_inside(apart):
+    rates = [1000 - 20 * i * apart for i in range(6)]
     rows = [
-        method(*row, megabytes=10000 / row[2] ** 0.5, kept=4096) for row in zip(METHODS, shares, rates, strict=True)
+        method(name, 0.5 + 0.01 * i * apart, rates[i], megabytes=10000 / rates[i] ** 0.5, kept=4096)
+        for i, name in enumerate(METHODS)
     ]
     for figure in (against_rate(rows).figure, against_memory(rows).figure):
         figure.draw_without_rendering()
         for axes in figure.axes:
             names = [Text.get_window_extent(text) for text in axes.texts]  # without the lines that lead to their points
-            markers = [
-                Bbox.from_bounds(x, y, 0, 0).padded(2 * figure.dpi / 72)
-                for x, y in axes.transData.transform(points(axes))
-            ]
+            markers = [Bbox([xy, xy]).padded(2 * figure.dpi / 72) for xy in axes.transData.transform(points(axes))]
             assert words(axes) == list(METHODS)
             assert not any(one.overlaps(other) for i, one in enumerate(names) for other in names[:i])
             assert not any(name.overlaps(marker) for name in names for marker in markers)
             assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in names)
 
 
-def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them() -> None:
+def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them():
     many = [method(f"a method of a long name, {i}", 0.5, 100, 500) for i in range(16)]
     for drawn in (against_rate(many), against_memory(many)):
         assert not any(axes.texts for axes in drawn.figure.axes)
@@ -165,27 +137,25 @@ def test_names_stand_in_a_legend_where_a_panel_has_no_room_for_them() -> None:
 # Bars of times
 
 
-def tempo(*minutes: float, device: str = "cpu") -> Series:
+def tempo(*minutes, device="cpu"):
     """Return VPRTempo with a run for each number of minutes of training; the n-th matches in n ms and encodes in 1."""
-    each = enumerate(minutes, 1)
-    runs = [
-        figure_runs.run("vprtempo", seed=i, fit_seconds=60 * m, match_seconds=0.001 * i, device=device) for i, m in each
-    ]
+    times = [{"fit_seconds": 60 * each, "match_seconds": 0.001 * i} for i, each in enumerate(minutes, 1)]
+    runs = [figure_runs.run("vprtempo", seed=i, device=device, **each) for i, each in enumerate(times, 1)]
     return series("VPRTempo", *runs, spiking=True)
 
 
-def bars(axes: Axes, hatched: bool) -> dict[int, float]:
+def bars(axes, hatched):
     """Return the number at the end of each bar, by the row at which it stands."""
     found = [bar for bar in axes.patches if bool(bar.get_hatch()) == hatched]
     return {round(bar.get_y() + bar.get_height() / 2): bar.get_x() + bar.get_width() for bar in found}
 
 
-def black_lines(axes: Axes) -> list[list[float]]:
+def black_lines(axes):
     """Return where lines over bars begin and end."""
     return [list(line.get_xdata()) for line in axes.lines if line.get_color() == "black"]
 
 
-def test_training_bars_end_at_the_measured_and_the_published_minutes() -> None:
+def test_training_bars_end_at_the_measured_and_the_published_minutes():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", fit_seconds=6000.0))  # comes trained
     drawn = training_time([tempo(3.0), netvlad], (), ROWS, NORDLAND, {})
     (axes,) = drawn.figure.axes
@@ -199,7 +169,7 @@ def test_training_bars_end_at_the_measured_and_the_published_minutes() -> None:
     assert legend(drawn) == ["measured here", "published", "published, quoted there", "with reading the images"]
 
 
-def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> None:
+def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it():
     times = [(600.0, 60.0), (660.0, 120.0), (900.0, 240.0)]
     runs = [figure_runs.run("t", seed=i, fit_seconds=w, fit_compute_seconds=own) for i, (w, own) in enumerate(times)]
     drawn = training_time([series("VPRTempo", *runs)], (), ROWS, NORDLAND, {})
@@ -211,7 +181,7 @@ def test_training_is_drawn_without_waiting_for_images_and_a_tick_with_it() -> No
     assert number.get_window_extent().x0 > axes.transData.transform((11, 0))[0]
 
 
-def test_rates_are_of_encode_and_match_together_beside_the_paper_s() -> None:
+def test_rates_are_of_encode_and_match_together_beside_the_paper_s():
     netvlad = series("NetVLAD", figure_runs.run("netvlad", encode_seconds=0.5, match_seconds=0.1))
     sad = series("SAD", figure_runs.run("sad", encode_seconds=0.001, match_seconds=0.004))
     for column, rates in ((NORDLAND, [10, 0.5, 2, 2, 353]), (STREET, [185, 0.5, 0.4, 2, 1670])):
@@ -220,7 +190,7 @@ def test_rates_are_of_encode_and_match_together_beside_the_paper_s() -> None:
         assert [bars(axes, hatched=True)[i] for i in range(5)] == approx(rates)
 
 
-def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None:
+def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps():
     run = figure_runs.run("vprtempo", match_seconds=0.001, spread=0.2)
     laps = sorted(run.timing.streaming.total_seconds)  # 101 laps: the quantiles 0.1 and 0.9 are laps 11 and 91
     one, several = series("VPRTempo", run), tempo(1.0, 1.0)  # of two seeds: 500 and 333 Hz
@@ -230,9 +200,9 @@ def test_a_single_seed_s_rate_shows_the_middle_four_fifths_of_its_laps() -> None
         assert bars(axes, hatched=False)[4] == approx(bar)
 
 
-def test_a_row_without_a_bar_says_why_or_has_the_word_of_the_table_for_its_device() -> None:
+def test_a_row_without_a_bar_says_why_or_has_the_word_of_the_table_for_its_device():
     loaded = series("VPRSNN", figure_runs.run("vprsnn", fit_seconds=None, network={"run": "ab"}))
-    marks: dict[tuple[str, Quantity], str] = {("VPRSNN", "train_cpu"): "not run", ("VPRTempo", "train_cpu"): "failed"}
+    marks = {("VPRSNN", "train_cpu"): "not run", ("VPRTempo", "train_cpu"): "failed"}
     (axes,) = training_time([loaded], (), ROWS, UNPUBLISHED, marks).figure.axes
     assert words(axes) == ["no training", "comes trained", "comes trained", "network loaded", "failed"]
     told = ("failed", "not there", "left out", "not timed", "measured")
@@ -244,7 +214,7 @@ def test_a_row_without_a_bar_says_why_or_has_the_word_of_the_table_for_its_devic
     assert words(gpu)[:4] == ["not run", "not run", "unfinished", "not run"]
 
 
-def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
+def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale():
     cpu, gpu = query_rate([tempo(3.0)], [tempo(0.1, device="cuda")], ROWS, NORDLAND, {}).figure.axes
     assert (cpu.get_title(loc="left"), gpu.get_title(loc="left")) == ("CPU", "GPU")
     assert cpu.get_xlim() == gpu.get_xlim()
@@ -258,7 +228,7 @@ def test_a_gpu_gets_a_panel_of_its_own_on_the_same_scale() -> None:
     assert all(text.get_window_extent().x1 <= axes.bbox.x1 for axes in figure.axes for text in axes.texts)
 
 
-def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> None:
+def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone():
     drawn = query_rate([tempo(3.0)], (), ROWS, UNPUBLISHED, {})
     assert bars(drawn.figure.axes[0], hatched=True) == {}
     assert legend(drawn) == ["measured here"]
@@ -272,24 +242,22 @@ def test_a_column_that_the_paper_does_not_have_shows_measured_bars_alone() -> No
 SIZES = (100, 300, 1000, 3000, 9000, 27000)
 
 
-def grown(runs: list[Run] | None = None, name: str = "VPRTempo") -> Any:
+def grown(runs=None, name="VPRTempo"):
     """Return samples of a training of 0.4 s + 4 ms a place and a match of 1 ms a unit of ln places, nearly exact."""
-    made = [
-        figure_runs.sized(n, (0.4 + 0.004 * n) * w, 0.001 * np.log(n) * w, encode_seconds=0.002)
-        for n, w in zip(SIZES, (1.01, 0.99) * 3, strict=True)
-    ]
+    wobble = dict(zip(SIZES, (1.01, 0.99) * 3, strict=True))
+    made = sizes(lambda n: (0.4 + 0.004 * n) * wobble[n], lambda n: 0.001 * np.log(n) * wobble[n], encode_seconds=0.002)
     return samples(Row(name, "vprtempo", boundary="match"), made if runs is None else runs, ())
 
 
-def sizes(fit: Any, match: Any = lambda n: 0.001, **changes: Any) -> list[Run]:
+def sizes(fit, match=lambda n: 0.001, **changes):
     return [figure_runs.sized(n, fit(n), match(n), **changes) for n in SIZES]
 
 
-def labels(axes: Axes) -> list[str]:
+def labels(axes):
     return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
-def test_points_stand_at_places_seconds_and_milliseconds_and_the_best_law_is_thick_and_named() -> None:
+def test_points_stand_at_places_seconds_and_milliseconds_and_the_best_law_is_thick_and_named():
     left, right = growth([grown()]).figure.axes
     line = left.containers[0].lines[0]
     assert list(line.get_xdata()) == list(SIZES)
@@ -309,16 +277,13 @@ def test_points_stand_at_places_seconds_and_milliseconds_and_the_best_law_is_thi
     assert [label.split(",")[0] for label in labels(left)] == ["VPRTempo: linear", "other: linear"]
 
 
-def test_the_exponent_stands_in_the_legend_with_its_interval() -> None:
+def test_the_exponent_stands_in_the_legend_and_what_was_not_trained_or_not_timed_has_the_other_times_alone():
     exact = [figure_runs.sized(n, 0.01 * n, 1e-6 * n**0.5, encode_seconds=1e-6 * n**0.5) for n in SIZES]
     left, right = growth([grown(exact)]).figure.axes
     assert labels(left)[0] == "training, exponent 1.00 [1.00, 1.00]"
     assert labels(right)[0] == "encode and match, exponent 0.50 [0.50, 0.50]"
     left, _ = growth([grown(exact[:3])]).figure.axes  # too few sizes for laws
     assert labels(left) == ["training"]
-
-
-def test_what_was_not_trained_or_not_timed_has_the_other_times_alone() -> None:
     left, right = growth([grown(sizes(lambda n: None, lambda n: 1e-6 * n))]).figure.axes
     assert (words(left), len(left.containers), len(right.containers)) == (["nothing was trained"], 0, 1)
     untimed = [replace(run, timing=None) for run in sizes(lambda n: 0.01 * n)]
@@ -326,16 +291,15 @@ def test_what_was_not_trained_or_not_timed_has_the_other_times_alone() -> None:
     assert (words(right), len(left.containers), len(right.containers)) == (["nothing was timed"], 1, 0)
 
 
-def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median() -> None:
+def test_several_seeds_are_several_points_and_the_law_is_that_of_their_median():
     runs = [run for seed in range(3) for run in sizes(lambda n, s=seed: n / 100 * (1, 2, 9)[s], seed=seed)]
     left, _ = growth([grown(runs)]).figure.axes
     assert list(left.containers[0].lines[0].get_ydata()[:3]) == approx([1, 2, 9])
     (line,) = (line for line in left.lines if line.get_label() == "linear, lowest AICc")
-    assert (line.get_xdata()[0], line.get_xdata()[-1]) == approx((100, 27000))
-    assert (line.get_ydata()[0], line.get_ydata()[-1]) == approx((2, 540))
+    assert line.get_xydata()[[0, -1]] == approx(np.array([[100, 2], [27000, 540]]))
 
 
-def test_disturbed_sizes_are_hollow_and_the_bar_of_a_query_is_the_interval_of_its_median() -> None:
+def test_disturbed_sizes_are_hollow_and_the_bar_of_a_query_is_the_interval_of_its_median():
     noisy = (Note("noisy", "noisy: two carts passed"),)
     runs = [replace(r, notes=noisy * (r.outcome.n_places in (300, 9000))) for r in grown().runs]
     for axes in growth([grown(runs)]).figure.axes:

@@ -3,15 +3,11 @@
 The stored captions are written anew, to be read before they are committed, where VPRBENCH_STORE_DOCUMENTS is set.
 """
 
-from __future__ import annotations
-
 import os
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, cycle
 from pathlib import Path
-from typing import Any
 
 import little
 import numpy as np
@@ -19,7 +15,6 @@ import pytest
 from checkout import ROOT
 from figure_runs import five_rows, run, series, sized
 from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from vprbench.errors import BadInput
@@ -31,11 +26,9 @@ from vprbench.paper.figures.metrics import of_rows
 from vprbench.paper.figures.pictures import frames, similarity
 from vprbench.paper.figures.speed import query_rate, training_time
 from vprbench.paper.figures.spikes import spike_statistics
-from vprbench.paper.figures.style import Drawn
 from vprbench.paper.figures.tradeoff import against_memory, against_rate
-from vprbench.paper.growth import GrowthSamples, samples
+from vprbench.paper.growth import samples
 from vprbench.paper.plan import Row, read_plan
-from vprbench.paper.selection import Series
 from vprbench.run.note import Note
 from vprbench.run.thumbnails import Example, Thumbnails
 
@@ -52,10 +45,10 @@ NOISY = (Note("noisy", "two carts passed"),)
 ACCURACY = (precision_recall, recall_at_n, recall_at_tolerance, against_rate, against_memory)
 
 
-def ten_rows(device: str = "cpu") -> list[Series]:
+def ten_rows(device="cpu"):
     """Return ten rows of two seeds whose numbers lie near one another, or decades apart."""
 
-    def one(i: int, seed: int) -> Any:
+    def one(i, seed):
         times = {"fit_seconds": 10.0 * 7 ** (i % 5) * (1 + seed), "fit_compute_seconds": 8.0 * 7 ** (i % 5)}
         costs = {"peak_memory_bytes": 300_000_000 * (1 + i % 4), "bytes_per_place": None if i % 2 else 1024 * (i + 1)}
         more = {"seed": seed, "device": device, "encode_seconds": 0.001 * 3 ** (i % 6), **times, **costs}
@@ -64,7 +57,7 @@ def ten_rows(device: str = "cpu") -> list[Series]:
     return [series(name, one(i, 0), one(i, 1)) for i, name in enumerate(NAMES)]
 
 
-def troubled() -> list[Series]:
+def troubled():
     """Return a tuned row, one on a GPU, and one on a busy machine with ties beyond what is stored."""
     tuned = run("mine", 0.5, tuned_on={"dataset": "railway", "places": "the first 9 places"})
     tied = run("gcl", 0.3, notes=NOISY)
@@ -73,7 +66,7 @@ def troubled() -> list[Series]:
     return [replace(row, runs=tuple(replace(r, protocol={"tolerance_places": 2}) for r in row.runs)) for row in rows]
 
 
-def unanswered() -> Series:
+def unanswered():
     """Return two seeds of which one query has no right place."""
     runs = [little.a_run(config={**little.a_run().config, "seed": seed}) for seed in (0, 1)]
     positives = (*runs[0].positives[:3], np.empty(0, np.int64))
@@ -81,7 +74,7 @@ def unanswered() -> Series:
     return series("VPRTempo", *(replace(r, positives=positives, outcome=outcome(scores, positives)) for r in runs))
 
 
-def grown(name: str, training: Callable[[int], float | None], query: Callable[[int], float], *more: Any) -> Any:
+def grown(name, training, query, *more):
     made = []
     for n, wobble in zip(SIZES, (1.01, 0.99) * 3, strict=True):
         fit = training(n)
@@ -89,7 +82,7 @@ def grown(name: str, training: Callable[[int], float | None], query: Callable[[i
     return samples(Row(name, name.lower(), None if name == "CosPlace" else "match"), [*made, *more], ())
 
 
-def of_growth() -> Iterator[tuple[str, list[GrowthSamples]]]:
+def of_growth():
     claimed = grown("VPRTempo", lambda n: 0.4 + 0.004 * n, lambda n: 0.001 * float(np.log(n)))
     yield "as claimed", [claimed]
     old = sized(300, 9.0, 0.009, code="older", time_utc="2024-01-01T00:00:00Z")
@@ -101,21 +94,20 @@ def of_growth() -> Iterator[tuple[str, list[GrowthSamples]]]:
     ]
     yield "undecided", [samples(Row("VPRTempo", "vprtempo", "match"), wobbling, ())]
     yield "too few", [samples(Row("VPRTempo", "vprtempo", "match"), claimed.runs[:3], ())]
-    yield "of eight rows", [replace(claimed, name=name) for name in NAMES[:8]]
 
 
-def spiking(name: str, n_queries: int, *layers: tuple[str, int]) -> Series:
+def spiking(name, n_queries, *layers):
     random = np.random.default_rng(0)
     made = [little.a_layer(layer, n, list(random.poisson(n / 2, n_queries)), 0.4, None) for layer, n in layers]
     return series(name, *(little.a_run(spikes={"queries": n_queries, "layers": made}) for _ in range(2)))
 
 
-def thumbnails(height: int, width: int) -> Thumbnails:
+def thumbnails(height, width):
     frame, names = np.zeros((height, width, 3), np.uint8), tuple(f"{i}.png" for i in range(9))
     return Thumbnails(names, names, tuple(Example(i, i + 1, frame, frame) for i in range(4)), (b"",) * 9, (b"",) * 9)
 
 
-def every_kind() -> Iterator[tuple[str, Drawn]]:
+def every_kind():
     ten, on_gpu, five = ten_rows(), ten_rows("cuda"), five_rows(n_places=50)
     for draw in ACCURACY:
         rows = {"ten rows": ten, "one seed": five[:1], "troubled rows": troubled(), "two seeds": [unanswered()]}
@@ -139,40 +131,37 @@ def every_kind() -> Iterator[tuple[str, Drawn]]:
     snn = ("input", 784), ("excitatory", 13200), ("inhibitory", 13200)
     names = "VPRTempo", LONG, "VPRSNN", "VPRTempo (public code)"
     networks = [spiking(name, 9, *kind) for name, kind in zip(names, cycle((tempo, tempo, snn)))]
-    yield (
-        "spikes of one",
-        spike_statistics([series("SAD", little.a_run(spikes=None)), spiking("VPRTempo", 1200, *tempo)]),
-    )
+    without = series("SAD", little.a_run(spikes=None))
+    yield "spikes of one", spike_statistics([without, spiking("VPRTempo", 1200, *tempo)])
     yield "spikes of four", spike_statistics(networks)
 
 
 @pytest.fixture(scope="module")
-def drawings() -> list[tuple[str, Drawn]]:
+def drawings():
     return [*every_kind()]
 
 
-def test_captions_are_the_stored_ones(drawings: list[tuple[str, Drawn]]) -> None:
+def test_captions_are_the_stored_ones(drawings):
     text = "\n".join(f"## {name}\n\n{drawn.caption}\n" for name, drawn in drawings)
     if "VPRBENCH_STORE_DOCUMENTS" in os.environ:
         STORED.write_text(text, encoding="utf-8")
     assert text == STORED.read_text(encoding="utf-8")
 
 
-def shown(figure: Figure) -> list[Text]:
+def shown(figure):
     """Return the texts that a reader sees: a tick beyond the ends of its axis is not drawn."""
     figure.draw_without_rendering()
-    hidden: set[Text] = set()
+    hidden = set()
     for axis in figure.findobj(Axis):
         low, high = sorted(axis.get_view_interval())
-        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-            if not low <= tick.get_loc() <= high:
-                hidden |= {tick.label1, tick.label2}
+        beyond = [tick for tick in axis.get_major_ticks() + axis.get_minor_ticks() if not low <= tick.get_loc() <= high]
+        hidden |= {label for tick in beyond for label in (tick.label1, tick.label2)}
     seen = (text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible())
     return [text for text in seen if text not in hidden]
 
 
 @pytest.mark.filterwarnings("error")
-def test_no_text_of_any_figure_covers_another_or_is_cut(drawings: list[tuple[str, Drawn]]) -> None:
+def test_no_text_of_any_figure_covers_another_or_is_cut(drawings):
     for name, drawn in drawings:
         if any(word in name for word in ("seed", "troubled", "recall_at", "stands in", "outside", "undecided")):
             continue  # fewer and shorter names than another of its kind
@@ -212,6 +201,6 @@ BARS = {"gpu": (), "rows": ROWS, "column": NORDLAND, "marks": {}}
         (similarity, little.a_run(scores=None), "0123456789abcdef of little on journey .*4 queries x 10 places"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_by_name(draw: Callable[[Any], Drawn], given: Any, culprit: str) -> None:
+def test_what_cannot_be_drawn_is_refused_by_name(draw, given, culprit):
     with pytest.raises(BadInput, match=culprit):
         draw(given)

@@ -1,47 +1,37 @@
 """Frames, matrices and spikes are drawn as they were stored, none of them lost."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import Any
-
 import little
 import numpy as np
-import numpy.typing as npt
 import preprocess_oracle
 import pytest
 from figure_runs import run, scores_with_recall, series
-from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from vprbench.api.arrays import Image
 from vprbench.metrics.ranking import outcome
 from vprbench.paper.figures.pictures import frames, similarity
 from vprbench.paper.figures.spikes import spike_statistics
-from vprbench.paper.figures.style import Drawn, pdf
-from vprbench.paper.selection import Series
-from vprbench.run.record import Run
+from vprbench.paper.figures.style import pdf
 from vprbench.run.thumbnails import Example, Thumbnails
 
 
-def picture(seed: int, height: int = 45, width: int = 80) -> Image:
+def picture(seed, height=45, width=80):
     """A frame with structure on the scale of patches, so that no window is flat."""
     random = np.random.default_rng(seed)
     coarse = random.integers(0, 256, (height // 5, width // 5, 3)).repeat(5, axis=0).repeat(5, axis=1)
     return np.clip(coarse + random.integers(-20, 21, coarse.shape), 0, 255).astype(np.uint8)
 
 
-def kept(*examples: Example) -> Thumbnails:
+def kept(*examples):
     queries, references = (tuple(f"{name}/{i}.png" for i in range(n)) for name, n in (("summer", 10), ("spring", 20)))
     return Thumbnails(queries, references, examples, (b"",) * 10, (b"",) * 20)
 
 
-def shown(axes: Axes) -> npt.NDArray[np.float64]:
+def shown(axes):
     (image,) = axes.images
     return np.asarray(image.get_array())
 
 
-def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised() -> None:
+def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normalised():
     two = kept(Example(0, 5, picture(1), picture(2)), Example(3, 8, picture(3), picture(4)))
     axes = frames(two, "Railway").figure.axes
     assert len(axes) == 8
@@ -59,7 +49,7 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
 
 
 @pytest.mark.parametrize(("height", "width"), [(360, 640), (320, 180), (100, 640)])
-def test_frames_of_any_shape_fit_the_page_and_have_one_height(height: int, width: int) -> None:
+def test_frames_of_any_shape_fit_the_page_and_have_one_height(height, width):
     example = Example(0, 5, picture(1, height, width), picture(2, height, width))
     figure = frames(kept(example, example), "Railway").figure
     figure.draw_without_rendering()
@@ -75,19 +65,19 @@ def test_frames_of_any_shape_fit_the_page_and_have_one_height(height: int, width
 # Similarity
 
 
-def matrices(drawn: Drawn) -> tuple[Axes, Axes]:
+def matrices(drawn):
     """The panels of the ground truth and of the scores, without the colour bar."""
     truth, scores, _ = drawn.figure.axes
     return truth, scores
 
 
-def with_scores(scores: npt.ArrayLike, *right: list[int]) -> Run:
+def with_scores(scores, *right):
     matrix = np.asarray(scores, np.float32)
     positives = tuple(np.array(row, np.int64) for row in right)
     return little.a_run(scores=matrix, positives=positives, outcome=outcome(matrix, positives))
 
 
-def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1() -> None:
+def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1():
     """A place that is no candidate is drawn as the worst."""
     no = -np.inf
     given = np.array([[10, 20, 30, 15], [-5, -4, -1, -5], [7, 7, 7, 7], [no, 2, 4, 3], [no] * 4], np.float32)
@@ -101,7 +91,7 @@ def test_right_places_are_dark_and_the_scores_of_each_query_run_from_0_to_1() ->
     assert scores.get_title(loc="left") == "Similarity, VPRTempo, five networks"
 
 
-def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_numbers() -> None:
+def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_numbers():
     """1000 places need blocks of 3, and neither 1000 nor 20 is a multiple of 3."""
     made = run(n_queries=20, n_places=1000)
     truth, scores = matrices(similarity(made))
@@ -121,7 +111,7 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
         assert panel.get_ylim() == (19.5, -0.5)  # the first query on top
 
 
-def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_small() -> None:
+def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_small():
     matrix = np.roll(scores_with_recall(1.0, 2700, 3300), 600, axis=1)
     drawn = similarity(with_scores(matrix, *([query + 600] for query in range(2700))))
     truth, scores = matrices(drawn)
@@ -133,7 +123,7 @@ def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_smal
 
 
 @pytest.mark.parametrize(("n_queries", "n_places"), [(4, 400), (400, 4), (1, 1)])
-def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries: int, n_places: int) -> None:
+def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries, n_places):
     figure = similarity(with_scores(np.ones((n_queries, n_places)), *([0] for _ in range(n_queries)))).figure
     figure.draw_without_rendering()
     for panel in figure.axes[:2]:
@@ -145,33 +135,33 @@ def test_a_matrix_that_is_far_from_square_still_has_a_height_to_see(n_queries: i
 # Spikes
 
 
-def spiking(name: str, *seeds: Sequence[dict[str, Any]]) -> Series:
+def spiking(name, *seeds):
     """Return a row with a run for each seed, of the layers of its network."""
     kept = [{"queries": len(layers[0]["spikes_per_query"]), "layers": list(layers)} for layers in seeds]
     return series(name, *(little.a_run(spikes=spikes) for spikes in kept), spiking=True)
 
 
-def layer(name: str, spikes: Sequence[float], active_share: float = 0.5, neurons: int = 100) -> dict[str, Any]:
+def layer(name, spikes, active_share=0.5, neurons=100):
     return little.a_layer(name, neurons, list(spikes), active_share, None)
 
 
-def panels(*rows: Series) -> list[Axes]:
+def panels(*rows):
     return spike_statistics(rows).figure.axes
 
 
-def medians(axes: Axes) -> list[float]:
+def medians(axes):
     """The heights of black lines: a box has one, at its median."""
     return [float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == "black"]
 
 
-def bars(axes: Axes) -> list[float]:
+def bars(axes):
     return [patch.get_height() for patch in axes.patches if isinstance(patch, Rectangle)]
 
 
 TEMPO = spiking("VPRTempo", [layer("input", [700, 710, 690], 1.0, 784), layer("output", [20, 30, 25], 0.25, 300)])
 
 
-def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_active_neurons() -> None:
+def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_active_neurons():
     first, output, active = panels(TEMPO)
     assert (medians(first), medians(output), bars(active)) == ([700], [25], [100, 25])
     assert [tick.get_text() for tick in active.get_xticklabels()] == ["input", "output"]
@@ -179,7 +169,7 @@ def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_acti
     assert (medians(axes), bars(active)) == ([0], [0])  # a silent layer is drawn
 
 
-def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries() -> None:
+def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries():
     axes, _ = panels(spiking("VPRTempo", [layer("output", range(100, 201))]))
     (box,) = axes.patches
     heights = box.get_path().vertices[:, 1]
@@ -188,7 +178,7 @@ def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries
     assert (ends.min(), ends.max()) == (105, 195)
 
 
-def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_dot_each() -> None:
+def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_dot_each():
     seeds = [layer("output", [10, 10], 0.2)], [layer("output", [14, 16], 0.4)]
     axes, active = panels(spiking("VPRTempo", *seeds))
     assert medians(axes) == [12]  # of 10, 10, 14, 16
@@ -197,7 +187,7 @@ def test_queries_of_several_seeds_share_a_box_and_their_bar_is_the_mean_with_a_d
     assert np.asarray(dots.get_ydata()).tolist() == [20, 40]
 
 
-def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch() -> None:
+def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch():
     other = spiking("VPRSNN", [layer("inhibitory", [5, 6, 7]), layer("output", [50, 60, 70], 0.75)])
     drawn = spike_statistics([series("SAD", little.a_run(spikes=None)), other, TEMPO])
     *layers, active = drawn.figure.axes
@@ -210,7 +200,7 @@ def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch(
 
 
 @pytest.mark.parametrize(("spikes", "scale"), [([0, 0, 5000], "symlog"), ([10, 20, 40], "linear"), ([0, 29], "linear")])
-def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence(spikes: Any, scale: str) -> None:
+def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence(spikes, scale):
     axes, _ = panels(spiking("VPRSNN", [layer("output", spikes)]))
     assert axes.get_yscale() == scale
     assert axes.get_ylim()[0] == 0 or scale == "linear"
