@@ -96,18 +96,12 @@ def test_regions_their_goodness_and_scores_equal_the_slow_implementation(argumen
     ]
     method = CoHOG(**arguments).fit(Images.from_arrays(images), np.arange(len(images)))
     assert method.match(codes) == pytest.approx(np.array(wanted), abs=1e-4)
-
-
-def test_the_arguments_left_out_are_the_published_ones():
-    method = CoHOG()
-    assert {name: getattr(method, name) for name in PUBLISHED} == PUBLISHED
+    assert {name: getattr(CoHOG(), name) for name in PUBLISHED} == PUBLISHED
     assert (method.bins, method.region_cells, method.sobel) == (8, 2, 5)
 
 
 @pytest.mark.parametrize("block_bytes", [1, 2 * 4 * 7 * 9, 1 << 30])
-@pytest.mark.parametrize(
-    ("n_query", "n_regions", "d"), [(1, 1, 1), (5, 31, 8), (6, 32, 33), (7, 33, 8), (25, 100, 33), (6, 65, 1)]
-)
+@pytest.mark.parametrize(("n_query", "n_regions", "d"), [(1, 1, 1), (6, 32, 33), (7, 33, 8), (25, 100, 33)])
 def test_the_best_dots_in_blocks_and_in_tiles_equal_a_loop(monkeypatch, n_query, n_regions, d, block_bytes):
     monkeypatch.setattr(best_cosine, "_PRODUCT_BYTES", block_bytes)
     generator = np.random.default_rng(0)

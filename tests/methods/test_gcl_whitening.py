@@ -41,9 +41,7 @@ def scores(references: np.ndarray, queries: np.ndarray, n_components: int | None
     return method.fit_descriptors(references, np.arange(len(references))).match(queries)
 
 
-@pytest.mark.parametrize(
-    ("n_references", "n_components"), [(90, None), (90, 10), (90, 30), (90, 40), (25, 10), (25, 24), (5000, 12)]
-)
+@pytest.mark.parametrize(("n_references", "n_components"), [(90, None), (90, 10), (90, 40), (25, 24), (5000, 12)])
 def test_whitened_scores_are_those_of_singular_values(n_references: int, n_components: int | None) -> None:
     references, queries = vectors(n_references, 1), vectors(7, 2)
     left, right = queries, references
@@ -59,21 +57,6 @@ def test_repeated_references_and_constant_dimensions_add_no_components() -> None
     assert Whitening.learn(references, 2048).projection.shape == (40, 5)
 
 
-def test_the_mean_has_no_direction() -> None:
-    middle = Whitening(np.full(40, 0.125, np.float32), Whitening.learn(vectors(300, 1), 20).projection)
-    np.testing.assert_array_equal(middle(np.full((1, 40), 0.125, np.float32)), np.zeros((1, 20)))
-
-
-def test_whitening_is_learnt_anew_and_from_references_alone() -> None:
-    method = gcl(n_components=10)
-    first, second, queries = vectors(60, 1), vectors(50, 2), vectors(7, 3)
-    before = method.fit_descriptors(first, np.arange(60)).match(queries)
-    method.match(first)
-    np.testing.assert_array_equal(method.match(queries), before)
-    method.fit_descriptors(second, np.arange(50))
-    np.testing.assert_array_equal(method.match(queries), scores(second, queries, 10))
-
-
 @pytest.mark.parametrize("index", ["exact", "hnsw", "sq8"])
 def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries(index: str) -> None:
     references, queries = vectors(90, 1), vectors(7, 2)
@@ -82,6 +65,9 @@ def test_an_index_holds_whitened_references_and_is_audited_with_whitened_queries
     retrieved = np.isfinite(found)
     np.testing.assert_allclose(found[retrieved], scores(references, queries, 10)[retrieved], rtol=0, atol=0.02)
     assert method.audit(queries).recall_at_1 == 1
+    if index == "exact":
+        anew = method.fit_descriptors(vectors(50, 2), np.arange(50)).match(queries)
+        np.testing.assert_array_equal(anew, scores(vectors(50, 2), queries, 10))
     method = gcl(n_components=8, index=index).fit_descriptors(np.tile(vectors(1, 1), (5, 1)), np.arange(5))
     assert not method.match(vectors(3, 2)).any()  # equal references have no direction
 

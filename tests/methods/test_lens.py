@@ -30,22 +30,13 @@ def published(n_features=9, n_places=PLACES, n_pixels=SIDE**2):
     return state
 
 
-def neuron(currents):
-    """Integrate and fire step by step: as many spikes as whole thresholds of 1, which are subtracted; -1 at least."""
-    spikes, membrane = [], 0.0
-    for current in currents:
-        membrane += current
-        now = 0
-        while membrane >= 1:
-            membrane, now = membrane - 1, now + 1
-        membrane = max(membrane, -1.0)
-        spikes.append(now)
-    return spikes
-
-
 def layer(weights, spikes):
-    """The spikes (steps, post) of a layer of such neurons for the spikes (steps, pre) of the layer before."""
-    return np.array([neuron(row) for row in (spikes @ weights.double().numpy().T).T]).T
+    """Integrate and fire step by step: as many spikes as whole thresholds of 1, which are subtracted; -1 at least."""
+    membrane, fired = np.zeros(len(weights)), []
+    for current in spikes @ weights.double().numpy().T:
+        fired.append(np.floor(np.maximum(membrane + current, 0)))
+        membrane = np.maximum(membrane + current - fired[-1], -1)
+    return np.array(fired)
 
 
 def test_neurons_count_the_spikes_that_a_simulation_step_by_step_counts():
@@ -57,7 +48,7 @@ def test_neurons_count_the_spikes_that_a_simulation_step_by_step_counts():
     for number, code in enumerate(codes):
         inputs = (drawn < torch.from_numpy(code)).double().numpy()
         features = layer(state["feature_layer.w.weight"], inputs)
-        outputs = layer(state["output_layer.w.weight"], features.astype(float))
+        outputs = layer(state["output_layer.w.weight"], features)
         counted = [found.values[0].tolist() for found in method.spikes(codes[number : number + 1])]
         assert counted == [spikes.sum(0).tolist() for spikes in (inputs, features, outputs)]
         assert features.max() > 1  # several spikes in one step

@@ -52,8 +52,8 @@ def fitted(levels, **arguments):
 def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance):
     references, queries = frames(50, seed=1), frames(7, seed=2)
     scores = fitted(references, **arguments).query(images(queries))
-    of = {"whiten": False, **arguments}
-    expected = slow_scores(references.reshape(50, -1), queries.reshape(7, -1), of["components"], of["whiten"])
+    whiten = arguments.get("whiten", False)
+    expected = slow_scores(references.reshape(50, -1), queries.reshape(7, -1), arguments["components"], whiten)
     assert scores.dtype == np.float32
     assert np.abs(scores - expected).max() < tolerance
 
@@ -66,15 +66,21 @@ def test_the_randomized_solver_draws_from_the_seed():
     assert not np.array_equal(first, other)
 
 
+CROSS = np.array([[[100, 140]], [[100, 60]], [[110, 100]], [[90, 100]]])  # mean (100, 100)
+
+
+def test_the_mean_has_no_direction_and_scores_0():
+    assert not any(fitted(CROSS, whiten=whiten).query(images([[[100, 100]]])).any() for whiten in (False, True))
+
+
 @pytest.mark.parametrize(
     ("levels", "found"),
     [
-        (frames(5), (30, 4)),
-        (frames(50, height=2, width=3), (6, 6)),
+        (np.concatenate([frames(5)] * 3), (30, 4)),  # repeated references
+        (frames(50, height=2, width=3), (6, 6)),  # all pixels
         (frames(1), (30, 0)),
-        (np.concatenate([frames(5)] * 3), (30, 4)),
+        (np.zeros((4, 6, 5), np.uint8), (30, 0)),
     ],
-    ids=["references", "pixels", "one reference", "repeated references"],
 )
 def test_components_are_no_more_than_different_references_or_pixels(levels, found):
     method = fitted(levels, components=128, whiten=True)
@@ -82,24 +88,6 @@ def test_components_are_no_more_than_different_references_or_pixels(levels, foun
     assert np.diagonal(method.query(images(levels))) == pytest.approx(float(found[1] > 0), abs=1e-6)
     code = method.layers(method.encode(images(levels)))["components"]
     np.testing.assert_allclose(np.linalg.norm(code, axis=1), float(found[1] > 0), atol=1e-6)
-
-
-CROSS = np.array([[[100, 140]], [[100, 60]], [[110, 100]], [[90, 100]]])  # mean (100, 100), mostly along the second
-
-
-@pytest.mark.parametrize(
-    ("references", "query"),
-    [(frames(1), frames(3, seed=2)), (np.zeros((4, 6, 5), np.uint8), frames(2)), (CROSS, [[[100, 100]]])],
-    ids=["one reference", "all black", "the mean"],
-)
-def test_what_has_no_direction_scores_0(references, query):
-    assert not any(fitted(references, whiten=whiten).query(images(query)).any() for whiten in (False, True))
-
-
-def test_encoding_needs_no_map_and_does_not_change_with_it():
-    method, queries = grey_pca(), images(frames(4, seed=2))
-    before = method.encode(queries)
-    assert np.array_equal(method.fit(images(frames(9)), np.arange(9)).encode(queries), before)
 
 
 def test_pixels_are_antialiased_grey_of_rgb_or_patch_normalised_as_those_of_sad():

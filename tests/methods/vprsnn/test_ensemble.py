@@ -28,7 +28,7 @@ def alone(**arguments: Any) -> VPRSNN:
     return fitted(7, **arguments)
 
 
-# --- training ---------------------------------------------------------------------------------------------------
+# training
 
 
 @pytest.mark.parametrize(
@@ -59,12 +59,14 @@ def test_members_shuffle_their_places_by_their_own_seeds_and_agree_on_them_in_th
     assert np.mean(found.query(shown).argmax(1) == places) > 0.8
 
 
-# --- scores -----------------------------------------------------------------------------------------------------
+# scores
 
 
 @pytest.mark.parametrize("change", [{}, {"assignment": "weighted", "hyperactive_threshold": 6}], ids=str)
-def test_scores_are_the_sum_of_the_members_scores(change: dict[str, Any]) -> None:
-    together = ensemble(seeds=[0, 10, 20], **change)
+def test_scores_are_the_sum_of_the_members_scores_and_spikes_those_of_the_first(change: dict[str, Any]) -> None:
+    trained = ensemble(seeds=[0, 10, 20], **change)
+    together = VPRSNNEnsemble(**SMALL, seeds=[0, 10, 20], assignment=trained.assignment).restore(trained.state())
+    assert same(together.state(), trained.state())
     codes = together.encode(QUERIES)
     parts = [alone(seed=seed, **change).match(codes).astype(np.float64) for seed in (0, 10, 20)]
     expected = np.sum([np.where(np.isneginf(part), 0, part) for part in parts], axis=0)
@@ -72,14 +74,11 @@ def test_scores_are_the_sum_of_the_members_scores(change: dict[str, Any]) -> Non
     assert np.isfinite(expected).any()
     assert together.match(codes) == pytest.approx(expected, rel=1e-5)
     assert together.match(codes).dtype == np.float32
-
-
-def test_probabilities_are_those_of_the_summed_scores() -> None:
-    plain = ensemble()
-    parts = VPRSNNEnsemble(**SMALL, seeds=[0, 10], probabilities=True).restore(plain.state())
-    codes = plain.encode(QUERIES)
-    less = plain.match(codes) - plain.match(codes).min(axis=1, keepdims=True)
-    assert parts.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
+    first = layers(alone(**change), codes)
+    assert all(np.array_equal(counts, first[name]) for name, counts in layers(together, codes).items())
+    less = expected - expected.min(axis=1, keepdims=True)
+    together.probabilities = True
+    assert together.match(codes) == pytest.approx(less / less.sum(axis=1, keepdims=True), rel=1e-5)
 
 
 def by_hand(*heard: list[list[int]], **arguments: Any) -> VPRSNNEnsemble:
@@ -110,22 +109,7 @@ def test_members_see_input_of_their_own() -> None:
     assert not np.array_equal(twice.match(codes), 2 * once.match(codes))
 
 
-def test_spikes_are_those_of_the_first_member() -> None:
-    together, codes = ensemble(), alone().encode(QUERIES)
-    first = layers(alone(), codes)
-    for name, counts in layers(together, codes).items():
-        assert np.array_equal(counts, first[name])
-
-
-# --- stored and restored ----------------------------------------------------------------------------------------
-
-
-def test_a_restored_ensemble_is_the_stored_one_and_answers_alike() -> None:
-    trained = ensemble(member_thresholds=[0, 4])
-    restored = VPRSNNEnsemble(**SMALL, seeds=[0, 10]).restore(trained.state())
-    assert same(restored.state(), trained.state())
-    codes = trained.encode(QUERIES)
-    assert np.array_equal(restored.match(codes), trained.match(codes))
+# stored and restored
 
 
 def stored(*numbers: int) -> dict[str, npt.NDArray[Any]]:
@@ -144,7 +128,7 @@ def test_other_arrays_than_those_of_the_members_are_refused() -> None:
         VPRSNN(**SMALL).restore(stored(0, 1))
 
 
-# --- refusals ---------------------------------------------------------------------------------------------------
+# refusals
 
 
 def test_what_does_not_fit_the_members_is_refused_by_name() -> None:

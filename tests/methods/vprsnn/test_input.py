@@ -15,13 +15,6 @@ def drawn(levels: object, seed: int = 0, intensity: float = 4.0, steps: int = SH
     return spike_train(np.array(levels, np.uint8), np.random.default_rng(seed), intensity, steps, STEP_MS)
 
 
-def as_grid(train: Train, steps: int = SHOWN) -> np.ndarray:
-    """Return how often each input spikes in each step, (steps, n_inputs)."""
-    grid = np.zeros((steps, len(train.first) - 1), int)
-    np.add.at(grid, (train.step, train.source), 1)
-    return grid
-
-
 def five_sigma(n_draws: float, probability: float) -> float:
     return 5 * float(np.sqrt(n_draws * probability * (1 - probability)))
 
@@ -35,33 +28,16 @@ def test_each_input_has_the_rate_of_its_own_level():
     assert (np.abs(counts - 40 * SHOWN * probability) <= spread + 1e-9).all()
 
 
-def test_a_longer_step_makes_a_spike_in_it_more_probable():
-    train = spike_train(np.full(784, 200, np.uint8), np.random.default_rng(3), 4.0, 700, 0.5)
-    assert len(train.step) == pytest.approx(784 * 700 * 0.025, abs=five_sigma(784 * 700, 0.025))
-
-
-def test_gaps_between_spikes_are_geometric():
-    probability = 0.3
-    train = drawn(np.full(300, 240), 5, 240 * 1e-4 / probability)
-    gaps = np.concatenate([np.diff(own) for own in np.split(train.of_source, train.first[1:-1])])
-    for gap in range(1, 12):
-        expected = probability * (1 - probability) ** (gap - 1)
-        assert (gaps == gap).sum() == pytest.approx(len(gaps) * expected, abs=five_sigma(len(gaps), expected))
-
-
-def test_the_first_and_the_last_step_are_as_probable_as_any():
-    probability = 0.3
-    grid = as_grid(drawn(np.full(20_000, 240), 6, 240 * 1e-4 / probability, 8), 8)
+def test_every_step_is_as_probable_whatever_the_step_before_and_the_neighbour_do():
+    probability, n = 0.3, 20_000
+    train = spike_train(np.full(n, 240, np.uint8), np.random.default_rng(6), 240 * 5e-4 / probability, 8, 0.5)
+    grid = np.zeros((8, n), int)
+    np.add.at(grid, (train.step, train.source), 1)
     assert grid.max() == 1  # nobody spikes twice in a step
-    assert grid.sum(axis=1) == pytest.approx(np.full(8, 20_000 * probability), abs=five_sigma(20_000, probability))
-
-
-def test_an_input_says_nothing_of_its_neighbour():
-    probability = 0.2
-    grid = as_grid(drawn(np.full(300, 200), 8, 200 * 1e-4 / probability))
-    together = int((grid[:, 1:] & grid[:, :-1]).sum())
-    draws = SHOWN * 299
-    assert together == pytest.approx(draws * probability**2, abs=1.5 * five_sigma(draws, probability**2))
+    assert grid.sum(axis=1) == pytest.approx(np.full(8, n * probability), abs=five_sigma(n, probability))
+    for one, other in ((grid[:, 1:], grid[:, :-1]), (grid[1:], grid[:-1])):
+        wanted, spread = one.size * probability**2, five_sigma(one.size, probability**2)
+        assert int((one & other).sum()) == pytest.approx(wanted, abs=1.5 * spread)
 
 
 def test_spikes_come_in_the_order_of_their_steps_and_of_each_input():

@@ -30,16 +30,6 @@ def network(seed: int, n_places: int = 23, per_module: int = 5, n_neurons: int =
     return Responses(sums.astype(np.float32), np.where(places >= 0, 10, 0), places)
 
 
-def drawn_responses(seed: int, n_queries: int, learnt: Responses) -> Array:
-    random = np.random.default_rng([seed, 1])
-    shape = n_queries, *learnt.sums.shape[:2]
-    return random.integers(1, 8, shape) * (random.random(shape) < 0.3)
-
-
-def drawn_mask(seed: int, learnt: Responses, share: float = 0.2) -> Mask:
-    return np.random.default_rng([seed, 2]).random(learnt.sums.shape[:2]) < share
-
-
 def one_module(
     sums: Sequence[Sequence[float]], shown: Sequence[int] | None = None, places: Sequence[int] | None = None
 ) -> Responses:
@@ -49,44 +39,29 @@ def one_module(
     return Responses(np.array([sums], np.float32), np.array([shown or [5] * n]), labelled)
 
 
-def standard_one_by_one(responses: Array, spoken_for: Array, silenced: Mask, n_places: int) -> Scores:
-    """Score query by query and place by place: spikes of the place's neurons by the number of them."""
-    scores = np.zeros((len(responses), n_places))
-    for query, heard in enumerate(responses):
-        spikes = [0 if mute else int(count) for mute, count in zip(silenced.ravel(), heard.ravel(), strict=True)]
-        for place in range(n_places):
-            own = [n for n, label in enumerate(spoken_for.ravel().tolist()) if label == place]
-            if own:
-                scores[query, place] = sum(spikes[n] for n in own) / len(own)
+def standard_slowly(responses: Array, spoken_for: Array, silenced: Mask, n_places: int) -> Scores:
+    """Score place by place: spikes of the place's neurons by the number of them."""
+    scores, heard = np.zeros((len(responses), n_places)), responses * ~silenced
+    for place in set(spoken_for.ravel().tolist()) - {-1}:
+        scores[:, place] = heard[:, spoken_for == place].mean(axis=1)
     return scores.astype(np.float32)
 
 
-def weighted_one_by_one(responses: Array, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
-    """Score query by query and place by place, with a dictionary of training spikes for each neuron."""
-    memory: list[dict[int, float]] = []
-    for module, neurons in enumerate(learnt.sums):
-        for sums in neurons:
-            by_place = zip(learnt.places[module].tolist(), sums.tolist(), strict=True)
-            memory.append({place: spikes for place, spikes in by_place if spikes > 0})
-    scores = np.zeros((len(responses), n_places))
-    for query, heard in enumerate(responses):
-        spikes = np.where(silenced, 0, heard).ravel().astype(float)
-        for place in range(n_places):
-            own = [n for n, c in enumerate(memory) if place in c and c[place] / sum(c.values()) > 0.1]
-            if not own:
-                continue
-            total = 0.0
-            for n in own:
-                t = spikes[n]
-                if len(memory[n]) >= 0.02 * n_places:
-                    t /= len(memory[n])
-                total += t * memory[n][place] / sum(memory[n].values())
-            involved = sum(memory[n][place] for n in own if spikes[n] != 0) / sum(memory[n][place] for n in own)
-            scores[query, place] = total * involved
-    return scores.astype(np.float32)
+def weighted_slowly(responses: Array, learnt: Responses, silenced: Mask, n_places: int) -> Scores:
+    """Score place by place from the spikes (n_neurons, n_places) of the training."""
+    memory = np.zeros((silenced.size, n_places))
+    for neuron, sums in enumerate(learnt.sums.reshape(silenced.size, -1)):
+        for place, spikes in zip(learnt.places[neuron // silenced.shape[1]].tolist(), sums, strict=True):
+            memory[neuron, place] += spikes * (place >= 0)
+    n_known, total = np.count_nonzero(memory, axis=1), np.maximum(memory.sum(axis=1, keepdims=True), 1)
+    heard = (responses * ~silenced).reshape(len(responses), silenced.size)
+    shared = heard / np.where(n_known >= 0.02 * n_places, np.maximum(n_known, 1), 1)
+    memory[memory / total <= 0.1] = 0
+    involved = (heard != 0) @ memory / np.maximum(memory.sum(axis=0), 1)
+    return (shared @ (memory / total) * involved).astype(np.float32)
 
 
-# --- which place a neuron speaks for ----------------------------------------------------------------------------
+# which place a neuron speaks for
 
 
 @pytest.mark.parametrize(
@@ -107,7 +82,7 @@ def test_a_neuron_speaks_for_the_place_with_most_spikes_a_presentation(learnt: R
     assert labels(learnt).dtype == np.int64
 
 
-# --- weighted ---------------------------------------------------------------------------------------------------
+# weighted
 
 
 def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_a_fiftieth_of_the_places_on() -> None:
@@ -121,7 +96,7 @@ def test_more_than_a_tenth_of_the_spikes_speak_for_a_place_and_are_divided_from_
         assert score == pytest.approx(divided * 0.9, rel=1e-6)
 
 
-# --- queries in blocks ------------------------------------------------------------------------------------------
+# queries in blocks
 
 
 @pytest.mark.parametrize("n_places", [23, 180])  # weighted: neurons of one place are divided, or those of four alone
@@ -132,22 +107,24 @@ def test_scores_are_those_of_a_loop_over_queries_and_places_in_blocks_of_any_siz
     monkeypatch: pytest.MonkeyPatch, seed: int, n_queries: int, block_cells: int, n_places: int
 ) -> None:
     learnt = network(seed)
-    responses, silenced = drawn_responses(seed, n_queries, learnt), drawn_mask(seed, learnt)
+    random, shape = np.random.default_rng([seed, 1]), learnt.sums.shape[:2]
+    responses = random.integers(1, 8, (n_queries, *shape)) * (random.random((n_queries, *shape)) < 0.3)
+    silenced = random.random(shape) < 0.2
     spoken_for = labels(learnt)
     assert not np.isin(np.arange(23), spoken_for).all()
     assert (spoken_for == -1).any()
     monkeypatch.setattr(scoring, "_BLOCK_CELLS", block_cells)
     standard = scoring.standard(responses.astype(np.uint8), spoken_for, silenced, n_places)
     assert standard.dtype == np.float32
-    assert np.array_equal(standard, standard_one_by_one(responses, spoken_for, silenced, n_places))
+    assert np.allclose(standard, standard_slowly(responses, spoken_for, silenced, n_places), rtol=1e-6, atol=0)
     weighted = scoring.weighted(responses, learnt, silenced, n_places)
-    expected = weighted_one_by_one(responses, learnt, silenced, n_places)
+    expected = weighted_slowly(responses, learnt, silenced, n_places)
     assert weighted.dtype == np.float32
     assert weighted.shape == expected.shape
     assert np.allclose(weighted, expected, rtol=1e-6, atol=0)
 
 
-# --- normalisation and silent queries ---------------------------------------------------------------------------
+# normalisation and silent queries
 
 
 def test_a_query_is_normalised_from_its_lowest_score_to_a_sum_of_one() -> None:
@@ -168,7 +145,7 @@ def test_a_query_to_which_no_neuron_that_counts_responds_matches_no_place() -> N
         assert found.dtype == np.float32
 
 
-# --- the threshold by held-out places ---------------------------------------------------------------------------
+# the threshold by held-out places
 
 SILENT = [-np.inf, -np.inf]
 

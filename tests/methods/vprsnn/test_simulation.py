@@ -77,23 +77,17 @@ def agreed(given: Given, learning: bool = True, weight_sum: float | None = None)
     return run
 
 
-# --- The direct simulation as judge -----------------------------------------------------------------------------
+# The direct simulation as judge
 
 
 @pytest.mark.parametrize(("seed", "n_neurons"), [(0, 12), (1, 8), (2, 5), (9, 1), (9, 2)])
 def test_a_learning_module_equals_the_direct_simulation(seed, n_neurons):
-    given = Given.drawn(seed, n_neurons)
-    run = agreed(given, weight_sum=16.0)
-    assert run.counts.sum() > 3 * n_neurons
-    scaled = given.weights * (16 / given.weights.sum(axis=0))
-    assert np.abs(run.weights - scaled).max() > 0.01
+    assert agreed(Given.drawn(seed, n_neurons), weight_sum=16.0).counts.sum() > 3 * n_neurons
 
 
-def test_an_asked_module_equals_the_direct_simulation():
+def test_an_asked_module_equals_the_direct_simulation_and_learns_nothing():
     given = Given.drawn(3, 20)
-    run = agreed(given, learning=False)
-    assert run.counts.sum() > 50
-    assert (run.weights == given.weights).all()
+    assert (agreed(given, learning=False).weights == given.weights).all()
 
 
 ALONE: dict[str, Any] = {"weight_sum": None}
@@ -104,7 +98,7 @@ ASKED: dict[str, Any] = {"learning": False, "weight_sum": None}
     ("drawn", "how"),
     [
         ({"seed": 4, "n_images": 3, "presentation_ms": 350.0, "rest_ms": 150.0}, {}),  # as published
-        *(({"seed": 5, "longest": longest, "n_images": 3}, {}) for longest in (0, 1, 7, 127, 128, 300)),
+        *(({"seed": 5, "longest": longest, "n_images": 3}, {}) for longest in (0, 1, 127, 300)),
         pytest.param({"seed": 20}, {"weight_sum": 40.0}, id="weights above the maximum"),  # few are lifted past 1
         ({"seed": 10, "n_neurons": 6, "n_inputs": 1, "share": 0.3, "n_images": 2}, ALONE),
         ({"seed": 21, "excitatory_minimum_interval_ms": 0.0}, ALONE),  # the refractory period is longer
@@ -137,6 +131,7 @@ def test_other_constants_delays_and_rates_give_the_same(drawn, how):
 
 def test_neurons_that_all_fire_in_the_same_step_give_the_same():
     given = Given.drawn(7, 10)
+    assert agreed(replace(given, theta=6.9)).excitatory[0].all()  # thresholds below the rest
     alike = replace(given, weights=np.tile(given.weights[:, :1], 10), delays=np.tile(given.delays[:, :1], 10))
     run = agreed(alike, weight_sum=16.0)
     together = run.excitatory.sum(axis=1)
@@ -144,17 +139,9 @@ def test_neurons_that_all_fire_in_the_same_step_give_the_same():
     assert run.excitatory[:, 0].sum() >= 8
 
 
-def test_thresholds_below_the_rest_give_the_same():
-    assert agreed(replace(Given.drawn(8), theta=6.9)).excitatory[0].all()
-
-
 def test_weights_of_0_and_of_1_give_the_same():
     given = Given.drawn(12)
-    extreme = (given.weights > 0.4).astype(float)
-    run = agreed(replace(given, weights=extreme))
-    assert run.counts.sum() > 20
-    assert run.weights.max() == 1
-    assert (run.weights[extreme == 0] > 0).any()
+    assert agreed(replace(given, weights=(given.weights > 0.4).astype(float))).weights.max() == 1
 
 
 def test_the_last_step_of_a_presentation_and_of_its_rest_may_bring_a_spike():
@@ -172,7 +159,7 @@ def test_a_threshold_that_falls_quickly_is_reached_in_the_rest():
     assert agreed(given).counts[:, 0].tolist() == [0, 5]
 
 
-# --- Single neurons ---------------------------------------------------------------------------------------------
+# Single neurons
 
 
 def test_a_threshold_is_a_limit_that_must_be_passed():

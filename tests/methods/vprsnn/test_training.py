@@ -26,7 +26,7 @@ class Interrupted(Exception):
     """Somebody ended the training."""
 
 
-# --- which places ------------------------------------------------------------------------------------------------
+# which places
 
 
 def published_order(n_test: int, n_calibration: int, seed: int) -> tuple[list[int], list[int]]:
@@ -55,8 +55,7 @@ def test_contiguous_modules_take_places_along_the_route_and_the_last_takes_what_
         assert [group.tolist() for group in modules(n_places, per_module, "contiguous", 5, 4)] == groups
 
 
-@pytest.mark.parametrize("seed", [0, 40])
-@pytest.mark.parametrize(("n_test", "n_calibration"), [(375, 75), (360, 0), (53, 10)])
+@pytest.mark.parametrize(("seed", "n_test", "n_calibration"), [(0, 375, 75), (40, 360, 0), (40, 53, 10)])
 def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(seed, n_test, n_calibration):
     rest, shuffled = published_order(n_test, n_calibration, seed)
     groups = modules(n_test, 25, "shuffled", seed, n_calibration)
@@ -64,15 +63,14 @@ def test_shuffled_modules_hold_the_places_that_the_published_split_gives_them(se
     assert [rest[place] for group in groups for place in group] == shuffled
 
 
-# --- the lesson -------------------------------------------------------------------------------------------------
+# the lesson
 
 
 @pytest.mark.parametrize(
     ("places", "members", "shown", "labels"),
     [
         pytest.param([0, 1, 2, 3, 0, 1, 2, 3], [1, 2], [1, 2, 5, 6], [0, 1, 0, 1], id="one traverse, then the other"),
-        pytest.param([2, 2, 0, 0, 1, 1], [0, 1, 2], [2, 4, 0, 3, 5, 1], [0, 1, 2, 0, 1, 2], id="by how often seen"),
-        pytest.param([0, 1, 2, 0, 2], [0, 1, 2], [0, 1, 2, 3, 4], [0, 1, 2, 0, 2], id="a place passed once"),
+        pytest.param([2, 2, 0, 0, 1], [0, 1, 2], [2, 4, 0, 3, 1], [0, 1, 2, 0, 2], id="by how often seen, one once"),
         pytest.param([0, 1, 2, 3, 0, 1, 2, 3], [3, 0], [3, 0, 7, 4], [0, 1, 0, 1], id="the order of the module"),
     ],
 )
@@ -85,7 +83,7 @@ def test_a_module_is_shown_its_places_along_the_first_traverse_and_then_along_th
     assert (found.levels[:, 0].tolist(), found.labels.tolist()) == (shown, labels)
 
 
-# --- one module -------------------------------------------------------------------------------------------------
+# one module
 
 
 def test_a_trained_module_equals_the_direct_simulation_from_its_first_silence_on(monkeypatch):
@@ -144,7 +142,7 @@ def test_a_module_learns_the_same_whether_or_not_others_follow_and_each_draws_di
     assert not np.allclose(weights[0], weights[1], rtol=0.1)
 
 
-# --- recorded presentations -------------------------------------------------------------------------------------
+# recorded presentations
 
 
 @pytest.mark.parametrize(
@@ -163,7 +161,7 @@ def test_the_last_presentations_are_recorded_which_changes_nothing_else(argument
     assert np.array_equal(found["theta"], whole["theta"])
 
 
-# --- threads ----------------------------------------------------------------------------------------------------
+# threads
 
 
 def test_two_threads_train_and_answer_what_one_does() -> None:

@@ -15,8 +15,6 @@ from vprbench.methods.vprtempo.arguments import Engine
 from vprbench.methods.vprtempo.ensemble import VPRTempoEnsemble
 from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.rules import RuleSet
-from vprbench.plugins.conformance import check
-from vprbench.plugins.rules import RULES as CONFORMANCE
 
 Arrays = Mapping[str, npt.NDArray[np.float32]]
 
@@ -46,7 +44,6 @@ def same(one: Arrays, other: Arrays) -> bool:
     "arguments",
     [
         *({"rules": rules, "engine": engine} for rules in get_args(RuleSet) for engine in get_args(Engine)),
-        {"max_module": 20},
         {"max_module": 7},
         # At this probability some of the feature layers have all 41,472 excitatory synapses, others lack one or two.
         {"p_excitatory": 0.99998, "max_module": 20},
@@ -74,22 +71,12 @@ def test_the_scores_are_the_mean_of_those_of_the_members_also_when_restored(rule
         assert same(trained.state(), alone(1, rules=rules).state())
 
 
-def test_an_ensemble_of_linear_networks_keeps_the_contract_too() -> None:
-    config = {"_target_": "vprbench.methods.vprtempo.ensemble.VPRTempoEnsemble", "rules": "reference"}
-    results = list(check(config))
-    assert [result.rule for result in results] == list(CONFORMANCE)
-    assert [str(result) for result in results if result.state != "kept"] == []
-
-
-def test_more_than_ten_members_keep_their_order() -> None:
-    state = ensemble(12, max_module=20, epochs=1).state()
-    assert same(empty(12).restore(state).state(), state)
-
-
 @pytest.mark.parametrize(("stored", "wanted"), [(2, 3), (3, 2), (1, 2), (2, 1)])
 def test_another_number_of_members_is_refused_with_both_numbers(stored: int, wanted: int) -> None:
     with pytest.raises(BadInput, match=rf"\b{stored} members; wanted {wanted}\b"):
         empty(wanted).restore(ensemble(stored).state())
+    many = ensemble(12, max_module=20, epochs=1).state()  # more than ten keep their order
+    assert same(empty(12).restore(many).state(), many)
 
 
 def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_no_network() -> None:
@@ -103,8 +90,6 @@ def test_members_that_lack_an_array_or_know_other_places_are_refused_and_leave_n
         method.restore({**whole, **fewer})
     with pytest.raises(NotFittedError):
         method.query(QUERIES)
-    with pytest.raises(NotFittedError):
-        method.state()
 
 
 @pytest.mark.parametrize(("name", "value"), [("members", 0), ("epochs", 0)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +29,6 @@ from tempo_networks import (
     shown,
 )
 
-from vprbench.api.dataset import Dataset
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo import quantised
 from vprbench.methods.vprtempo.int8 import VPRTempoInt8
@@ -39,10 +37,6 @@ from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.quantised import Int8LinearQuery, Int8SpikingQuery
 from vprbench.methods.vprtempo.query import Query
 from vprbench.methods.vprtempo.rules import PAPER, V1, Rules, RuleSet
-from vprbench.plugins import networks
-from vprbench.plugins.conformance import check
-from vprbench.plugins.rules import EXTENDED_RULE
-from vprbench.plugins.rules import RULES as CONFORMANCE
 
 
 def linear(rows: npt.ArrayLike) -> Int8LinearQuery:
@@ -50,7 +44,7 @@ def linear(rows: npt.ArrayLike) -> Int8LinearQuery:
     return Int8LinearQuery([one_layer(np.asarray(rows, np.float32).T)])
 
 
-# --- the scheme, written down once more in float64 --------------------------------------------------------------
+# the scheme, written down once more in float64
 
 
 def in_127_steps(weights: Floats) -> tuple[Floats, Floats]:
@@ -107,10 +101,13 @@ def test_a_linear_query_follows_the_scheme_on_the_mean_matrix(sizes: list[int], 
 
 
 @WAYS
-def test_weights_halfway_between_two_steps_go_to_the_even_one(ask: Ask) -> None:
+def test_weights_halfway_between_two_steps_go_to_the_even_one_and_input_has_255_levels_up_to_1(ask: Ask) -> None:
     # The largest weight is 127, so a step is 1; one pixel at a time is shown in full.
     found = ask(linear([[127, 0.5, 1.5, 2.5, -0.5, -1.5, -2.5, 3.4, 0]]), np.eye(9, dtype=np.float32))
     assert found[:, 0] == pytest.approx([127, 0, 2, 2, 0, -2, -2, 3, 0], abs=1e-5)
+    x = np.array([0, 0.4 / 255, 0.6 / 255, 100.4 / 255, 100.6 / 255, 254.4 / 255, 1, 1.5, -0.2], np.float32)
+    found = ask(linear([[1.0, 0.0]]), np.stack([x, x], axis=1))
+    assert found[:, 0] * 255 == pytest.approx([0, 0, 1, 100, 101, 254, 255, 255, 0], abs=1e-4)
 
 
 @WAYS
@@ -122,14 +119,7 @@ def test_activations_halfway_between_two_levels_go_to_the_even_one_and_end_at_th
     assert found == pytest.approx(np.array([[0, 2, 2, 3, 254, 255, 0]] * 9), abs=1e-4)
 
 
-@WAYS
-def test_input_spikes_have_255_levels_up_to_1(ask: Ask) -> None:
-    x = np.array([0, 0.4 / 255, 0.6 / 255, 100.4 / 255, 100.6 / 255, 254.4 / 255, 1, 1.5, -0.2], np.float32)
-    found = ask(linear([[1.0, 0.0]]), np.stack([x, x], axis=1))
-    assert found[:, 0] * 255 == pytest.approx([0, 0, 1, 100, 101, 254, 255, 255, 0], abs=1e-4)
-
-
-# --- one query and many -----------------------------------------------------------------------------------------
+# one query and many
 
 KINDS = pytest.mark.parametrize(
     "make",
@@ -150,7 +140,7 @@ def test_a_query_scores_in_a_batch_of_any_size_to_the_bit_as_alone(sizes, n_feat
         assert np.array_equal(query.scores(spikes), one_by_one(query, spikes))
 
 
-# --- extremes ---------------------------------------------------------------------------------------------------
+# extremes
 
 
 @WAYS
@@ -181,7 +171,7 @@ def test_places_of_no_or_hardly_any_weight_score_nothing(size: float, ask: Ask) 
     assert found == pytest.approx(np.array([[0.0, 1.0]] * 9), abs=1e-6)
 
 
-# --- the method -------------------------------------------------------------------------------------------------
+# the method
 
 
 @RULE_SETS
@@ -189,31 +179,13 @@ def test_the_trained_network_is_that_of_vprtempo_and_scores_nearly_alike(rules: 
     exact, rounded = fitted(rules=rules), fitted(VPRTempoInt8, rules=rules)
     assert exact.state().keys() == rounded.state().keys()
     assert all(np.array_equal(array, rounded.state()[name]) for name, array in exact.state().items())
+    assert VPRTempo.stored_as == VPRTempoInt8.stored_as
+    restored = VPRTempoInt8(**SMALL, rules=rules).restore(exact.state())
+    assert np.array_equal(restored.query(QUERIES), rounded.query(QUERIES))
     for images in (REFERENCES, QUERIES):
         floating, found = exact.query(images), rounded.query(images)
         assert np.mean(floating.argmax(1) == found.argmax(1)) >= 0.95
         assert 0 < np.abs(found - floating).max() < 0.05 * np.abs(floating).max()
-
-
-@pytest.mark.parametrize("rules", ["reference", "v1"])
-def test_the_8_bit_method_keeps_the_contract_under_other_rules_too(rules: RuleSet) -> None:
-    results = list(check({"_target_": "vprbench.methods.vprtempo.int8.VPRTempoInt8", "rules": rules}))
-    assert [result.rule for result in results] == [r for r in CONFORMANCE if (r, rules) != (EXTENDED_RULE, "v1")]
-    assert [str(result) for result in results if result.state != "kept"] == []
-
-
-@pytest.mark.parametrize(
-    ("trained", "asked"), [(VPRTempo, VPRTempoInt8), (VPRTempoInt8, VPRTempo)], ids=["float to int8", "int8 to float"]
-)
-def test_a_stored_network_answers_in_either_way(tmp_path: Path, trained: type[VPRTempo], asked: type[VPRTempo]) -> None:
-    right = tuple(np.array([place]) for place in WORLD.right.tolist())
-    dataset = Dataset("world", REFERENCES, WORLD.places, QUERIES, right, {})
-    where = networks.prepare(networks.Files(save=tmp_path / "x.safetensors"), fitted(trained), SMALL, dataset)
-    assert where is not None
-    networks.save(where, fitted(trained), "", 0.0, 0.0)
-    loaded = asked(**SMALL)
-    networks.load(where.path, loaded, where.origin)
-    assert np.array_equal(loaded.query(QUERIES), fitted(asked).query(QUERIES))
 
 
 def test_a_map_weighs_a_byte_a_weight_and_8_bytes_a_neuron() -> None:

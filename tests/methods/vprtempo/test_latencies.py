@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from little import a_run as little_run
 from small_plan import RUN
-from tempo_networks import QUERIES, SIZES, SMALL, Floats, Spikes, double, fitted, network, one_layer, shown
+from tempo_networks import QUERIES, SIZES, SMALL, Floats, double, fitted, network, one_layer, shown
 
 from vprbench.cli import main
 from vprbench.errors import BadInput
 from vprbench.methods.vprtempo.latencies import LatencyQuery, VPRTempoLatencies
-from vprbench.methods.vprtempo.method import VPRTempo
 from vprbench.methods.vprtempo.network import Network
 from vprbench.methods.vprtempo.query import SpikingQuery
 from vprbench.methods.vprtempo.rules import PAPER
@@ -79,22 +77,14 @@ def test_a_query_ends_once_a_place_is_ahead_by_a_share(lead, ends, answers, feat
     assert query.layers(PIXELS)[0] == pytest.approx(np.array(features), abs=1e-6)
 
 
-def timed_and_not(**arguments: Any) -> tuple[VPRTempo, VPRTempoLatencies, Spikes]:
-    """Return VPRTempo, the same network in time, and the codes of queries."""
-    tempo = fitted()
-    return tempo, VPRTempoLatencies(**SMALL, **arguments).restore(tempo.state()), tempo.encode(QUERIES)
-
-
-def test_a_network_of_vprtempo_answers_in_time_as_it_does_at_once() -> None:
-    tempo, timed, codes = timed_and_not(steps=64)
-    assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
+def test_a_network_of_vprtempo_answers_in_time_with_larger_amplitudes_earlier_in_the_cycle_of_their_layer() -> None:
+    tempo, codes = fitted(), fitted().encode(QUERIES)
     for given in ({"steps": 3}, {"lead": 0.0}, {"query_rule": "linear"}, {"calibrated_scores": True}):
         with pytest.raises(BadInput):
             VPRTempoLatencies(**{**SMALL, **given}).restore(tempo.state())
-
-
-def test_a_larger_amplitude_spikes_earlier_in_the_cycle_of_its_layer() -> None:
-    _, timed, codes = timed_and_not(steps=10)
+    timed = VPRTempoLatencies(**SMALL, steps=64).restore(tempo.state())
+    assert (timed.match(codes).argmax(1) == tempo.match(codes).argmax(1)).mean() >= 0.9
+    timed = VPRTempoLatencies(**SMALL, steps=10).restore(tempo.state())
     for cycle, (layer, most) in enumerate(zip(timed.spikes(codes), (1, 0.9), strict=False)):
         assert layer.times is not None
         spiked = layer.times > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
 from typing import Any, get_args, get_type_hints
@@ -28,7 +27,7 @@ def scores_of(**arguments: Any) -> npt.NDArray[np.float32]:
     return fitted(**arguments).query(QUERIES)
 
 
-# --- seeds and modules ------------------------------------------------------------------------------------------
+# seeds and modules
 
 
 @RULE_SETS
@@ -50,7 +49,7 @@ def test_modules_draw_differently_and_the_first_learns_the_same_whether_or_not_o
     assert not np.allclose(scores[:, :8], scores[:, 8:], rtol=0.01)
 
 
-# --- arguments --------------------------------------------------------------------------------------------------
+# arguments
 
 CHOICES = [field.name for field in fields(Rules)]
 
@@ -103,7 +102,7 @@ def test_the_configuration_has_every_argument_and_its_default_of_table_1() -> No
     assert (PAPER.constant_input, V1.constant_input) == (0.1, 0.1)
 
 
-# --- refusals ---------------------------------------------------------------------------------------------------
+# refusals
 
 
 @pytest.mark.parametrize(
@@ -155,23 +154,12 @@ def test_references_that_show_nothing_are_called_so_and_no_diverged_training(siz
         VPRTempo(**SMALL).fit(Images.from_arrays([*empty, *WORLD.references[n_alike:20]]), np.arange(20))
 
 
-# --- inputs -----------------------------------------------------------------------------------------------------
+# inputs
 
 
-@pytest.fixture
-def torch_warns_every_time() -> Iterator[None]:
-    """PyTorch warns of an array that cannot be written to only once in a process."""
-    before = torch.is_warn_always_enabled()
-    torch.set_warn_always(True)
-    yield
-    torch.set_warn_always(before)
-
-
-@pytest.mark.usefixtures("torch_warns_every_time")
 def test_fit_changes_neither_images_nor_places_nor_the_global_generator_and_takes_unwritable_places() -> None:
-    world = Journey.draw(0)
+    world, before = Journey.draw(0), torch.random.get_rng_state()
     world.places.flags.writeable = False  # as the harness gives them
-    before = torch.random.get_rng_state()
     VPRTempo(**SMALL).fit(Images.from_arrays(world.references), world.places)
     assert torch.equal(torch.random.get_rng_state(), before)
     assert np.array_equal(np.stack(world.references), np.stack(WORLD.references))
@@ -192,7 +180,7 @@ def test_spikes_are_the_levels_over_255_in_variant_c_by_the_8_bit_step(variant: 
     assert found == pytest.approx(expected, abs=1e-6)
 
 
-# --- another device ---------------------------------------------------------------------------------------------
+# another device
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device that PyTorch can use")
@@ -204,7 +192,7 @@ def test_a_network_trained_on_cuda_ranks_places_as_one_trained_on_the_cpu(rules:
     assert np.diff(in_order_of_cuda, axis=1).min() > -1e-4
 
 
-# --- initial output weights -------------------------------------------------------------------------------------
+# initial output weights
 
 
 def test_without_learning_output_weights_of_each_sign_have_the_norm_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,32 +49,17 @@ def products(members: Sequence[Network], spikes: Spikes) -> Floats:
 KINDS = pytest.mark.parametrize("rules", [PAPER, V1, REFERENCE], ids=["paper", "v1", "reference"])
 
 
-# --- Eq. 1 ------------------------------------------------------------------------------------------------------
-
-
-@WAYS
-@pytest.mark.parametrize("each", [0, 1, 3])
-def test_few_synapses_are_asked_as_many(each: int, ask: Ask) -> None:
-    asked = network([5, 3], n_pixels=40)
-    asked = replace(asked, features=asked.features * (torch.arange(40) % 40 < each))
-    spikes = shown(3, 40)
-    assert ask(SpikingQuery(asked, PAPER), spikes) == pytest.approx(eq_1(asked, spikes, PAPER), abs=1e-5)
+# Eq. 1
 
 
 @WAYS
 @pytest.mark.parametrize("rules", [PAPER, V1, replace(PAPER, clip=0.3)], ids=["paper", "v1", "clip 0.3"])
 @SIZES
-def test_a_spiking_query_is_eq_1(sizes: list[int], rules: Rules, ask: Ask) -> None:
-    asked, spikes = network(sizes), shown(9)
-    expected = eq_1(asked, spikes, rules)
-    assert ask(SpikingQuery(asked, rules), spikes) == pytest.approx(expected, abs=1e-6)
-
-
-def test_the_networks_of_these_tests_have_silent_graded_and_clipped_neurons_in_both_layers() -> None:
-    asked, spikes = network([5, 5, 3]), shown(9)
-    features = np.array([feature_spikes(asked, x, 0.9) for x in spikes.astype(np.float64)])
-    for layer in (features, eq_1(asked, spikes, PAPER)):
-        assert min(np.mean(layer == 0), np.mean(layer == 0.9), np.mean((layer > 0) & (layer < 0.9))) > 0.03
+def test_a_spiking_query_is_eq_1_also_of_few_synapses(sizes: list[int], rules: Rules, ask: Ask) -> None:
+    whole, spikes = network(sizes), shown(9)
+    for each in (20, 0, 1, 3):
+        asked = replace(whole, features=whole.features * (torch.arange(20) < each))
+        assert ask(SpikingQuery(asked, rules), spikes) == pytest.approx(eq_1(asked, spikes, rules), abs=1e-6)
 
 
 @pytest.mark.parametrize("count", [255, 256, 257, 513])
@@ -115,7 +100,7 @@ def test_v1_lets_the_least_inhibited_place_of_module_0_answer_a_silent_query_and
     assert not ask(kind(inhibited, PAPER), spikes)[silent].any()
 
 
-# --- the public code's query, and several networks --------------------------------------------------------------
+# the public code's query, and several networks
 
 
 @WAYS
@@ -135,11 +120,10 @@ def test_several_spiking_networks_answer_with_their_mean_score(count: int, rules
     assert ask(asking(members, rules), spikes) == pytest.approx(expected, abs=1e-6)
 
 
-# --- what a query leaves alone ----------------------------------------------------------------------------------
+# what a query leaves alone
 
 
 QUERIES: dict[str, Callable[[], Query]] = {
-    "paper": lambda: asking([network([5, 5, 3])], PAPER),
     "v1": lambda: asking([network([5, 5, 3])], V1),
     "paper of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], PAPER),
     "reference of two": lambda: asking([network([5, 5, 3], seed=seed) for seed in range(2)], REFERENCE),
@@ -148,7 +132,7 @@ QUERIES: dict[str, Callable[[], Query]] = {
 }
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 9, 300])
+@pytest.mark.parametrize("count", [0, 1, 9, 300])
 @pytest.mark.parametrize("name", QUERIES)
 def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoever_asked(name: str, count: int) -> None:
     query, spikes = QUERIES[name](), shown(count)
@@ -169,7 +153,7 @@ def test_input_stays_as_it_was_and_may_lie_apart_and_an_answer_belongs_to_whoeve
     assert np.array_equal(query.scores(before), kept)
 
 
-# --- threads and libraries --------------------------------------------------------------------------------------
+# threads and libraries
 
 
 @WAYS

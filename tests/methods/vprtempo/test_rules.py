@@ -65,7 +65,7 @@ def signs_apart(w: Floats, thresholds: Floats) -> Parts:
     return np.maximum(w, 0), np.maximum(-w, 0), thresholds
 
 
-# --- 200 steps against the oracle -------------------------------------------------------------------------------
+# 200 steps against the oracle
 
 # Places 0 to 19 twice, as two traverses, in 5 epochs: 200 steps. As no shuffle is asked of v1, its order is that.
 TRAVERSES = np.tile(np.arange(20), 2)
@@ -73,7 +73,7 @@ TRAVERSES = np.tile(np.arange(20), 2)
 
 @cache
 def trained(rule_set: RuleSet) -> dict[object, tuple[Parts, Parts]]:
-    """Both layers of 60 inputs, 120 features and 20 places: before, by each engine and by the oracle.
+    """Both layers of 60 inputs, 120 features and 20 places, by each engine and by the oracle.
 
     Theta(x_j) is a jump: where rounding decides on which side of its threshold a neuron lies, one step's weights
     differ by eta * 0.5 = 2.5e-3, whoever computes. With this seed no net input comes so close to its threshold.
@@ -83,8 +83,7 @@ def trained(rule_set: RuleSet) -> dict[object, tuple[Parts, Parts]]:
     outputs = draw_layer(generators, [20], 120, OUTPUT_DRAW, 0.0, 0.0, rules)
     orders = [draw_schedule(generators, [20], TRAVERSES, 5, rules) for _ in range(2)]
     images = [order.image[:, 0].tolist() for order in orders]
-    found: dict[object, tuple[Parts, Parts]] = {"before": (parts(features), parts(outputs))}
-    found["oracle"] = by_oracle(rules, features, outputs, spikes, images)
+    found: dict[object, tuple[Parts, Parts]] = {"oracle": by_oracle(rules, features, outputs, spikes, images)}
     lesson = Training(torch.from_numpy(spikes), feature_rates(120, 0.2, 0.9), rules, STDP, ITP, STDP)
     for engine in (fused, training):
         own_features, own_outputs = copy.deepcopy((features, outputs))
@@ -127,15 +126,13 @@ def by_oracle(
 
 @ENGINES
 @pytest.mark.parametrize("rules", RULES)
-def test_200_steps_agree_with_the_oracle_and_move_weights_a_thousand_times_further(rules, engine):
-    for before, found, expected in zip(*(trained(rules)[whose] for whose in ("before", engine, "oracle")), strict=True):
+def test_200_steps_agree_with_the_oracle(rules, engine):
+    for found, expected in zip(trained(rules)[engine], trained(rules)["oracle"], strict=True):
         for own, wanted in zip(found, expected, strict=True):
             assert own == close_to(wanted, AGREEMENT[rules])
-        for own, moved in zip(before[:2], expected[:2], strict=True):
-            assert np.abs(own - moved).max() > 1000 * AGREEMENT[rules]
 
 
-# --- one step by hand -------------------------------------------------------------------------------------------
+# one step by hand
 
 
 @dataclass(frozen=True)
@@ -230,7 +227,7 @@ def test_a_step_by_hand(name: str, engine: ModuleType) -> None:
         assert own == pytest.approx(np.array(wanted), rel=1e-6, abs=2e-7)
 
 
-# --- rates and annealing ----------------------------------------------------------------------------------------
+# rates and annealing
 
 
 def test_target_rates_are_an_even_ramp_from_just_above_the_lowest_to_the_highest() -> None:
@@ -245,11 +242,9 @@ def test_annealing_is_that_of_the_public_code_over_all_epochs_or_restarts_in_eac
     # The first step of an epoch has the rate that the last epoch left; the second starts anew.
     assert restarting[[0, 10, 11, 39, 40, 41, 51]] == close_to([1, 1, 0.75**2, 0.25**2, 0.25**2, 1, 0.75**2])
     assert np.array_equal(annealing(4, 250, REFERENCE), once)
-    assert annealing(3, 137, REFERENCE) == close_to(oracle.learning_rates_reference(411, 411, 1.0), 1e-12)
-    assert annealing(3, 37, V1) == close_to(oracle.learning_rates_v1(3, 37, 1.0), 1e-12)
 
 
-# --- initial state ----------------------------------------------------------------------------------------------
+# initial state
 
 
 @cache
@@ -257,18 +252,17 @@ def drawn(rule_set: RuleSet) -> Layer:
     return draw_layer(draws(0), [1568], 784, FEATURE_DRAW, 0.5, 0.1, RULES[rule_set])
 
 
-def shares(*found: torch.Tensor) -> list[float]:
-    return [float(part.float().mean()) for part in found]
-
-
-def test_10_and_50_percent_of_the_synapses_are_drawn_apart_or_added_to_one_sign() -> None:
+def test_10_and_50_percent_of_the_synapses_are_drawn_and_thresholds_and_constant_input_are_uniform() -> None:
     plus, minus = drawn("paper").excitation > 0, drawn("paper").inhibition > 0
-    assert shares(plus, minus, plus & minus) == pytest.approx([0.10, 0.50, 0.05], abs=0.002)
     layer = drawn("reference")
-    assert shares(layer.weights > 0, layer.weights < 0, layer.weights == 0) == pytest.approx(
-        [0.10, 0.45, 0.45], abs=0.002
-    )
+    found = (plus, minus, plus & minus, layer.weights > 0, layer.weights < 0)
+    shares = [float(part.float().mean()) for part in found]
+    assert shares == pytest.approx([0.10, 0.50, 0.05, 0.10, 0.45], abs=0.002)
     assert not ((layer.excitation > 0) & (layer.inhibition > 0)).any()
+    # The largest distance of 1568 uniform draws from the straight line is above 0.05 once in 1300 seeds.
+    for part, highest in (("thresholds", 0.5), ("constant", 0.1)):
+        values = np.sort(getattr(drawn("paper"), part)[0].numpy()) / highest
+        assert values == close_to((np.arange(1568) + 0.5) / 1568, 0.05)
 
 
 def test_paper_weights_are_normal_around_3_standard_deviations_with_an_l1_norm_of_1_a_neuron() -> None:
@@ -292,13 +286,6 @@ def test_reference_weights_before_adding_share_the_divisor_of_the_last_neuron() 
     assert not without_synapses.weights.any()  # nor are they 0 / 0
 
 
-@pytest.mark.parametrize(("part", "highest"), [("thresholds", 0.5), ("constant", 0.1)])
-def test_thresholds_and_constant_input_are_uniform_from_0(part: str, highest: float) -> None:
-    found = np.sort(getattr(drawn("paper"), part)[0].numpy()) / highest
-    # The largest distance of 1568 uniform draws from the straight line is above 0.05 once in 1300 seeds.
-    assert found == close_to((np.arange(1568) + 0.5) / 1568, 0.05)
-
-
 def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
     alone = draw_layer(draws(5), [12], 30, FEATURE_DRAW, 0.5, 0.1, PAPER)
     both = draw_layer([*draws(4), *draws(5)], [20, 12], 30, FEATURE_DRAW, 0.5, 0.1, PAPER)
@@ -306,7 +293,7 @@ def test_a_module_draws_the_same_whatever_the_other_modules_are() -> None:
         assert torch.equal(getattr(alone, part)[0], getattr(both, part)[1, :12]), part
 
 
-# --- what no public version has ---------------------------------------------------------------------------------
+# what no public version has
 
 
 @pytest.mark.parametrize(("probability", "each"), [(0.001, 1), (0.1, 6), (1.0, 60)])
