@@ -4,7 +4,7 @@ import little
 import numpy as np
 import preprocess_oracle
 import pytest
-from figure_runs import run, scores_with_recall, series
+from figure_runs import run, series
 from matplotlib.patches import Rectangle
 
 from vprbench.metrics.ranking import outcome
@@ -48,7 +48,7 @@ def test_a_row_shows_the_right_place_and_the_query_as_they_are_and_patch_normali
     assert [axes[0].get_ylabel(), axes[4].get_ylabel()] == ["Place 5\nquery 0", "Place 8\nquery 3"]
 
 
-@pytest.mark.parametrize(("height", "width"), [(360, 640), (320, 180), (100, 640)])
+@pytest.mark.parametrize(("height", "width"), [(320, 180), (100, 640)])
 def test_frames_of_any_shape_fit_the_page_and_have_one_height(height, width):
     example = Example(0, 5, picture(1, height, width), picture(2, height, width))
     figure = frames(kept(example, example), "Railway").figure
@@ -100,11 +100,7 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
     padded = np.zeros((21, 1002))
     padded[:20, :1000] = (made.scores - low) / (high - low)
     np.testing.assert_allclose(shown(scores), padded.reshape(7, 3, 334, 3).max((1, 3)))
-    right = [
-        [any(q // 3 == column for q in range(3 * row, min(3 * row + 3, 20))) for column in range(334)]
-        for row in range(7)
-    ]
-    assert shown(truth).tolist() == right
+    assert shown(truth).tolist() == np.eye(7, 334).tolist()  # query q is of place q
     for panel in (truth, scores):
         assert panel.images[0].get_extent() == [-0.5, 1001.5, 20.5, -0.5]  # 334 x 3 places, 7 x 3 queries
         assert panel.get_xlim() == (-0.5, 999.5)
@@ -112,13 +108,11 @@ def test_cells_of_a_large_matrix_are_the_maxima_of_blocks_and_stand_at_their_num
 
 
 def test_at_the_size_of_nordland_no_right_place_vanishes_and_the_file_stays_small():
-    matrix = np.roll(scores_with_recall(1.0, 2700, 3300), 600, axis=1)
-    drawn = similarity(with_scores(matrix, *([query + 600] for query in range(2700))))
-    truth, scores = matrices(drawn)
+    drawn = similarity(with_scores(np.eye(2700, 3300, 600), *([query + 600] for query in range(2700))))
     rows, columns = np.arange(2700) // 8, (np.arange(2700) + 600) // 8
-    assert shown(truth)[rows, columns].min() == 1
-    assert shown(scores)[rows, columns].min() == 1
-    assert shown(truth).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
+    for panel in matrices(drawn):
+        assert shown(panel)[rows, columns].min() == 1
+        assert shown(panel).sum() == len({*zip(rows.tolist(), columns.tolist(), strict=True)})
     assert len(pdf(drawn)) < 500_000
 
 
@@ -161,15 +155,12 @@ def bars(axes):
 TEMPO = spiking("VPRTempo", [layer("input", [700, 710, 690], 1.0, 784), layer("output", [20, 30, 25], 0.25, 300)])
 
 
-def test_each_layer_has_a_box_at_the_median_of_its_queries_and_a_bar_of_its_active_neurons():
+def test_each_layer_has_a_box_of_the_middle_half_of_its_queries_with_whiskers_and_a_bar_of_its_active_neurons():
     first, output, active = panels(TEMPO)
     assert (medians(first), medians(output), bars(active)) == ([700], [25], [100, 25])
     assert [tick.get_text() for tick in active.get_xticklabels()] == ["input", "output"]
     axes, active = panels(spiking("VPRTempo", [layer("output", [0, 0, 0], 0.0)]))
     assert (medians(axes), bars(active)) == ([0], [0])  # a silent layer is drawn
-
-
-def test_a_box_holds_the_middle_half_and_its_whiskers_nine_tenths_of_the_queries():
     axes, _ = panels(spiking("VPRTempo", [layer("output", range(100, 201))]))
     (box,) = axes.patches
     heights = box.get_path().vertices[:, 1]
@@ -199,7 +190,7 @@ def test_rows_with_spikes_stand_side_by_side_in_their_order_and_differ_in_hatch(
     assert len({patch.get_hatch() for patch in layers[1].patches}) == 2
 
 
-@pytest.mark.parametrize(("spikes", "scale"), [([0, 0, 5000], "symlog"), ([10, 20, 40], "linear"), ([0, 29], "linear")])
+@pytest.mark.parametrize(("spikes", "scale"), [([0, 0, 5000], "symlog"), ([0, 29], "linear")])
 def test_rows_that_differ_by_far_share_a_logarithmic_axis_that_has_room_for_silence(spikes, scale):
     axes, _ = panels(spiking("VPRSNN", [layer("output", spikes)]))
     assert axes.get_yscale() == scale
