@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import requests
 from file_limit import no_file_may_exceed
-from served_files import serving
 
 from vprbench.errors import BadInput
 from vprbench.progress import listening
@@ -24,11 +23,10 @@ PAGE = b"\n<!DOCTYPE html><html><body>Sign in</body></html>"
 
 
 @pytest.fixture
-def server():
+def server(server):
     """One file on the net."""
-    with serving() as net:
-        net.serve("/net.pth", CONTENT)
-        yield net.files["/net.pth"]
+    server.serve("/net.pth", CONTENT)
+    return server.files["/net.pth"]
 
 
 @pytest.fixture
@@ -83,24 +81,18 @@ def test_a_file_comes_whole_and_once_with_nothing_beside_it_and_progress_rises_t
     assert server.net.asked == []
 
 
-def test_what_a_broken_connection_has_brought_is_continued(server, to):
+def test_what_a_broken_connection_has_brought_is_continued_or_comes_anew_without_ranges(server, to):
     server.breaks_after = CHUNK
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={n * CHUNK}-" for n in (1, 2, 3)]
-
-
-def test_a_continued_download_is_sent_little_more_than_what_is_missing(server, to):
-    server.content = CONTENT * 20  # 30 MB
-    had = 57 * CHUNK
-    interrupt(server, to, had)
+    interrupt(server, to)
+    server.honours_ranges = False
     get(server, to)
-    assert to.read_bytes() == server.content
-    assert all(asked.ended.wait(PATIENCE) for asked in server.net.asked)
-    rests = [asked.sent_bytes for asked in server.net.asked if asked.status == 206]
-    assert max(rests) == len(server.content) - had
-    whole = [asked.sent_bytes for asked in server.net.asked if asked.status == 200]
-    assert sum(whole) < len(server.content) / 2  # answers that were closed once their headers had come
+    assert to.read_bytes() == CONTENT
+    to.unlink()
+    server.breaks_after = 2 * CHUNK
+    refused(server, to, r"\(Download")
 
 
 def test_a_stalled_server_is_left_and_asked_again_and_one_that_keeps_silent_is_given_up(server, to):
@@ -121,9 +113,8 @@ def test_a_server_that_is_not_there_is_given_up_and_a_host_that_does_not_exist_a
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(BadInput, match=r"cannot be reached \(Failed to resolve 'nowhere\.inv") as error:
+    with pytest.raises(BadInput, match=r"cannot be reached \(Failed to resolve 'nowhere\.inv"):
         fetch("http://nowhere.invalid/file", to, pause_seconds=1000.0)
-    assert "HTTPConnection" not in str(error.value)  # what libraries wrap around it
 
 
 @pytest.mark.parametrize("status", [408, 429, 503])
@@ -145,28 +136,16 @@ def test_a_lasting_refusal_is_reported_at_once_and_one_that_never_passes_in_the_
     assert len(server.net.asked) == 6
 
 
-def test_redirects_are_followed_when_continuing_too(server, to):
+def test_redirects_are_followed_when_continuing_too_within_the_web_alone(server, to):
+    for target in ("/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"):
+        refused(target, to, "does not start with http")
+        refused(server.net.serve("/old", location=target), to, "cannot be followed")
+    server.net.asked.clear()
     server.net.serve("/newer", location=server.url)
     server.breaks_after = 2 * CHUNK
     get(server.net.serve("/old", location="/newer"), to)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
-
-
-@pytest.mark.parametrize("target", ["/old", "file:///etc/hostname", "ftp://127.0.0.1/net.pth"])
-def test_only_the_web_is_downloaded_from_by_redirects_too(server, to, target):
-    refused(target, to, "does not start with http")
-    refused(server.net.serve("/old", location=target), to, "cannot be followed")
-
-
-def test_a_server_without_ranges_sends_the_whole_anew_and_is_given_up_if_it_always_breaks(server, to):
-    interrupt(server, to)
-    server.honours_ranges = False
-    get(server, to)
-    assert to.read_bytes() == CONTENT
-    to.unlink()
-    server.breaks_after = 2 * CHUNK
-    refused(server, to, r"\(Download")
 
 
 @pytest.mark.parametrize("dated", [False, True])
@@ -184,19 +163,7 @@ def test_a_file_that_changed_meanwhile_comes_whole_in_its_new_version(server, to
     assert server.net.ranges() == []
 
 
-def test_a_part_of_no_known_version_is_continued_only_where_a_hash_tells(server, to):
-    server.etag = 'W/"weak"'
-    interrupt(server, to)
-    get(server, to, sha256=SHA256)
-    assert to.read_bytes() == CONTENT
-    assert server.net.ranges() == [f"bytes={CHUNK}-"]
-    interrupt(server, to)
-    server.content = OTHER
-    get(server, to)
-    assert to.read_bytes() == OTHER
-
-
-def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server, to):
+def test_a_part_of_no_known_version_too_long_or_corrupted_is_not_kept_unless_a_hash_tells(server, to):
     interrupt(server, to, 2 * CHUNK)
     server.content = CONTENT[:CHUNK]  # under the old ETag
     get(server, to)
@@ -206,8 +173,15 @@ def test_a_part_longer_than_the_file_or_corrupted_is_not_kept(server, to):
     part = next((to.parent / "net.pth.part").glob("*.part"))
     part.write_bytes(b"\0" + part.read_bytes()[1:])
     refused(server, to, "SHA-256", sha256=SHA256)
+    server.etag = 'W/"weak"'
+    interrupt(server, to)
     get(server, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
+    assert server.net.ranges() == [f"bytes={CHUNK}-"]
+    interrupt(server, to)
+    server.content = OTHER
+    get(server, to)
+    assert to.read_bytes() == OTHER
 
 
 @pytest.mark.parametrize(
@@ -241,11 +215,9 @@ def test_a_full_disk_and_a_folder_that_cannot_be_made_are_named(server, to, tmp_
     refused(server, tmp_path / "file" / "net.pth", "cannot be written .*: mend")
 
 
-# Google Drive: its pages, as far as they matter, stand on the test's own server
-
-
-@pytest.fixture
-def drive(server, monkeypatch):
+def test_google_drives_page_that_asks_for_confirmation_is_passed_and_a_file_that_is_not_public_named(
+    server, to, monkeypatch
+):
     request = requests.Session.request
 
     def elsewhere(session, method, url, **options):
@@ -253,19 +225,13 @@ def drive(server, monkeypatch):
         return request(session, method, here, **options)
 
     monkeypatch.setattr(requests.Session, "request", elsewhere)
-    return "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
-
-
-def test_the_page_that_asks_for_confirmation_is_passed_when_continuing_too(server, drive, to):
+    drive = "https://drive.google.com/uc?id=1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L"
+    page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
+    server.net.serve("/page", page, kind="text/html; charset=utf-8")
+    refused(drive, to, r"\(.*Too.*users")
     form = f'<form id="download-form" action="{server.url}"><input type="hidden" name="confirm" value="t"></form>'
     server.net.serve("/page", f"<html>{form}</html>".encode(), kind="text/html; charset=utf-8")
     server.attached, server.breaks_after = True, 2 * CHUNK
     get(drive, to, sha256=SHA256)
     assert to.read_bytes() == CONTENT
     assert server.net.ranges() == [f"bytes={2 * CHUNK}-"]
-
-
-def test_a_file_that_is_not_public_is_reported_in_one_line(server, drive, to):
-    page = b'<p class="uc-error-subcaption">Too many users have viewed it.</p>'
-    server.net.serve("/page", page, kind="text/html; charset=utf-8")
-    refused(drive, to, r"\(.*Too.*users")
